@@ -1,0 +1,1 @@
+"""Edit captured objects: neural points that stay hole-free under deformation."""

@@ -1,0 +1,1 @@
+"""Scenes, views, images and point files."""

@@ -1,0 +1,1 @@
+"""Edit files and what applies them."""

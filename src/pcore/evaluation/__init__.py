@@ -1,0 +1,1 @@
+"""Scenes x edits x methods -> numbers, tables, figures."""

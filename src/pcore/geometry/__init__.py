@@ -1,0 +1,1 @@
+"""Cameras, rays, point clouds, neighbours: tensors in, tensors out."""

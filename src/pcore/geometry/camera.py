@@ -1,0 +1,122 @@
+"""A pinhole camera: OpenGL axes (x right, y up, looking along -z), pixel centres at +0.5."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from pcore.errors import InputError
+from pcore.geometry.rays import RayBundle
+
+_RIGID_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """A pinhole camera.
+
+    Attributes:
+        world_from_camera: (4, 4) float32, rigid; maps camera space to world space.
+        width: image width in pixels.
+        height: image height in pixels.
+        fx: focal length along x in pixels.
+        fy: focal length along y in pixels.
+        cx: principal point along x in pixels (`width / 2` is the image centre).
+        cy: principal point along y in pixels.
+    """
+
+    world_from_camera: Tensor
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        _check_pose(self.world_from_camera)
+        if self.width < 1 or self.height < 1:
+            raise InputError(
+                f"camera: expected a positive image size, got {self.width} x {self.height}"
+            )
+        if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx) and math.isfinite(self.fy)):
+            raise InputError(
+                f"camera: expected positive focal lengths in pixels, got {self.fx}, {self.fy}"
+            )
+
+    @classmethod
+    def from_fov(
+        cls, world_from_camera: Tensor, *, width: int, height: int, angle_x: float
+    ) -> Camera:
+        """Camera with square pixels from the horizontal field of view in radians."""
+        if not 0 < angle_x < math.pi:
+            raise InputError(
+                f"camera: expected a horizontal field of view between 0 and pi radians, got {angle_x}"
+            )
+        focal = 0.5 * width / math.tan(0.5 * angle_x)
+        return cls(
+            world_from_camera=world_from_camera,
+            width=width,
+            height=height,
+            fx=focal,
+            fy=focal,
+            cx=0.5 * width,
+            cy=0.5 * height,
+        )
+
+    @property
+    def center(self) -> Tensor:
+        """(3,) the camera's centre in world units."""
+        return self.world_from_camera[:3, 3]
+
+    def resized(self, width: int, height: int) -> Camera:
+        """Return the same camera with another image size (intrinsics scaled along)."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=self.cx * sx,
+            cy=self.cy * sy,
+        )
+
+    def moved(self, world_from_camera: Tensor) -> Camera:
+        """Return the same intrinsics at another pose."""
+        return replace(self, world_from_camera=world_from_camera)
+
+    def rays(self) -> RayBundle:
+        """Rays through all pixel centres, (H, W), unit directions, world units."""
+        pose = self.world_from_camera
+        x = (torch.arange(self.width, dtype=torch.float32) + 0.5 - self.cx) / self.fx
+        y = -(torch.arange(self.height, dtype=torch.float32) + 0.5 - self.cy) / self.fy
+        grid_y, grid_x = torch.meshgrid(y, x, indexing="ij")
+        in_camera = torch.stack([grid_x, grid_y, -torch.ones_like(grid_x)], dim=-1)
+        directions = in_camera @ pose[:3, :3].T
+        directions = directions / directions.norm(dim=-1, keepdim=True)
+        return RayBundle(
+            origins=self.center.expand_as(directions), directions=directions
+        )
+
+    def depth(self, points: Tensor) -> Tensor:
+        """Camera z of world points (..., 3): distance along the viewing axis, world units."""
+        forward = -self.world_from_camera[:3, 2]
+        return (points - self.center.to(points)) @ forward.to(points)
+
+
+def _check_pose(pose: Tensor) -> None:
+    if tuple(pose.shape) != (4, 4):
+        raise InputError(f"camera pose: expected a 4 x 4 matrix, got shape {tuple(pose.shape)}")
+    if not bool(torch.isfinite(pose).all()):
+        raise InputError("camera pose: expected finite numbers, got NaN or infinity")
+    rotation = pose[:3, :3].double()
+    error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max().item()
+    if error > _RIGID_TOLERANCE or torch.linalg.det(rotation).item() < 0:
+        raise InputError(
+            "camera pose: expected a rigid world_from_camera (orthonormal rotation, no mirror), "
+            f"got a 3 x 3 block that is off by {error:.2g}; remove scale and shear from the pose"
+        )

@@ -1,0 +1,45 @@
+"""Bundles of rays: origins and unit directions of any batch shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from pcore.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class RayBundle:
+    """Rays x(s) = origin + s direction, world units.
+
+    Attributes:
+        origins: (..., 3).
+        directions: (..., 3), unit length.
+    """
+
+    origins: Tensor
+    directions: Tensor
+
+    def __post_init__(self) -> None:
+        if self.origins.shape != self.directions.shape or self.origins.shape[-1] != 3:
+            raise InputError(
+                "rays: expected origins and directions of one shape (..., 3), got "
+                f"{tuple(self.origins.shape)} and {tuple(self.directions.shape)}"
+            )
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Batch shape, without the last axis."""
+        return tuple(self.directions.shape[:-1])
+
+    def flat(self) -> RayBundle:
+        """Return the same rays with batch shape (R,)."""
+        return RayBundle(
+            origins=self.origins.reshape(-1, 3), directions=self.directions.reshape(-1, 3)
+        )
+
+    def crop(self, top: int, left: int, height: int, width: int) -> RayBundle:
+        """Rectangle of an (H, W) bundle."""
+        window = (slice(top, top + height), slice(left, left + width))
+        return RayBundle(origins=self.origins[window], directions=self.directions[window])

@@ -1,0 +1,1 @@
+"""Nearest-to-ray search and proximity attention: one function each, several backends."""

@@ -1,0 +1,1 @@
+"""PAPR: networks, renderer, checkpoints."""

@@ -1,0 +1,1 @@
+"""Pre-training of PAPR and the self-supervised fine-tuning of P-CORE."""
