@@ -1,0 +1,196 @@
+"""The YAML configuration of an official PAPR checkpoint: what its weights alone do not say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import yaml
+
+from pcore.errors import CheckpointError
+
+Tree = dict[str, Any]
+
+LEAKY_SLOPE = 0.2
+"""Slope below zero that the original gives its leaky ReLU."""
+
+_ATTENTION = ("models.attn", "models.transformer")
+"""Newer and older name of the attention's section."""
+
+_ONLY_VALUES: dict[str, Any] = {
+    "geoms.points.select_k_type": "d2r",
+    "geoms.point_feats.use_inv": True,
+    "geoms.point_feats.use_ink": False,
+    "geoms.point_feats.use_inq": False,
+    "models.use_renderer": True,
+    "models.last_act": "none",
+    "models.normalize_topk_attn": True,
+    "models.renderer.generator.type": "small-unet",
+    "models.renderer.generator.small_unet.bilinear": False,
+    "models.renderer.generator.small_unet.norm": "none",
+    "models.renderer.generator.small_unet.single": True,
+    "models.renderer.generator.small_unet.last_act": "none",
+    "exposure_control.use": False,
+    "models.mapping_mlp.use": False,
+}
+"""Settings of the original with one supported value: all of its released scenes have it."""
+
+_ONLY_ATTENTION_VALUES: dict[str, Any] = {
+    "score_act": "relu",
+    "block.score_act": "relu",
+    "embed.embed_type": 1,
+    "embed.share_embed": False,
+    "embed.pe_factor": 2.0,
+    "embed.pe_mult_factor": 1.0,
+    "embed.key.norm": "layernorm",
+    "embed.query.norm": "layernorm",
+    "embed.value.norm": "none",
+    **{f"embed.{net}.ff_last_act": "none" for net in ("key", "query", "value")},
+    **{f"embed.{net}.residual_ff": False for net in ("key", "query", "value")},
+    **{f"embed.{net}.use_wn": False for net in ("key", "query", "value")},
+    **{f"embed.{net}.skip_layers": [] for net in ("key", "query")},
+}
+"""The same, below the attention's section."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfficialSettings:
+    """What an original configuration says about the model; the defaults are the original's."""
+
+    coord_scale: float = 10.0
+    """World coordinates were multiplied by this."""
+    background_score: float = 5.0
+    """Constant attention score of the background."""
+    negative_slope: float = 0.0
+    """Slope of the leaky ReLU in the embedding networks, 0 for ReLU."""
+    value_skip: int | None = None
+    """The value network's input is concatenated behind this layer's output (1 is the first)."""
+    value_skip_stated: bool = False
+    """Whether the configuration says anything about the skip."""
+
+
+def read_settings(paths: Sequence[Path]) -> OfficialSettings:
+    """Read the original's YAML files; keys of later files win over those of earlier ones.
+
+    Raises:
+        CheckpointError: no file, a file that is missing or not YAML, a value of another type, or a
+            variant of the model that no released checkpoint uses and that is not supported.
+    """
+    if not paths:
+        raise CheckpointError(
+            "official checkpoint: expected its YAML configuration, got none; the background score "
+            "and the activation are not in the weights, pass the file of configs/ it was trained "
+            "with"
+        )
+    tree: Tree = {}
+    for path in paths:
+        tree = _merged(tree, _load_yaml(path))
+    where = ", ".join(path.name for path in paths)
+    attention = next((name for name in _ATTENTION if _get(tree, name) is not None), _ATTENTION[0])
+    _check_supported(tree, attention, where)
+    skip = _get(tree, f"{attention}.embed.value.skip_layers")
+    return OfficialSettings(
+        coord_scale=_number(tree, "dataset.coord_scale", OfficialSettings.coord_scale, where),
+        background_score=_number(
+            tree, "geoms.background.constant", OfficialSettings.background_score, where
+        ),
+        negative_slope=_slope(tree, attention, where),
+        value_skip=_skip(skip, f"{attention}.embed.value.skip_layers", where),
+        value_skip_stated=skip is not None,
+    )
+
+
+def _load_yaml(path: Path) -> Tree:
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CheckpointError(
+            f"{path}: cannot read the configuration ({error.strerror}); check the path"
+        ) from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise CheckpointError(
+            f"{path}: expected a YAML configuration of the original PAPR, got a file that is not "
+            "plain YAML; pass the .yml the checkpoint was trained with"
+        ) from error
+    if not isinstance(data, dict):
+        raise CheckpointError(
+            f"{path}: expected a YAML mapping with sections such as dataset, geoms and models, got "
+            f"{type(data).__name__}; pass the .yml the checkpoint was trained with"
+        )
+    return cast(Tree, data)
+
+
+def _merged(base: Tree, over: Tree) -> Tree:
+    """`base` with the keys of `over` laid on top, section by section."""
+    out = dict(base)
+    for key, value in over.items():
+        old = out.get(key)
+        if isinstance(old, dict) and isinstance(value, dict):
+            out[key] = _merged(cast(Tree, old), cast(Tree, value))
+        else:
+            out[key] = value
+    return out
+
+
+def _get(tree: Tree, dotted: str) -> Any:
+    """Return the value at a dotted key, None when a step is absent."""
+    node: Any = tree
+    for key in dotted.split("."):
+        if not isinstance(node, dict):
+            return None
+        node = cast(Tree, node).get(key)
+    return node
+
+
+def _number(tree: Tree, dotted: str, default: float, where: str) -> float:
+    value = _get(tree, dotted)
+    if value is None:
+        return default
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise CheckpointError(f"{where}: {dotted}: expected a number, got {value!r}")
+    return float(value)
+
+
+def _check_supported(tree: Tree, attention: str, where: str) -> None:
+    wanted = _ONLY_VALUES | {f"{attention}.{k}": v for k, v in _ONLY_ATTENTION_VALUES.items()}
+    for dotted, supported in wanted.items():
+        value = _get(tree, dotted)
+        if value is not None and value != supported:
+            raise CheckpointError(
+                f"{where}: {dotted}: expected {supported!r}, got {value!r}; this variant of PAPR is "
+                "not supported"
+            )
+
+
+def _slope(tree: Tree, attention: str, where: str) -> float:
+    slopes = {"relu": 0.0, "leakyrelu": LEAKY_SLOPE}
+    found: dict[str, str] = {}
+    for net in ("key", "query", "value"):
+        dotted = f"{attention}.embed.{net}.ff_act"
+        name = _get(tree, dotted)
+        found[dotted] = "relu" if name is None else str(name).lower()
+    names = set(found.values())
+    if len(names) > 1 or not names <= slopes.keys():
+        stated = ", ".join(f"{dotted} = {name}" for dotted, name in found.items())
+        raise CheckpointError(
+            f"{where}: expected one activation, relu or leakyrelu, for key, query and value, got "
+            f"{stated}; this variant of PAPR is not supported"
+        )
+    return slopes[names.pop()]
+
+
+def _skip(value: Any, dotted: str, where: str) -> int | None:
+    """Read the skip: the original counts layers from 0 and names the one that takes the input."""
+    if value is None or value == []:
+        return None
+    entries = cast("list[Any]", value) if isinstance(value, list) else [value]
+    entry = entries[0]
+    if len(entries) != 1 or isinstance(entry, bool) or not isinstance(entry, int) or entry < 1:
+        raise CheckpointError(
+            f"{where}: {dotted}: expected at most one layer, e.g. [5], got {value!r}; this variant "
+            "of PAPR is not supported"
+        )
+    # Layer 5 counted from 0 has layers 1..5 counted from 1 before it.
+    return entry

@@ -1,0 +1,99 @@
+"""The forward pass agrees with the outputs of the original system."""
+
+from __future__ import annotations
+
+import ast
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from pcore.geometry.camera import Camera
+from pcore.model.official import from_official_state
+from pcore.model.official_config import OfficialSettings
+from pcore.model.papr import Papr, Rendering
+
+TOLERANCE = 1e-4
+
+
+def official_weight(name: str, shape: tuple[int, ...]) -> torch.Tensor:
+    """One tensor of the fixture, regenerated from its name."""
+    if name == "select_k":
+        return torch.tensor(20)
+    if name == "bkg_feats":
+        return torch.ones(shape)
+    rng = np.random.RandomState(zlib.crc32(name.encode()) & 0x7FFFFFFF)
+    g = rng.standard_normal(shape)
+    if name == "points":
+        g = g * np.array([4.0, 3.0, 5.0])
+    elif name == "points_influ_scores":
+        g = np.abs(g * 0.5) + 0.5
+    elif name != "pc_feats":
+        if len(shape) >= 2:
+            g = g * (1.2 / np.sqrt(np.prod(shape[1:])))
+        else:
+            g = 1 + 0.1 * g if name.endswith("a_2") else 0.05 * g
+    return torch.from_numpy(g.astype(np.float32))
+
+
+@pytest.fixture(scope="module")
+def oracle(shared_data: Path) -> dict[str, np.ndarray]:
+    with np.load(shared_data / "oracle" / "papr_forward_chair.npz") as file:
+        return dict(file)
+
+
+@pytest.fixture(scope="module")
+def rendering(oracle: dict[str, np.ndarray]) -> Rendering:
+    state = {
+        str(name): official_weight(str(name), ast.literal_eval(str(shape)))
+        for name, shape in zip(oracle["names"], oracle["shapes"], strict=True)
+    }
+    settings = OfficialSettings(
+        coord_scale=float(oracle["coord_scale"]), background_score=float(oracle["bkg_constant"])
+    )
+    config, ours, cloud = from_official_state(state, settings, where="oracle")
+    papr = Papr(config)
+    papr.load_state_dict(ours)
+    with torch.no_grad():
+        return papr(cloud, camera(oracle).rays())
+
+
+def camera(oracle: dict[str, np.ndarray]) -> Camera:
+    width, height, focal = int(oracle["W"]), int(oracle["H"]), float(oracle["focal"])
+    return Camera(
+        world_from_camera=torch.from_numpy(oracle["c2w"]),
+        width=width,
+        height=height,
+        fx=focal,
+        fy=focal,
+        cx=width / 2,
+        cy=height / 2,
+    )
+
+
+def test_rays(oracle: dict[str, np.ndarray]) -> None:
+    rays = camera(oracle).rays()
+    scale = float(oracle["coord_scale"])
+    np.testing.assert_allclose(rays.directions.numpy(), oracle["ray_dir"][0], atol=1e-6)
+    np.testing.assert_allclose(rays.origins[3, 4].numpy() * scale, oracle["ray_origin"][0])
+
+
+def test_neighbours(oracle: dict[str, np.ndarray], rendering: Rendering) -> None:
+    found = np.sort(rendering.neighbours.numpy(), axis=-1)
+    assert np.array_equal(found, oracle["neighbours"])
+
+
+@pytest.mark.parametrize("what", ["rgb", "features", "alpha", "surface"])
+def test_outputs(oracle: dict[str, np.ndarray], rendering: Rendering, what: str) -> None:
+    expected = {
+        "rgb": oracle["rgb"],
+        "features": oracle["features"],
+        "alpha": 1 - oracle["background_attention"],
+        # The original works in scaled coordinates, ours in world units.
+        "surface": oracle["surface"] / oracle["coord_scale"],
+    }[what]
+    found = getattr(rendering, what).numpy()
+    assert found.shape == expected.shape
+    assert np.abs(found - expected).max() < TOLERANCE
