@@ -1,0 +1,214 @@
+"""The NeRF-Synthetic ("Blender") format: `transforms_{train,val,test}.json` and images."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any
+
+import torch
+from pydantic import BaseModel, ConfigDict, Field
+from torch import Tensor
+
+from pcore.data.images import ImageCache, ImageHeader, ImageSource, check_factor, read_header
+from pcore.data.scene import View
+from pcore.errors import InputError, SceneError
+from pcore.geometry.camera import Camera
+from pcore.validation import parse, read_json
+
+SPLITS = ("train", "val", "test")
+_EXTENSIONS = ("", ".png", ".jpg", ".jpeg")
+
+_Number = Annotated[float, Field(strict=True)]
+_Row = tuple[_Number, _Number, _Number, _Number]
+
+
+class _FrameEntry(BaseModel):
+    """One entry of `frames`; keys that other tools add are ignored."""
+
+    model_config = ConfigDict(extra="ignore")
+    transform_matrix: tuple[_Row, _Row, _Row, _Row]
+    file_path: str | None = None
+
+
+class _TransformsFile(BaseModel):
+    """The file; frames are checked one by one, so that a message can name the frame."""
+
+    model_config = ConfigDict(extra="ignore")
+    camera_angle_x: _Number
+    frames: list[Any] = Field(min_length=1)
+    w: Annotated[int, Field(ge=1)] | None = None
+    h: Annotated[int, Field(ge=1)] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosedFrame:
+    """A checked entry of a transforms file.
+
+    Attributes:
+        where: file and frame, the start of every message about it.
+        name: unique in the file, safe as a file name.
+        file_path: as written in the file, or None.
+        world_from_camera: (4, 4) float32.
+    """
+
+    where: str
+    name: str
+    file_path: str | None
+    world_from_camera: Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transforms:
+    """A checked transforms file.
+
+    Attributes:
+        path: the file.
+        angle_x: horizontal field of view in radians, valid for this file only.
+        size: (width, height) when the file states it.
+        frames: at least one.
+    """
+
+    path: Path
+    angle_x: float
+    size: tuple[int, int] | None
+    frames: tuple[PosedFrame, ...]
+
+    def camera(self, frame: PosedFrame, width: int, height: int) -> Camera:
+        """Camera of one frame; SceneError naming file and frame when its pose is not rigid."""
+        try:
+            return Camera.from_fov(
+                frame.world_from_camera, width=width, height=height, angle_x=self.angle_x
+            )
+        except InputError as problem:
+            raise SceneError(f"{frame.where}: {problem}") from problem
+
+
+def transforms_path(root: Path, split: str) -> Path:
+    """Where the format keeps the cameras of a split."""
+    return root / f"transforms_{split}.json"
+
+
+def read_transforms(path: Path) -> Transforms:
+    """Read and check a transforms file; images are not looked at."""
+    content = parse(
+        _TransformsFile,
+        read_json(path, what="scene file", error=SceneError),
+        where=f"scene file {path}",
+        error=SceneError,
+    )
+    if (content.w is None) != (content.h is None):
+        raise SceneError(f"scene file {path}: expected both 'w' and 'h' or neither, got one")
+    entries = [_entry(path, index, item) for index, item in enumerate(content.frames)]
+    names = _names([entry.file_path for _, entry in entries])
+    frames = tuple(
+        PosedFrame(
+            where=where, name=name, file_path=entry.file_path, world_from_camera=_pose(where, entry)
+        )
+        for (where, entry), name in zip(entries, names, strict=True)
+    )
+    size = None if content.w is None or content.h is None else (content.w, content.h)
+    return Transforms(path=path, angle_x=content.camera_angle_x, size=size, frames=frames)
+
+
+def load_splits(root: Path, *, factor: int, cache: ImageCache) -> dict[str, tuple[View, ...]]:
+    """Load all splits that are in the folder, in the order train, val, test.
+
+    Headers of all images are read, so that a missing file or a wrong size is found now and not
+    in the middle of training; pixels are decoded later.
+    """
+    return {
+        split: load_split(root, split, factor=factor, cache=cache)
+        for split in SPLITS
+        if transforms_path(root, split).is_file()
+    }
+
+
+def load_split(root: Path, split: str, *, factor: int, cache: ImageCache) -> tuple[View, ...]:
+    """Views of one split.
+
+    Args:
+        root: folder of the transforms file; images must lie inside it.
+        split: "train", "val" or "test".
+        factor: whole number by which images are down-scaled.
+        cache: keeps decoded images.
+    """
+    transforms = read_transforms(transforms_path(root, split))
+    expected = transforms.size
+    views: list[View] = []
+    for frame in transforms.frames:
+        path = _image_path(root, frame)
+        header = read_header(path)
+        expected = expected or (header.width, header.height)
+        _check_size(transforms, frame, header, expected)
+        check_factor(header.width, header.height, factor)
+        camera = transforms.camera(frame, header.width // factor, header.height // factor)
+        source = ImageSource(path=path, header=header, factor=factor, cache=cache)
+        views.append(View(name=frame.name, camera=camera, image=source))
+    return tuple(views)
+
+
+def _entry(path: Path, index: int, item: object) -> tuple[str, _FrameEntry]:
+    label = item.get("file_path") if isinstance(item, dict) else None
+    where = f"scene file {path}, frame {index}" + (f" ({label})" if label else "")
+    return where, parse(_FrameEntry, item, where=where, error=SceneError)
+
+
+def _pose(where: str, entry: _FrameEntry) -> Tensor:
+    pose = torch.tensor(entry.transform_matrix, dtype=torch.float64)
+    if not bool(torch.isfinite(pose).all()):
+        raise SceneError(
+            f"{where}: expected finite numbers in 'transform_matrix', got NaN or infinity; "
+            "remove the frame or estimate its pose again"
+        )
+    if pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        raise SceneError(
+            f"{where}: expected the last row of 'transform_matrix' to be 0 0 0 1, "
+            f"got {pose[3].tolist()}; is the matrix transposed?"
+        )
+    return pose.float()
+
+
+def _names(file_paths: list[str | None]) -> list[str]:
+    """Stem of each path made safe as a file name; the index is added where stems repeat."""
+    stems = [
+        re.sub(r"[^\w.-]", "_", PurePosixPath(path or "").stem).lstrip(".") or "frame"
+        for path in file_paths
+    ]
+    counts = Counter(stems)
+    return [stem if counts[stem] == 1 else f"{stem}_{i:04d}" for i, stem in enumerate(stems)]
+
+
+def _image_path(root: Path, frame: PosedFrame) -> Path:
+    if not frame.file_path:
+        raise SceneError(f"{frame.where}: 'file_path' is missing; name the frame's image")
+    if "\0" in frame.file_path:
+        raise SceneError(f"{frame.where}: 'file_path' contains a zero byte; write a plain path")
+    home = root.resolve()
+    candidates = [Path(f"{root / frame.file_path}{end}") for end in _EXTENSIONS]
+    for candidate in candidates:
+        resolved = candidate.resolve()
+        if not resolved.is_relative_to(home):
+            raise SceneError(
+                f"{frame.where}: 'file_path' leaves the scene's folder {home} (it leads to "
+                f"{resolved}); scenes may only read their own files: copy the image into the folder"
+            )
+        if resolved.is_file():
+            return resolved
+    raise SceneError(
+        f"{frame.where}: no image at {candidates[0]} (nor with {', '.join(_EXTENSIONS[1:])} added);"
+        " put it there or remove the frame"
+    )
+
+
+def _check_size(
+    transforms: Transforms, frame: PosedFrame, header: ImageHeader, expected: tuple[int, int]
+) -> None:
+    if (header.width, header.height) != expected:
+        source = "'w' and 'h' of the file" if transforms.size else "the first image"
+        raise SceneError(
+            f"{frame.where}: expected an image of {expected[0]} x {expected[1]} pixels like "
+            f"{source}, got {header.width} x {header.height}; resize it or mend the scene file"
+        )

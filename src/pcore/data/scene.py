@@ -1,0 +1,176 @@
+"""Views and scenes: what every loader makes and everything else reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from pcore.data.images import ImageSource, composite
+from pcore.errors import SceneError
+from pcore.geometry.camera import Camera
+from pcore.validation import check_count
+
+# Below this, the viewing axes are parallel for all that float32 poses can tell.
+_PARALLEL = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """One posed image.
+
+    Attributes:
+        name: unique within its split; safe as a file name.
+        camera: pose and intrinsics of the (down-scaled) image.
+        image: where the pixels come from.
+    """
+
+    name: str
+    camera: Camera
+    image: ImageSource
+
+    @property
+    def has_alpha(self) -> bool:
+        """Whether the file itself separates object from background."""
+        return self.image.header.has_alpha
+
+    def rgba(self) -> Tensor:
+        """(H, W, 4) float32 straight alpha in [0, 1], the caller's own copy."""
+        return self.image.rgba().clone()
+
+    def rgb(self, background: Tensor) -> Tensor:
+        """(H, W, 3) float32 composited over `background` (3,)."""
+        return composite(self.image.rgba(), background)
+
+    def alpha(self) -> Tensor:
+        """(H, W) float32 opacity; all ones when the file has no alpha channel."""
+        return self.image.rgba()[..., 3].clone()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """Posed images of one object.
+
+    Attributes:
+        name: of the folder.
+        root: folder that the images lie in.
+        views: split name -> views; at least one split, none of them empty.
+        states: names of deformed states whose test views `load_state` reads.
+
+    The region of the object comes from the poses of the training views alone (of all views when
+    there is no training split, as in a deformed state): no image is looked at, no test pose
+    when there are training poses.
+    """
+
+    name: str
+    root: Path
+    views: dict[str, tuple[View, ...]]
+    states: tuple[str, ...] = ()
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Names of the splits that are there."""
+        return tuple(self.views)
+
+    def split(self, name: str) -> tuple[View, ...]:
+        """Return the views of one split; SceneError when the scene has none of that name."""
+        if name not in self.views:
+            raise SceneError(
+                f"scene {self.root}: no split {name!r}; it has {', '.join(self.views) or 'none'}"
+            )
+        return self.views[name]
+
+    @cached_property
+    def center(self) -> Tensor:
+        """(3,) the point closest to the viewing axes (least squares), world units."""
+        return _closest_to_axes(self._cameras, self.root)
+
+    @cached_property
+    def camera_distance(self) -> float:
+        """Mean distance of the camera centres to `center`, world units."""
+        centers = torch.stack([camera.center for camera in self._cameras])
+        return float((centers - self.center).norm(dim=1).mean())
+
+    @property
+    def lower(self) -> Tensor:
+        """(3,) lower corner of the object's region, world units."""
+        return self.center - self._half_size
+
+    @property
+    def upper(self) -> Tensor:
+        """(3,) upper corner of the object's region, world units."""
+        return self.center + self._half_size
+
+    @cached_property
+    def _half_size(self) -> float:
+        """Radius of the largest sphere about `center` that every view sees whole.
+
+        The region is the cube around that sphere: its inner part is in every field of view, and
+        an object that fills the images without being cut off fits in.
+        """
+        radii = [_seen_radius(camera, self.center) for camera in self._cameras]
+        inside = [radius for radius in radii if radius > 0]
+        if not inside:
+            raise SceneError(
+                f"scene {self.root}: no view sees the point {self.center.tolist()} that the "
+                "viewing axes come closest to; check that poses are camera-to-world, OpenGL axes"
+            )
+        return min(inside)
+
+    @cached_property
+    def _cameras(self) -> tuple[Camera, ...]:
+        views = self.views.get("train") or tuple(v for split in self.views.values() for v in split)
+        return tuple(view.camera for view in views)
+
+
+def hold_out(views: tuple[View, ...], *, every: int) -> tuple[tuple[View, ...], tuple[View, ...]]:
+    """Split training views into views to fit and held-out views to validate on.
+
+    Every `every`-th view is held out, starting in the middle of the first group, so that the same
+    views always give the same split and a path of cameras is sampled evenly.
+
+    Args:
+        views: training views in the order of the scene file.
+        every: at least 2.
+
+    Returns:
+        (fit, validation); validation is empty when there are too few views to reach the first.
+    """
+    check_count("held-out views: every", every, minimum=2)
+    start = every // 2
+    held = views[start::every]
+    return tuple(v for i, v in enumerate(views) if i % every != start), held
+
+
+def _closest_to_axes(cameras: tuple[Camera, ...], root: Path) -> Tensor:
+    poses = torch.stack([camera.world_from_camera for camera in cameras]).double()
+    axis = -poses[:, :3, 2]
+    # Sum over views of |(1 - a a^T) (x - o)|^2: a 3 x 3 linear system.
+    across = torch.eye(3, dtype=torch.float64) - axis[:, :, None] * axis[:, None, :]
+    system = across.mean(dim=0)
+    if float(torch.linalg.eigvalsh(system)[0]) < _PARALLEL:
+        raise SceneError(
+            f"scene {root}: the viewing axes of its {len(cameras)} view(s) are parallel, so they "
+            "do not tell where the object is; give views from at least two directions"
+        )
+    right = (across @ poses[:, :3, 3:]).mean(dim=0)[:, 0]
+    return torch.linalg.solve(system, right).float()
+
+
+def _seen_radius(camera: Camera, point: Tensor) -> float:
+    """Radius of the largest sphere about `point` inside the camera's view; negative if none."""
+    rotation = camera.world_from_camera[:3, :3]
+    x, y, z = ((point - camera.center) @ rotation).tolist()
+    depth = -z
+    distances = [depth]
+    for offset, focal, size, shift in (
+        (x, camera.fx, camera.width, camera.cx),
+        (-y, camera.fy, camera.height, camera.cy),
+    ):
+        for slope, side in ((-shift / focal, 1.0), ((size - shift) / focal, -1.0)):
+            # Distance to the plane through the camera and one border of the image.
+            distances.append(side * (offset - slope * depth) / (1.0 + slope * slope) ** 0.5)
+    return min(distances)
