@@ -15,7 +15,8 @@ from pcore.model.official import from_official_state
 from pcore.model.official_config import OfficialSettings
 from pcore.model.papr import Papr, Rendering
 
-TOLERANCE = 1e-4
+TOLERANCE = 4e-5
+"""The promise is 1e-4; leaving out the original's guard of the ray length would cost 9e-5."""
 
 
 def official_weight(name: str, shape: tuple[int, ...]) -> torch.Tensor:
@@ -87,13 +88,12 @@ def test_neighbours(oracle: dict[str, np.ndarray], rendering: Rendering) -> None
 
 @pytest.mark.parametrize("what", ["rgb", "features", "alpha", "surface"])
 def test_outputs(oracle: dict[str, np.ndarray], rendering: Rendering, what: str) -> None:
-    expected = {
-        "rgb": oracle["rgb"],
-        "features": oracle["features"],
-        "alpha": 1 - oracle["background_attention"],
-        # The original works in scaled coordinates, ours in world units.
-        "surface": oracle["surface"] / oracle["coord_scale"],
-    }[what]
     found = getattr(rendering, what).numpy()
+    expected = oracle.get(what)
+    if what == "alpha":
+        expected = 1 - oracle["background_attention"]
+    if what == "surface":
+        # The original works in scaled coordinates, ours in world units.
+        found = found * float(oracle["coord_scale"])
     assert found.shape == expected.shape
     assert np.abs(found - expected).max() < TOLERANCE
