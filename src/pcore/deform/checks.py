@@ -1,0 +1,43 @@
+"""Whether a deformation can be undone near given points."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pcore.deform.base import Deformation, orientation
+from pcore.errors import EditError
+
+# Compared with `orientation`, which is 1 for rigid motions and does not depend on units.
+SINGULAR = 1e-6
+
+
+def check_invertible(
+    deformation: Deformation, points: Tensor, *, allow_folds: bool = False
+) -> None:
+    """Raise unless the map keeps space right side out at the points (N, 3), world units.
+
+    Rendering carries directions through the Jacobian, which needs det J > 0. A bare set of points
+    can still be moved by a map that folds space in places: `allow_folds` accepts that and
+    refuses only maps that keep space right side out nowhere (flattened or mirrored as a whole).
+
+    Raises:
+        EditError: det J <= 0, or nearly so, at some of the points (at all of them if folds are
+            allowed), or the map leaves the finite numbers; the message counts the points.
+    """
+    total = points.reshape(-1, 3).shape[0]
+    lost = int((~torch.isfinite(deformation(points.detach())).all(dim=-1)).sum())
+    if lost:
+        raise EditError(
+            f"the deformation sends {lost} of {total} points to NaN or infinity, expected finite "
+            "positions; lower the amount"
+        )
+    folded = int((~(orientation(deformation, points.detach()) > SINGULAR)).sum())
+    if folded == 0 or (allow_folds and folded < total):
+        return
+    raise EditError(
+        f"singular deformation: expected space to keep its orientation (det J > 0) at all points, "
+        f"got det J <= 0 or nearly 0 at {folded} of {total} points, where space is flattened or "
+        "turned inside out; lower the angle or factor, widen the limits or extent, move the "
+        'origin, or for a stretch use the profile "axial" or "volume"'
+    )

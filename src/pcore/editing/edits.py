@@ -1,0 +1,270 @@
+"""The kinds of edit that an edit file can list, and the deformation that each one means.
+
+The `description` of a field completes the sentence "expected ..." in error messages, so that the
+rule and its message stand together.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import Annotated, Any, Literal, NamedTuple, cast
+
+import torch
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, model_validator
+from torch import Tensor
+
+from pcore.deform.base import Deformation, apply_matrix
+from pcore.deform.frame import AXIS_NAMES, axis_frame, axis_vector, bend_frame
+from pcore.deform.simple import (
+    AlongAxis,
+    AxialStretch,
+    Bend,
+    Stretch,
+    Taper,
+    Twist,
+    VolumeStretch,
+    rigid,
+    uniform_scale,
+)
+from pcore.errors import EditError, InputError
+
+
+def _axis(value: Any) -> str | tuple[float, float, float]:
+    if isinstance(value, (list, tuple)):
+        items = cast("list[Any]", list(value))
+        if any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
+            raise ValueError("not numbers")
+        value = tuple(float(item) for item in items)
+    elif not isinstance(value, str):
+        raise ValueError("neither a name nor a vector")
+    try:
+        axis_vector(value)
+    except InputError as error:
+        raise ValueError(str(error)) from error
+    return value
+
+
+def _limits(value: tuple[float, float]) -> tuple[float, float]:
+    if not 0.0 <= value[0] < value[1] <= 1.0:
+        raise ValueError("limits out of order")
+    return value
+
+
+def _extent(value: tuple[float, float]) -> tuple[float, float]:
+    if not value[0] < value[1]:
+        raise ValueError("extent out of order")
+    return value
+
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Triple = tuple[Number, Number, Number]
+_AXIS = '"x", "y", "z" or a non-zero vector [x, y, z] of finite numbers'
+_EXTENT = "two finite numbers [lo, hi] with lo < hi, world units from the origin"
+Axis = Annotated[str | tuple[float, float, float], PlainValidator(_axis)]
+Limits = Annotated[
+    tuple[Number, Number],
+    AfterValidator(_limits),
+    Field(description="two numbers [first, second] with 0 <= first < second <= 1"),
+]
+Extent = Annotated[tuple[Number, Number], AfterValidator(_extent)]
+Angle = Annotated[Number, Field(description="a finite number of degrees")]
+Factor = Annotated[Number, Field(description="a finite number")]
+
+
+class _Placement(NamedTuple):
+    """The arguments that every simple deform takes besides its value."""
+
+    rotation: Tensor
+    origin: Tensor
+    extent: tuple[float, float]
+    limits: tuple[float, float]
+
+
+class Edit(BaseModel, ABC):
+    """One entry of an edit file; world units."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    origin: Annotated[Triple, Field(description="three finite numbers [x, y, z]")] = (0.0, 0.0, 0.0)
+
+    @abstractmethod
+    def bind(self, points: Tensor) -> Deformation:
+        """Deformation of this edit, frozen to points (N, 3) float64 as they arrive at it.
+
+        Raises:
+            EditError: the points have no extent to freeze and the edit gives none.
+            InputError: an amount that no map can have.
+        """
+
+
+class SimpleEdit(Edit):
+    """What twist, bend, taper and stretch share."""
+
+    axis: Annotated[Axis, Field(description=_AXIS)]
+    limits: Limits = (0.0, 1.0)
+    lock: Annotated[
+        tuple[Literal["x", "y", "z"], ...], Field(description='a list of "x", "y", "z"')
+    ] = ()
+    extent: Extent | None = Field(default=None, description=_EXTENT)
+
+    @model_validator(mode="after")
+    def _lock_needs_name(self) -> SimpleEdit:
+        if self.lock and not isinstance(self.axis, str):
+            raise ValueError(
+                f'"lock" needs an axis that is "x", "y" or "z", got the axis {list(self.axis)}; '
+                "a tilted deformation has no x, y, z of its own to lock"
+            )
+        return self
+
+    def _placement(self, points: Tensor, rotation: Tensor, driving: int) -> _Placement:
+        """Place the frame at the origin and freeze the extent along its driving vector."""
+        origin = torch.tensor(self.origin, dtype=torch.float64)
+        extent = self.extent
+        if extent is None:
+            extent = _measure(points - origin, rotation[driving])
+        return _Placement(rotation, origin, extent, self.limits)
+
+    def _along_axis(self, kind: type[AlongAxis], value: float, points: Tensor) -> AlongAxis:
+        rotation = axis_frame(self.axis)
+        lock = (False, False)
+        if isinstance(self.axis, str):
+            index = AXIS_NAMES.index(self.axis)
+            first, second = AXIS_NAMES[(index + 1) % 3], AXIS_NAMES[(index + 2) % 3]
+            lock = (first in self.lock, second in self.lock)
+        placement = self._placement(points, rotation, driving=2)
+        return kind(**placement._asdict(), value=value, lock=lock)
+
+
+class TwistEdit(SimpleEdit):
+    """Turn cross-sections about the axis, `angle_deg` in all."""
+
+    type: Literal["twist"] = "twist"
+    angle_deg: Angle
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`."""
+        return self._along_axis(Twist, math.radians(self.angle_deg), points)
+
+
+class BendEdit(SimpleEdit):
+    """Bend about the axis, `angle_deg` in all; `lock` is read and, as in Blender, ignored."""
+
+    type: Literal["bend"] = "bend"
+    angle_deg: Angle
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`."""
+        placement = self._placement(points, bend_frame(self.axis), driving=0)
+        return Bend(**placement._asdict(), value=math.radians(self.angle_deg))
+
+
+class TaperEdit(SimpleEdit):
+    """Scale cross-sections linearly along the axis."""
+
+    type: Literal["taper"] = "taper"
+    factor: Factor
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`."""
+        return self._along_axis(Taper, self.factor, points)
+
+
+_STRETCHES: dict[str, type[AlongAxis]] = {
+    "blender": Stretch,
+    "axial": AxialStretch,
+    "volume": VolumeStretch,
+}
+
+
+class StretchEdit(SimpleEdit):
+    """Lengthen along the axis with one of three profiles of the cross-section."""
+
+    type: Literal["stretch"] = "stretch"
+    factor: Factor
+    profile: Annotated[
+        Literal["blender", "axial", "volume"],
+        Field(description='"blender", "axial" or "volume"'),
+    ] = "blender"
+
+    @model_validator(mode="after")
+    def _length_stays_positive(self) -> StretchEdit:
+        if self.profile != "blender" and self.factor <= -1.0:
+            raise ValueError(
+                f'"factor": expected more than -1 with the profile "{self.profile}" (the length '
+                f"becomes 1 + factor times, so less is a singular deformation), got {self.factor}"
+            )
+        return self
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`."""
+        return self._along_axis(_STRETCHES[self.profile], self.factor, points)
+
+
+class ScaleEdit(Edit):
+    """Multiply distances from the origin by `factor`."""
+
+    type: Literal["scale"] = "scale"
+    factor: Annotated[
+        Number,
+        Field(
+            gt=0, description="a finite number above 0 (0 is a singular deformation, less mirrors)"
+        ),
+    ]
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`."""
+        return uniform_scale(self.factor, self.origin)
+
+
+class RigidEdit(Edit):
+    """Turn by `angle_deg` about the axis through the origin, then translate."""
+
+    type: Literal["rigid"] = "rigid"
+    axis: Axis | None = Field(default=None, description=_AXIS)
+    angle_deg: Angle = 0.0
+    translation: Annotated[Triple, Field(description="three finite numbers [x, y, z]")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
+
+    @model_validator(mode="after")
+    def _turn_needs_axis(self) -> RigidEdit:
+        if self.axis is None and self.angle_deg != 0.0:
+            raise ValueError(
+                '"axis": expected "x", "y", "z" or [x, y, z] to turn about because "angle_deg" '
+                f"is {self.angle_deg}, got none"
+            )
+        return self
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`."""
+        axis = "z" if self.axis is None else self.axis
+        return rigid(axis, math.radians(self.angle_deg), self.translation, self.origin)
+
+
+EDIT_TYPES: dict[str, type[Edit]] = {
+    "twist": TwistEdit,
+    "bend": BendEdit,
+    "taper": TaperEdit,
+    "stretch": StretchEdit,
+    "scale": ScaleEdit,
+    "rigid": RigidEdit,
+}
+
+
+def _measure(points: Tensor, direction: Tensor) -> tuple[float, float]:
+    """Least and greatest coordinate of points (N, 3) along a direction (3,)."""
+    if len(points) == 0:
+        raise EditError(
+            'expected at least one point to take the extent from, got none; give "extent": [lo, hi]'
+        )
+    along = apply_matrix(direction.expand(1, 3), points)
+    lo, hi = (float(value) for value in torch.aminmax(along))
+    if not lo < hi:
+        raise EditError(
+            "expected points that extend along the driving direction of this edit, got all "
+            f'{len(points)} at {lo:g}; give "extent": [lo, hi] or another axis'
+        )
+    return lo, hi
