@@ -17,9 +17,6 @@ from pcore.model.config import MlpConfig, PaprConfig
 from pcore.model.encoding import Normalisation, encoded_size
 
 
-_LENGTH_GUARD = 1e-6
-
-
 @dataclass(frozen=True, kw_only=True)
 class Attended:
     """What attention says about R rays.
@@ -132,9 +129,7 @@ class ProximityAttention(nn.Module):
         pooled = torch.bmm(weights.unsqueeze(1), hidden).squeeze(1)
         features = F.linear(pooled, last.weight) + weights.sum(dim=-1, keepdim=True) * last.bias
         surface = torch.bmm(weights.unsqueeze(1), positions).squeeze(1)
-        return Attended(
-            features=features, background=background, weights=weights, surface=surface
-        )
+        return Attended(features=features, background=background, weights=weights, surface=surface)
 
     def _scores(self, key_input: Tensor, directions: Tensor) -> Tensor:
         """relu(<W_q q, W_k k> / sqrt(width)), (R, k); W_k is folded into the query."""

@@ -1,0 +1,245 @@
+"""Kernels on the CPU by numba: no (rays x points) tensor, one pass per ray-point pair."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from numba import prange
+from torch import Tensor
+
+from pcore.kernels.reference import LENGTH_GUARD
+
+_BUNDLE = 64
+"""Rays that one thread works through with the same scratch memory."""
+
+
+def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int) -> Tensor:
+    """Indices (R, k) of the points with the smallest distance to the lines of (R, 3) rays."""
+    _use_torch_threads()
+    columns = np.ascontiguousarray(_as_numpy(points).T)
+    return torch.from_numpy(_search(_as_numpy(origins), _as_numpy(directions), columns, k))
+
+
+def _use_torch_threads() -> None:
+    numba.set_num_threads(min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS))
+
+
+def _as_numpy(tensor: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(tensor.detach().to(torch.float32).numpy())
+
+
+@numba.njit(cache=True)
+def _insert(best: np.ndarray, index: np.ndarray, distance: float, point: int) -> None:
+    """Insert into a sorted list; equal distances keep the order of the index."""
+    slot = best.shape[0] - 1
+    while slot > 0 and best[slot - 1] > distance:
+        best[slot] = best[slot - 1]
+        index[slot] = index[slot - 1]
+        slot -= 1
+    best[slot] = distance
+    index[slot] = point
+
+
+@numba.njit(cache=True, parallel=True)
+def _search(origins: np.ndarray, directions: np.ndarray, points: np.ndarray, k: int) -> np.ndarray:
+    rays, count = origins.shape[0], points.shape[1]
+    out = np.empty((rays, k), dtype=np.int64)
+    for bundle in prange((rays + _BUNDLE - 1) // _BUNDLE):
+        squared = np.empty(count, dtype=np.float32)
+        best = np.empty(k, dtype=np.float32)
+        index = np.empty(k, dtype=np.int64)
+        for ray in range(bundle * _BUNDLE, min(rays, (bundle + 1) * _BUNDLE)):
+            ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
+            dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+            for i in range(count):
+                vx, vy, vz = points[0, i] - ox, points[1, i] - oy, points[2, i] - oz
+                along = vx * dx + vy * dy + vz * dz
+                tx, ty, tz = vx - along * dx, vy - along * dy, vz - along * dz
+                squared[i] = tx * tx + ty * ty + tz * tz
+            best[:] = np.inf
+            index[:] = 0
+            for i in range(count):
+                if squared[i] < best[k - 1]:
+                    _insert(best, index, squared[i], i)
+            out[ray] = index
+    return out
+
+
+def encode_pairs(
+    positions: Tensor,
+    features: Tensor,
+    origins: Tensor,
+    directions: Tensor,
+    neighbours: Tensor,
+    *,
+    scale: float,
+    frequencies: int,
+) -> tuple[Tensor, Tensor]:
+    """What the embedding networks see of every ray-point pair; see `functional.encode_pairs`."""
+    table, squared = _EncodePairs.apply(
+        positions, features, origins, directions, neighbours, scale, frequencies
+    )
+    return table, squared
+
+
+class _EncodePairs(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,
+        positions: Tensor,
+        features: Tensor,
+        origins: Tensor,
+        directions: Tensor,
+        neighbours: Tensor,
+        scale: float,
+        frequencies: int,
+    ) -> tuple[Tensor, Tensor]:
+        _use_torch_threads()
+        rays, k = neighbours.shape
+        block = 1 + 2 * frequencies
+        table = torch.empty(rays * k, 9 * block + features.shape[1])
+        squared = torch.empty(rays, k)
+        directions = directions.contiguous()
+        neighbours = neighbours.contiguous()
+        _encode_forward(
+            _as_numpy(positions),
+            _as_numpy(features),
+            _as_numpy(origins),
+            directions.numpy(),
+            neighbours.numpy(),
+            np.float32(scale),
+            frequencies,
+            table.numpy(),
+            squared.numpy(),
+        )
+        ctx.save_for_backward(directions, neighbours, table)
+        ctx.scale, ctx.frequencies, ctx.points = scale, frequencies, positions.shape[0]
+        ctx.mark_non_differentiable(squared)
+        return table, squared
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        _use_torch_threads()
+        directions, neighbours, table = ctx.saved_tensors
+        upstream = gradients[0].contiguous()
+        block = 9 * (1 + 2 * ctx.frequencies)
+        to_position = torch.empty(table.shape[0], 3)
+        _encode_backward(
+            upstream.numpy(),
+            table.numpy(),
+            directions.numpy(),
+            neighbours.shape[1],
+            np.float32(ctx.scale),
+            ctx.frequencies,
+            to_position.numpy(),
+        )
+        rows = neighbours.flatten()
+        positions = torch.zeros(ctx.points, 3).index_add_(0, rows, to_position)
+        features = torch.zeros(ctx.points, table.shape[1] - block)
+        features.index_add_(0, rows, upstream[:, block:])
+        return positions, features, None, None, None, None, None
+
+
+@numba.njit(cache=True)
+def _guarded_length(direction: np.ndarray) -> float:
+    """Squared length, guarded as in the original."""
+    total = np.float32(LENGTH_GUARD)
+    for axis in range(3):
+        total += direction[axis] * direction[axis]
+    return total
+
+
+@numba.njit(cache=True)
+def _encode_scalar(x: float, frequencies: int, row: np.ndarray, column: int) -> None:
+    """Write [x, sin x, cos x, sin 2x, ...]; octaves by double angles in float64."""
+    row[column] = x
+    sine, cosine = math.sin(np.float64(x)), math.cos(np.float64(x))
+    for octave in range(frequencies):
+        row[column + 1 + 2 * octave] = sine
+        row[column + 2 + 2 * octave] = cosine
+        sine, cosine = 2.0 * sine * cosine, 1.0 - 2.0 * sine * sine
+
+
+@numba.njit(cache=True, parallel=True)
+def _encode_forward(
+    positions: np.ndarray,
+    features: np.ndarray,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    neighbours: np.ndarray,
+    scale: float,
+    frequencies: int,
+    table: np.ndarray,
+    squared: np.ndarray,
+) -> None:
+    rays, k = neighbours.shape
+    block = 1 + 2 * frequencies
+    # What only depends on the point is encoded once per point, not once per pair.
+    own = np.empty((positions.shape[0], 3 * block), dtype=np.float32)
+    for i in prange(positions.shape[0]):
+        for axis in range(3):
+            _encode_scalar(scale * positions[i, axis], frequencies, own[i], axis * block)
+    for ray in prange(rays):
+        direction = directions[ray]
+        length = _guarded_length(direction)
+        for slot in range(k):
+            point = neighbours[ray, slot]
+            row = table[ray * k + slot]
+            row[: 3 * block] = own[point]
+            row[9 * block :] = features[point]
+            along = np.float32(0.0)
+            for axis in range(3):
+                along += (positions[point, axis] - origins[ray, axis]) * direction[axis]
+            along /= length
+            total = np.float32(0.0)
+            for axis in range(3):
+                h = along * direction[axis]
+                t = positions[point, axis] - origins[ray, axis] - h
+                total += t * t
+                _encode_scalar(scale * h, frequencies, row, (3 + axis) * block)
+                _encode_scalar(scale * t, frequencies, row, (6 + axis) * block)
+            squared[ray, slot] = total
+
+
+@numba.njit(cache=True)
+def _decode_gradient(upstream: np.ndarray, row: np.ndarray, column: int, frequencies: int) -> float:
+    """Gradient of an encoded scalar: the encoding holds its own sines and cosines."""
+    total = upstream[column]
+    factor = np.float32(1.0)
+    for octave in range(frequencies):
+        sine, cosine = column + 1 + 2 * octave, column + 2 + 2 * octave
+        total += factor * (upstream[sine] * row[cosine] - upstream[cosine] * row[sine])
+        factor *= np.float32(2.0)
+    return total
+
+
+@numba.njit(cache=True, parallel=True)
+def _encode_backward(
+    upstream: np.ndarray,
+    table: np.ndarray,
+    directions: np.ndarray,
+    k: int,
+    scale: float,
+    frequencies: int,
+    to_position: np.ndarray,
+) -> None:
+    block = 1 + 2 * frequencies
+    for pair in prange(table.shape[0]):
+        direction = directions[pair // k]
+        row, gradient = table[pair], upstream[pair]
+        # With d d^T divided by the guarded length: h = d d^T (p - o) and t = (I - d d^T)(p - o), so
+        # dL/dp = dL/dt + d <d, dL/dh - dL/dt>.
+        difference = np.float32(0.0)
+        for axis in range(3):
+            to_h = _decode_gradient(gradient, row, (3 + axis) * block, frequencies)
+            to_t = _decode_gradient(gradient, row, (6 + axis) * block, frequencies)
+            to_position[pair, axis] = to_t
+            difference += direction[axis] * (to_h - to_t)
+        difference /= _guarded_length(direction)
+        for axis in range(3):
+            along = direction[axis] * difference
+            to_position[pair, axis] = scale * (to_position[pair, axis] + along)
