@@ -1,0 +1,297 @@
+"""The truth about deformed objects: their meshes, the motion of any point near them, their depth.
+
+Reads the layout that the embedded sample and the evaluation sets share: `meshes.npz` with the
+canonical mesh and every state in the same vertex order, `STATE/deformation.json` beside it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import ValidationError
+from torch import Tensor
+
+from pcore.deform.base import Deformation
+from pcore.errors import DependencyError, InputError, SceneError
+from pcore.evaluation.deformation_record import DeformationRecord
+from pcore.evaluation.surface_search import SurfacePoints, SurfaceSearch
+from pcore.geometry.camera import Camera
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_NOT_STATES = ("canonical", "faces", "sample_face", "sample_barycentric", "sample_visible")
+_STATE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_LARGEST_SCALE = 4.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceAnchors:
+    """Where points hang on the canonical mesh.
+
+    Attributes:
+        surface: closest points on the mesh.
+        offset: (N, 3) from the closest point to the point, world units.
+    """
+
+    surface: SurfacePoints
+    offset: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DeformedTruth:
+    """A mesh and its deformed states, world units.
+
+    Attributes:
+        root: the scene's folder.
+        canonical: (V, 3) vertices before deformation.
+        faces: (F, 3) corners of the triangles.
+        states: (V, 3) vertices by state, same order as `canonical`.
+    """
+
+    root: Path
+    canonical: FloatArray
+    faces: IntArray
+    states: Mapping[str, FloatArray]
+
+    @cached_property
+    def object_size(self) -> float:
+        """Diagonal of the canonical bounding box: the object's size in every geometry metric."""
+        return float(np.linalg.norm(np.ptp(self.canonical, axis=0)))
+
+    def vertices(self, state: str | None) -> FloatArray:
+        """(V, 3) vertices of a state, of the canonical mesh when None.
+
+        Raises:
+            InputError: there is no such state.
+        """
+        if state is None:
+            return self.canonical
+        if state not in self.states:
+            raise InputError(
+                f"{self.root}: no state {state!r}; it has {', '.join(self.states) or 'none'}"
+            )
+        return self.states[state]
+
+    def depth(self, state: str | None, camera: Camera) -> Tensor:
+        """Return the true depth (H, W) of a state (None: canonical); see `mesh_depth`."""
+        return mesh_depth(self.vertices(state), self.faces, camera)
+
+    def anchor(self, points: Tensor) -> SurfaceAnchors:
+        """Hang points (N, 3), world units, on the canonical mesh: exact closest points.
+
+        Raises:
+            InputError: another shape, or NaN or infinity.
+        """
+        positions = _as_points(points)
+        surface = self._search.closest(positions)
+        foot = _interpolate(self.canonical, self.faces, surface)
+        return SurfaceAnchors(surface=surface, offset=positions - foot)
+
+    def follow(self, anchors: SurfaceAnchors, state: str) -> Tensor:
+        """Positions (N, 3) float32 of anchored points in a state.
+
+        The closest point keeps its barycentric coordinates. The offset from it turns with the
+        triangle (the rotation nearest to the triangle's deformation, which takes the normal to
+        the deformed normal) and scales with the square root of the triangle's area, within a
+        factor of 4, so that uniform scaling and rigid motion come out exactly.
+
+        Raises:
+            InputError: there is no such state.
+        """
+        vertices = self.vertices(state)
+        foot = _interpolate(vertices, self.faces, anchors.surface)
+        corners = self.faces[anchors.surface.face]
+        before, area_before = _face_frames(self.canonical[corners])
+        after, area_after = _face_frames(vertices[corners])
+        left, _, right = np.linalg.svd(after @ np.linalg.pinv(before))
+        # A mirrored result can only come from a triangle that lost its area: undo the mirror.
+        left[..., 2] *= np.where(np.linalg.det(left @ right) < 0, -1.0, 1.0)[:, None]
+        turned = np.einsum("nij,njk,nk->ni", left, right, anchors.offset)
+        ratio = np.sqrt(area_after / np.maximum(area_before, np.finfo(np.float64).tiny))
+        scale = np.clip(ratio, 1 / _LARGEST_SCALE, _LARGEST_SCALE)
+        return torch.from_numpy((foot + scale[:, None] * turned).astype(np.float32))
+
+    def carry(self, points: Tensor, state: str) -> Tensor:
+        """Move points (N, 3) near the canonical mesh to where a state takes them, (N, 3) float32.
+
+        For many states of the same points, call `anchor` once and `follow` for each.
+
+        Raises:
+            InputError: another shape, NaN or infinity, or there is no such state.
+        """
+        self.vertices(state)
+        return self.follow(self.anchor(points), state)
+
+    def record(self, state: str) -> DeformationRecord:
+        """Read how a state was made.
+
+        Raises:
+            InputError: there is no such state.
+            SceneError: its `deformation.json` is missing or damaged.
+        """
+        self.vertices(state)
+        path = self.root / state / "deformation.json"
+        try:
+            return DeformationRecord.model_validate(json.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError) as error:
+            reason = _short(error) if isinstance(error, ValidationError) else str(error)
+            raise SceneError(
+                f"{path}: expected a JSON object that describes the state {state!r}, got: {reason}"
+            ) from error
+
+    def analytic(self, state: str) -> Deformation | None:
+        """Build the deformation of a state from its formula; None for animations.
+
+        Raises:
+            InputError: there is no such state.
+            SceneError: its `deformation.json` is missing, damaged or makes no deformation.
+        """
+        record = self.record(state)
+        try:
+            return record.deformation()
+        except InputError as error:
+            raise SceneError(f"{self.root / state / 'deformation.json'}: {error}") from error
+
+    @cached_property
+    def _search(self) -> SurfaceSearch:
+        return SurfaceSearch(self.canonical, self.faces)
+
+
+def load_truth(root: Path) -> DeformedTruth:
+    """Read `meshes.npz` of a scene folder.
+
+    Raises:
+        SceneError: the file is missing, damaged or inconsistent.
+    """
+    path = root / "meshes.npz"
+    arrays = _read_arrays(path)
+    canonical = _vertices(path, "canonical", arrays.get("canonical"), None)
+    faces = arrays.get("faces")
+    if faces is None or faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise SceneError(f"{path}: expected integer triangles 'faces' (F, 3), got {_what(faces)}")
+    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(canonical):
+        raise SceneError(
+            f"{path}: expected at least one triangle with corners from 0 to {len(canonical) - 1}"
+        )
+    states = {k: v for k, v in arrays.items() if k not in _NOT_STATES}
+    for name in states:
+        if not _STATE_NAME.fullmatch(name):
+            raise SceneError(
+                f"{path}: expected states named with letters, digits, '_', '-', '.', got {name!r}"
+            )
+    return DeformedTruth(
+        root=root,
+        canonical=canonical,
+        faces=faces.astype(np.int64),
+        states={k: _vertices(path, k, v, len(canonical)) for k, v in states.items()},
+    )
+
+
+def mesh_depth(vertices: FloatArray, faces: IntArray, camera: Camera) -> Tensor:
+    """Depth of a mesh by ray casting at pixel centres.
+
+    Args:
+        vertices: (V, 3) world units.
+        faces: (F, 3) indices; both sides of a triangle are seen.
+        camera: the view.
+
+    Returns:
+        (H, W) float32 camera z in world units; infinity where the mesh is not hit.
+
+    Raises:
+        DependencyError: embreex is not installed.
+    """
+    try:
+        import trimesh
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+    except ImportError as error:
+        raise DependencyError(
+            "the true depth of a mesh needs the ray caster embreex, which is not installed; "
+            "install it with: pip install 'pcore-edit[sample]'"
+        ) from error
+    rays = camera.rays().flat()
+    directions = rays.directions.double().numpy()
+    origin = camera.center.double().numpy()
+    mesh = trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
+    first = RayMeshIntersector(mesh).intersects_first(rays.origins.numpy(), directions)
+    ray = np.flatnonzero(first >= 0)
+    # embree knows which triangle is hit; where on its plane is computed here in float64.
+    corners = np.asarray(vertices, dtype=np.float64)[faces[first[ray]]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    towards = np.einsum("nd,nd->n", normal, directions[ray])
+    distance = np.einsum("nd,nd->n", normal, corners[:, 0] - origin) / towards
+    forward = -camera.world_from_camera[:3, 2].double().numpy()
+    depth = np.full(camera.height * camera.width, np.inf, dtype=np.float32)
+    depth[ray] = distance * (directions[ray] @ forward)
+    return torch.from_numpy(depth.reshape(camera.height, camera.width))
+
+
+def _as_points(points: Tensor) -> FloatArray:
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"points to carry: expected shape (N, 3), got {tuple(points.shape)}")
+    positions: FloatArray = points.detach().cpu().double().numpy()
+    bad = int((~np.isfinite(positions).all(axis=1)).sum())
+    if bad:
+        raise InputError(
+            f"points to carry: expected finite positions, got NaN or infinity in {bad}"
+        )
+    return positions
+
+
+def _interpolate(vertices: FloatArray, faces: IntArray, surface: SurfacePoints) -> FloatArray:
+    return np.einsum("nk,nkd->nd", surface.barycentric, vertices[faces[surface.face]])
+
+
+def _face_frames(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Columns edge, edge, unit normal (N, 3, 3) and areas (N,) of triangles (N, 3, 3)."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(first, second)
+    length = np.linalg.norm(normal, axis=1)
+    unit = normal / np.maximum(length, np.finfo(np.float64).tiny)[:, None]
+    return np.stack([first, second, unit], axis=2), 0.5 * length
+
+
+def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except FileNotFoundError as error:
+        raise SceneError(
+            f"{path}: not found; the true deformation needs the meshes of the scene "
+            "('canonical', 'faces' and one array per state)"
+        ) from error
+    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise SceneError(
+            f"{path}: expected a NumPy archive of plain arrays, could not read it ({error})"
+        ) from error
+
+
+def _vertices(path: Path, name: str, value: NDArray[Any] | None, count: int | None) -> FloatArray:
+    wanted = "V" if count is None else str(count)
+    shape_ok = value is not None and value.ndim == 2 and value.shape[1] == 3
+    if value is None or not shape_ok or value.dtype.kind != "f" or count not in (None, len(value)):
+        raise SceneError(
+            f"{path}: expected vertices {name!r} of shape ({wanted}, 3), got {_what(value)}"
+        )
+    if not np.isfinite(value).all():
+        raise SceneError(f"{path}: expected finite vertices {name!r}, got NaN or infinity")
+    return value.astype(np.float64)
+
+
+def _what(value: NDArray[Any] | None) -> str:
+    return "nothing" if value is None else f"{value.dtype} of shape {value.shape}"
+
+
+def _short(error: ValidationError) -> str:
+    return "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
