@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,9 +16,9 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.model.config import MlpConfig, PaprConfig
 from pcore.model.encoding import encoded_size
 from pcore.model.official_config import OfficialSettings, read_settings
+from pcore.model.official_file import read_tensors
 from pcore.model.papr import Papr
 
-_POINT_TENSORS = ("points", "points_influ_scores", "pc_feats", "bkg_feats", "select_k")
 _EMBED = "proximity_attn.embed.embed_"
 _UNET = {
     "unet.inc": "renderer.inc.double_conv.0",
@@ -42,7 +41,8 @@ class OfficialModel(NamedTuple):
         config: the architecture.
         state: state dict of `Papr(config)`, float32 on the CPU.
         cloud: the points, world units.
-        provenance: where the model came from: file names, SHA-256, step; plain JSON values.
+        provenance: where the model came from (kind, scene, model_file, model_sha256,
+            config_files, step); plain JSON values.
     """
 
     config: PaprConfig
@@ -63,12 +63,13 @@ def load_official(model_path: Path, config_paths: Sequence[Path]) -> OfficialMod
             variant that is not supported; the message names the tensors or keys.
     """
     settings = read_settings(config_paths)
-    step, tensors = _split_step(_load_pickle(model_path), model_path)
+    step, tensors = read_tensors(model_path)
     config, state, cloud = from_official_state(tensors, settings, where=str(model_path))
     with model_path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     provenance = {
         "kind": "official PAPR checkpoint",
+        "scene": settings.name or config_paths[-1].stem,
         "model_file": model_path.name,
         "model_sha256": digest,
         "config_files": [path.name for path in config_paths],
@@ -139,89 +140,71 @@ def to_official_state(papr: Papr, cloud: PointCloud) -> dict[str, Tensor]:
     return out
 
 
-def _load_pickle(path: Path) -> Any:
-    if not path.is_file():
-        raise CheckpointError(f"{path}: expected the original's model.pth, found no such file")
-    try:
-        return torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # a damaged or hostile pickle can make the reader raise anything
-        raise CheckpointError(
-            f"{path}: expected a PyTorch file that holds nothing but tensors, got one that is "
-            "damaged, cut short or contains Python objects; nothing in it was executed. Download "
-            "it again, or ask its author for the plain state dict"
-        ) from error
-
-
-def _split_step(data: Any, path: Path) -> tuple[int | None, dict[str, Tensor]]:
-    """Separate `{"<step>": state_dict}`; a bare state dict has no step."""
-    step: int | None = None
-    if isinstance(data, dict) and len(cast("dict[Any, Any]", data)) == 1:
-        key, value = next(iter(cast("dict[Any, Any]", data).items()))
-        if isinstance(value, dict) and str(key).isdigit():
-            step, data = int(key), value
-    if not isinstance(data, dict) or not data:
-        raise CheckpointError(
-            f"{path}: expected {{step: state dict}} or a state dict of the original PAPR, got "
-            f"{_describe(data)}"
-        )
-    tensors = cast("dict[Any, Any]", data)
-    for name, value in tensors.items():
-        if not (isinstance(name, str) and isinstance(value, Tensor)):
-            raise CheckpointError(
-                f"{path}: expected {{step: state dict}} or a state dict of the original PAPR, got "
-                f"an entry {name!r} of type {type(value).__name__}"
-            )
-    return step, cast("dict[str, Tensor]", tensors)
-
-
-def _describe(data: Any) -> str:
-    return "an empty dict" if isinstance(data, dict) else type(data).__name__
-
-
 def _config(tensors: Mapping[str, Tensor], settings: OfficialSettings, where: str) -> PaprConfig:
     """Architecture from the shapes and the YAML."""
     feature_size = _shape(tensors, "pc_feats", 2, where)[1]
-    query_size = _shape(tensors, f"{_EMBED}q.mlp.model.1.weight", 2, where)[1]
-    octaves = (query_size / 3 - 1) / 2
-    if octaves < 1 or octaves != int(octaves):
-        raise CheckpointError(
-            f"{where}: {_EMBED}q.mlp.model.1.weight: expected 3 (1 + 2 L) inputs, e.g. 39, got "
-            f"{query_size}"
-        )
-    vector = encoded_size(3, int(octaves))
+    frequencies = _frequencies(tensors, where)
+    vector = encoded_size(3, frequencies)
     value = _mlp(tensors, "v", 2 * vector + feature_size, where)
+    _check_skip(value, settings, where)
+    full, half, quarter = (
+        _shape(tensors, f"{_UNET[f'unet.{stage}']}.weight", 4, where)[0]
+        for stage in ("inc", "down1", "down2")
+    )
+    _shape(tensors, "points", 2, where)
+    try:
+        return PaprConfig(
+            neighbours=_select_k(tensors, where),
+            coord_scale=settings.coord_scale,
+            frequencies=frequencies,
+            feature_size=feature_size,
+            key=_mlp(tensors, "k", 3 * vector, where),
+            query=_mlp(tensors, "q", vector, where),
+            value=value,
+            negative_slope=settings.negative_slope,
+            background_score=settings.background_score,
+            unet_channels=(full, half, quarter),
+            background=_background(tensors, where),
+        )
+    except InputError as error:
+        raise CheckpointError(f"{where}: {error}") from error
+
+
+def _frequencies(tensors: Mapping[str, Tensor], where: str) -> int:
+    """Octaves L of the encoding: the query reads the encoded direction and nothing else."""
+    name = f"{_EMBED}q.mlp.model.1.weight"
+    inputs = _shape(tensors, name, 2, where)[1]
+    frequencies = (inputs // 3 - 1) // 2
+    if frequencies < 1 or encoded_size(3, frequencies) != inputs:
+        raise CheckpointError(
+            f"{where}: {name}: expected 3 (1 + 2 L) inputs, e.g. 39, got {inputs}"
+        )
+    return frequencies
+
+
+def _check_skip(value: MlpConfig, settings: OfficialSettings, where: str) -> None:
     if settings.value_skip_stated and settings.value_skip != value.skip_after:
         raise CheckpointError(
-            f"{where}: value network: the configuration puts the skip after layer "
-            f"{settings.value_skip}, the shapes put it after layer {value.skip_after}; pass the "
+            f"{where}: skip of the value network: the tensors have it after layer "
+            f"{value.skip_after}, the configuration after layer {settings.value_skip}; pass the "
             ".yml this checkpoint was trained with"
         )
-    unet = [_shape(tensors, f"{_UNET[f'unet.{n}']}.weight", 4, where)[0] for n in _STAGES]
-    background = _shape(tensors, "bkg_feats", 2, where)
-    select_k = _shape(tensors, "select_k", 0, where)
-    if background != (1, 3) or select_k != () or int(tensors["select_k"]) < 1:
-        raise CheckpointError(
-            f"{where}: expected bkg_feats of shape (1, 3) and a positive select_k, got shape "
-            f"{background} and {tensors['select_k'].tolist()}"
-        )
-    _shape(tensors, "points", 2, where)
-    red, green, blue = (float(c) for c in tensors["bkg_feats"][0])
-    return PaprConfig(
-        neighbours=int(tensors["select_k"]),
-        coord_scale=settings.coord_scale,
-        frequencies=int(octaves),
-        feature_size=feature_size,
-        key=_mlp(tensors, "k", 3 * vector, where),
-        query=_mlp(tensors, "q", vector, where),
-        value=value,
-        negative_slope=settings.negative_slope,
-        background_score=settings.background_score,
-        unet_channels=(unet[0], unet[1], unet[2]),
-        background=(red, green, blue),
-    )
 
 
-_STAGES = ("inc", "down1", "down2")
+def _select_k(tensors: Mapping[str, Tensor], where: str) -> int:
+    _shape(tensors, "select_k", 0, where)
+    k = float(tensors["select_k"])
+    if not (k >= 1 and k.is_integer()):
+        raise CheckpointError(f"{where}: select_k: expected a positive whole number, got {k:g}")
+    return int(k)
+
+
+def _background(tensors: Mapping[str, Tensor], where: str) -> tuple[float, float, float]:
+    shape = _shape(tensors, "bkg_feats", 2, where)
+    if shape != (1, 3):
+        raise CheckpointError(f"{where}: bkg_feats: expected shape (1, 3), got {shape}")
+    red, green, blue = (float(channel) for channel in tensors["bkg_feats"][0])
+    return red, green, blue
 
 
 def _mlp(tensors: Mapping[str, Tensor], net: str, size_in: int, where: str) -> MlpConfig:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +60,8 @@ _ONLY_ATTENTION_VALUES: dict[str, Any] = {
 class OfficialSettings:
     """What an original configuration says about the model; the defaults are the original's."""
 
+    name: str = ""
+    """Name of the experiment, empty when the configuration gives none."""
     coord_scale: float = 10.0
     """World coordinates were multiplied by this."""
     background_score: float = 5.0
@@ -92,6 +95,7 @@ def read_settings(paths: Sequence[Path]) -> OfficialSettings:
     _check_supported(tree, attention, where)
     skip = _get(tree, f"{attention}.embed.value.skip_layers")
     return OfficialSettings(
+        name=str(_get(tree, "index") or ""),
         coord_scale=_number(tree, "dataset.coord_scale", OfficialSettings.coord_scale, where),
         background_score=_number(
             tree, "geoms.background.constant", OfficialSettings.background_score, where
@@ -123,7 +127,7 @@ def _load_yaml(path: Path) -> Tree:
 
 
 def _merged(base: Tree, over: Tree) -> Tree:
-    """`base` with the keys of `over` laid on top, section by section."""
+    """Lay the keys of `over` on top of `base`, section by section."""
     out = dict(base)
     for key, value in over.items():
         old = out.get(key)
@@ -148,8 +152,9 @@ def _number(tree: Tree, dotted: str, default: float, where: str) -> float:
     value = _get(tree, dotted)
     if value is None:
         return default
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise CheckpointError(f"{where}: {dotted}: expected a number, got {value!r}")
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not math.isfinite(value):
+        raise CheckpointError(f"{where}: {dotted}: expected a finite number, got {value!r}")
     return float(value)
 
 
@@ -159,8 +164,8 @@ def _check_supported(tree: Tree, attention: str, where: str) -> None:
         value = _get(tree, dotted)
         if value is not None and value != supported:
             raise CheckpointError(
-                f"{where}: {dotted}: expected {supported!r}, got {value!r}; this variant of PAPR is "
-                "not supported"
+                f"{where}: {dotted}: expected {supported!r}, got {value!r}; this variant of PAPR "
+                "is not supported"
             )
 
 
