@@ -17,16 +17,16 @@ from pcore.data.surface_nets import surface_nets
 
 Array = NDArray[Any]
 
-_LOWER = np.array([-1.12, -0.52, -0.62])
-_UPPER = np.array([1.16, 0.56, 0.98])
+_LOWER = np.array([-1.14, -0.58, -0.60])
+_UPPER = np.array([1.14, 0.66, 1.02])
 
 # The shell is a tube along a logarithmic spiral in the plane y = const, drawn out sideways to a
 # cone: after every turn radius, tube and remaining height shrink by the same ratio.
-_SHELL_CENTER = np.array([-0.18, -0.06, 0.14])
-_SHELL_RADIUS, _SHELL_TUBE, _SHELL_HEIGHT = 0.31, 0.30, 0.30
+_SHELL_CENTER = np.array([-0.20, -0.08, 0.21])
+_SHELL_RADIUS, _SHELL_TUBE, _SHELL_HEIGHT = 0.36, 0.36, 0.36
 _SHELL_TURNS, _SHELL_START, _SHELL_RATIO = 2.1, -0.65, 0.42
 _SHELL_LINKS = 60
-_SHELL_BOUND, _SHELL_BOUND_OFFSET, _SHELL_BLEND = 0.62, np.array([0.02, 0.02, -0.02]), 0.035
+_SHELL_BOUND, _SHELL_BOUND_OFFSET, _SHELL_BLEND = 0.70, np.array([0.02, 0.02, -0.02]), 0.035
 
 _EYES = (
     (np.array([0.80, 0.12, 0.26]), np.array([0.90, 0.25, 0.62])),
@@ -97,14 +97,14 @@ def _field(points: Array) -> Array:
 
 def _soft_body(points: Array) -> Array:
     path = [
-        ([-1.02, 0.06, -0.46], 0.05),
-        ([-0.55, 0.0, -0.36], 0.15),
+        ([-0.98, 0.06, -0.45], 0.06),
+        ([-0.55, 0.0, -0.36], 0.17),
         ([0.05, 0.0, -0.30], 0.23),
         ([0.50, 0.0, -0.30], 0.22),
         ([0.74, 0.0, -0.06], 0.19),
         ([0.80, 0.0, 0.18], 0.22),
     ]
-    wide = points * np.array([1.0, 0.82, 1.0])
+    wide = points * np.array([1.0, 0.68, 1.0])
     body = np.full(len(points), np.inf)
     for (a, ra), (b, rb) in pairwise(path):
         body = _smooth_min(body, _round_cone(wide, np.array(a), np.array(b), (ra, rb)), 0.08)
@@ -170,7 +170,7 @@ def _light(points: Array, normals: Array) -> Array:
     for reach in (0.04, 0.09, 0.16):
         free = np.clip(_field(points + reach * normals) / reach, 0.0, 1.0)
         occlusion *= 0.55 + 0.45 * free
-    return (0.30 + 0.35 * sky + 0.55 * diffuse) * (0.35 + 0.65 * occlusion)
+    return (0.38 + 0.32 * sky + 0.50 * diffuse) * (0.35 + 0.65 * occlusion)
 
 
 def _paint(points: Array) -> Array:
@@ -206,6 +206,9 @@ def _paint_body(points: Array) -> Array:
     ripple = np.sin(9.0 * points[:, 0] + 2.0 * np.sin(7.0 * points[:, 1]))
     ripple += np.sin(11.0 * points[:, 2] + 4.0 * points[:, 0])
     color = color * (1.0 - 0.22 * (ripple[:, None] > 0.9))
+    band = np.sin(13.0 * points[:, 0] + 6.0 * np.abs(points[:, 1])) > 0
+    sole = (points[:, 2] < -0.48) & band
+    color = np.where(sole[:, None], np.array([0.98, 0.72, 0.25]), color)
     spots = np.array([[-0.72, 0.075], [-0.42, 0.085], [-0.08, 0.09], [0.26, 0.085], [0.56, 0.07]])
     for x, radius in spots:
         inside = (points[:, 0] - x) ** 2 + (points[:, 2] + 0.30) ** 2 < radius**2
@@ -215,9 +218,9 @@ def _paint_body(points: Array) -> Array:
 
 def _paint_face(points: Array, color: Array) -> Array:
     """Pink cheeks, orange feelers: they tell front from back and left from right."""
-    for y, tint in ((0.17, [0.98, 0.45, 0.55]), (-0.17, [0.98, 0.45, 0.55])):
-        cheek = _sphere(points, np.array([0.93, y, 0.12]), 0.085) < 0
-        color = np.where(cheek[:, None], np.array(tint), color)
+    for y in (0.21, -0.21):
+        cheek = _sphere(points, np.array([0.95, y, 0.12]), 0.10) < 0
+        color = np.where(cheek[:, None], np.array([0.98, 0.45, 0.55]), color)
     for (root, tip), tint in zip(_EYES, ([0.97, 0.55, 0.08], [0.60, 0.25, 0.80]), strict=True):
         along = (points - root) @ (tip - root) / ((tip - root) @ (tip - root))
         color = np.where((along > 0.42)[:, None] & (points[:, 2:] > 0.30), np.array(tint), color)

@@ -1,0 +1,103 @@
+"""The deformed states of the embedded sample: the maps and how their files describe them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pcore.deform.base import Deformation
+from pcore.deform.frame import axis_frame, bend_frame
+from pcore.deform.simple import Bend, Stretch, Twist, uniform_scale
+
+Array = NDArray[Any]
+
+ANGLE_X = 0.6911112070083618  # horizontal field of view of NeRF-Synthetic in radians
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeformedState:
+    """A deformed state of the sample.
+
+    Attributes:
+        deformation: the true map from canonical to deformed points.
+        angle_x: horizontal field of view in radians that the deformed object fits in.
+        description: content of `deformation.json`.
+    """
+
+    deformation: Deformation
+    angle_x: float
+    description: dict[str, Any]
+
+
+def deformed_states(vertices: Array) -> dict[str, DeformedState]:
+    """States by name; the extents of the maps are those of `vertices` (V, 3)."""
+    lo, hi = float(vertices[:, 0].min()), float(vertices[:, 0].max())
+    angle, factor, scale = math.pi / 3, 0.6, 2.0
+    origin, extent = torch.zeros(3, dtype=torch.float64), (lo, hi)
+    along_x, about_z = axis_frame("x"), bend_frame("z")
+
+    def simple(name: str, method: str, axis: str, value: float, unit: str) -> dict[str, Any]:
+        return {
+            "name": name,
+            "type": "simple_deform",
+            "camera_angle_x": ANGLE_X,
+            "method": method,
+            "axis": axis,
+            "value": value,
+            "value_is": unit,
+            "limits": [0.0, 1.0],
+            "origin": [0.0, 0.0, 0.0],
+            "lock": [0, 0, 0],
+            "driver_axis": "X",
+            "driver_lo": lo,
+            "driver_hi": hi,
+            "k_per_unit": value / (hi - lo),
+        }
+
+    wide = 2.0 * math.atan(scale * math.tan(0.5 * ANGLE_X))
+    return {
+        "twist60": DeformedState(
+            deformation=Twist(rotation=along_x, origin=origin, extent=extent, value=angle),
+            angle_x=ANGLE_X,
+            description=simple("twist60", "TWIST", "X", angle, "angle_rad"),
+        ),
+        "bend60": DeformedState(
+            deformation=Bend(rotation=about_z, origin=origin, extent=extent, value=angle),
+            angle_x=ANGLE_X,
+            description=simple("bend60", "BEND", "Z", angle, "angle_rad"),
+        ),
+        "stretch": DeformedState(
+            deformation=Stretch(rotation=along_x, origin=origin, extent=extent, value=factor),
+            angle_x=ANGLE_X,
+            description=simple("stretch", "STRETCH", "X", factor, "factor"),
+        ),
+        "scale2x": DeformedState(
+            deformation=uniform_scale(scale),
+            angle_x=wide,
+            description={
+                "name": "scale2x",
+                "type": "scale",
+                "camera_angle_x": wide,
+                "factor": scale,
+                "origin": [0.0, 0.0, 0.0],
+                "note": "camera poses as canonical, wider field of view so that the object fits",
+            },
+        ),
+    }
+
+
+def describe_state(state: DeformedState, before: Array, after: Array) -> dict[str, Any]:
+    """Content of `deformation.json` with statistics of the vertices (V, 3) before and after."""
+    displacement = np.linalg.norm(after - before, axis=1)
+    return {
+        **state.description,
+        "vertex_displacement_mean": float(displacement.mean()),
+        "vertex_displacement_max": float(displacement.max()),
+        "bbox_min": after.min(axis=0).tolist(),
+        "bbox_max": after.max(axis=0).tolist(),
+    }
