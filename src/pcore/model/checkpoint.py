@@ -162,8 +162,9 @@ def _model_path(path: Path) -> Path:
 def _open(path: Path) -> Any:
     """Open a safetensors file; the library checks that its size is what the header says."""
     with path.open("rb") as file:
-        start = file.read(16)
-    if start.startswith((b"PK\x03\x04", b"\x80")):
+        start = file.read(9)
+    # A safetensors file begins with the length of its header, whose bytes may look like anything.
+    if start.startswith((b"PK\x03\x04", b"\x80")) and not start.endswith(b"{"):
         raise CheckpointError(
             f"{path} is a pickle file of PyTorch, not a model of pcore: expected a safetensors "
             "file; it was not executed. A checkpoint of the original PAPR comes in with "

@@ -134,7 +134,7 @@ class JsonLinesLog:
         """
         self._path = path
         with write_guard(path):
-            if path.exists():
+            if path.is_file():
                 _cut(path, resumed)
             self._file = path.open("a", encoding="utf-8", buffering=1)
 

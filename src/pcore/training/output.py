@@ -163,6 +163,11 @@ class RunFolder:
         """Return the state to go on from; None when the run was killed before its first save."""
         return load_state(self.state) if self.state.exists() else None
 
+    def saved_step(self) -> int | None:
+        """Step of the saved state; None before the first save."""
+        state = self.load_state()
+        return None if state is None else state.step
+
     def save_model(
         self,
         papr_state: Mapping[str, Any],

@@ -1,0 +1,161 @@
+"""What people see: progress of a training, tables, errors in one sentence, exit codes."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
+from rich.text import Text
+
+from pcore.errors import PcoreError
+
+if TYPE_CHECKING:
+    from pcore.training.events import Event, StepReport
+
+EXIT_ERROR = 2
+EXIT_INTERRUPTED = 130
+_LINE_SECONDS = 15.0
+# Errors of the machine, not of pcore: a traceback would not help anybody.
+_ENVIRONMENT = {errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EPERM, errno.EDQUOT, errno.EIO}
+
+
+def guarded(action: Callable[[], None]) -> int:
+    """Run a command and return the exit code of the process.
+
+    An error that pcore raises on purpose, and a full or read-only disk, becomes one message on
+    stderr and code 2; Ctrl-C becomes code 130. With PCORE_DEBUG=1 errors keep their traceback.
+    """
+    debug = os.environ.get("PCORE_DEBUG") == "1"
+    try:
+        action()
+    except PcoreError as error:
+        if debug:
+            raise
+        return _complain(str(error))
+    except KeyboardInterrupt as stop:
+        _say("Interrupted", str(stop) or "nothing more was written; `--resume` goes on with a run")
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        # `pcore info RUN | head`: nobody reads on. Python would complain again while it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        if debug or error.errno not in _ENVIRONMENT:
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        return _complain(
+            f"{where}{error.strerror}; files are replaced whole, what was complete before is "
+            "undamaged; free space or choose a writable place, and try again"
+        )
+    return 0
+
+
+def _complain(message: str) -> int:
+    _say("Error", message)
+    return EXIT_ERROR
+
+
+def _say(title: str, message: str) -> None:
+    # Text, not markup: messages quote what users wrote, brackets and all. No wrapping: a path
+    # broken in two cannot be copied.
+    text = Text.assemble((f"{title}: ", "bold red"), message)
+    Console(stderr=True).print(text, soft_wrap=True)
+
+
+def clock(seconds: float) -> str:
+    """Seconds as 1:02:03 or 2:03."""
+    whole = max(0, round(seconds))
+    hours, minutes = whole // 3600, whole // 60 % 60
+    head = f"{hours}:{minutes:02}" if hours else f"{minutes}"
+    return f"{head}:{whole % 60:02}"
+
+
+class ProgressDisplay:
+    """Listener that shows a training: a bar in a terminal, a line now and then elsewhere.
+
+    Use it in a `with` statement.
+    """
+
+    def __init__(
+        self,
+        console: Console | None = None,
+        *,
+        seconds_between_lines: float = _LINE_SECONDS,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._console = console or Console()
+        self._between = seconds_between_lines
+        self._now = now
+        self._last: float | None = None
+        self._tasks: dict[str, TaskID] = {}
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[figures]}"),
+            console=self._console,
+            disable=not self._console.is_terminal,
+        )
+
+    def __call__(self, event: Event) -> None:
+        """Show one event."""
+        from pcore.training.events import StepReport, Stopped, ValidationReport
+
+        if isinstance(event, StepReport):
+            self._step(event)
+        elif isinstance(event, ValidationReport):
+            best = ", the best so far" if event.best else ""
+            self._print(
+                f"{event.stage} {event.step}: held-out views {event.psnr:.2f} dB "
+                f"(mean of {event.views}){best}"
+            )
+        elif isinstance(event, Stopped):
+            message = f": {event.message}" if event.message else ""
+            self._print(f"{event.stage} {event.reason} at step {event.step}{message}")
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def _step(self, event: StepReport) -> None:
+        if self._console.is_terminal:
+            if event.stage not in self._tasks:
+                self._tasks[event.stage] = self._progress.add_task(
+                    event.stage, total=event.steps, figures=""
+                )
+            self._progress.update(
+                self._tasks[event.stage], completed=event.step, figures=_figures(event)
+            )
+            return
+        now, last = self._now(), self._last
+        if last is None or now - last >= self._between or event.step == event.steps:
+            self._last = now
+            self._print(f"{event.stage} {event.step}/{event.steps}  {_figures(event)}")
+
+    def _print(self, line: str) -> None:
+        self._console.print(Text(line), soft_wrap=True)
+
+
+def _figures(event: StepReport) -> str:
+    parts = [f"loss {event.loss:.4g}"]
+    if event.psnr is not None:
+        parts.append(f"PSNR {event.psnr:.1f} dB")
+    parts.append(f"{event.points:,} points")
+    if event.seconds_left is not None:
+        parts.append(f"{clock(event.seconds_left)} left")
+    return "  ".join(parts)

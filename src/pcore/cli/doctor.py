@@ -1,0 +1,203 @@
+"""`pcore doctor`: what this machine has, what is missing and what would be slow."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+_OPTIONAL = (
+    ("embreex", "sample", "the embedded sample is ray cast without it, more slowly"),
+    ("imageio", "video", "no orbit videos"),
+    ("av", "video", "no orbit videos"),
+    ("tensorboard", "log", "no TensorBoard log; log.jsonl is always written"),
+    ("jinja2", "report", "no HTML report"),
+    ("matplotlib", "report", "no figures"),
+    ("skimage", "metrics", "no SSIM"),
+)
+_MEMORY_WANTED = 4e9
+_DISK_WANTED = 1e9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One line of the report."""
+
+    name: str
+    value: str
+    good: bool = True
+    advice: str = ""
+    """What it means and how to mend it, when it is not good."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoctorCommand:
+    """Check this machine: packages, device, memory, weights, and what would be slow."""
+
+    def run(self) -> None:
+        """Print the report."""
+        table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+        table.add_column(no_wrap=True)
+        table.add_column(overflow="fold")
+        table.add_column(overflow="fold")
+        for finding in examine():
+            mark = Text("ok", "green") if finding.good else Text("--", "yellow")
+            text = finding.value + (f"\n{finding.advice}" if finding.advice else "")
+            table.add_row(mark, finding.name, Text(text))
+        Console().print(table)
+
+
+def examine() -> list[Finding]:
+    """Look at everything; costs the import of torch and numba."""
+    return [
+        *_versions(),
+        _device(),
+        _threads(),
+        _memory(),
+        _disk(Path.cwd()),
+        _search(),
+        *_packages(),
+        *_lpips(),
+    ]
+
+
+def _versions() -> list[Finding]:
+    import torch
+
+    names = [("pcore", installed("pcore-edit")), ("torch", str(torch.__version__))]
+    names.insert(1, ("python", platform.python_version()))
+    return [Finding(name=name, value=value or "not installed") for name, value in names]
+
+
+def installed(package: str) -> str | None:
+    """Return the version of an installed distribution, or None."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _device() -> Finding:
+    import torch
+
+    if torch.cuda.is_available():
+        properties = torch.cuda.get_device_properties(0)
+        memory = properties.total_memory / 1e9
+        return Finding(name="device", value=f"{properties.name}, {memory:.0f} GB")
+    return Finding(
+        name="device",
+        value="CPU only",
+        good=False,
+        advice="presets `fast` and `paper` would take many hours to days here: use `tiny`",
+    )
+
+
+def _threads() -> Finding:
+    import torch
+
+    used, there = torch.get_num_threads(), usable_cores()
+    value = f"{used} of {there} usable cores"
+    if used < there:
+        return Finding(
+            name="threads",
+            value=value,
+            good=False,
+            advice="training is slower than it could be: OMP_NUM_THREADS or torch limits it",
+        )
+    return Finding(name="threads", value=value)
+
+
+def usable_cores() -> int:
+    """Cores that this process may run on."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+
+
+def memory_bytes(limit_file: Path = Path("/sys/fs/cgroup/memory.max")) -> int | None:
+    """Memory this process may use: the machine's, or its container's when that is less."""
+    try:
+        total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        return None
+    try:
+        text = limit_file.read_text().strip()
+    except OSError:
+        return total
+    return min(total, int(text)) if text.isdigit() else total
+
+
+def _memory() -> Finding:
+    total = memory_bytes()
+    if total is None:
+        return Finding(name="memory", value="unknown on this system")
+    if total < _MEMORY_WANTED:
+        return Finding(
+            name="memory",
+            value=f"{total / 1e9:.1f} GB",
+            good=False,
+            advice=f"less than {_MEMORY_WANTED / 1e9:.0f} GB: `pcore demo` may not fit",
+        )
+    return Finding(name="memory", value=f"{total / 1e9:.1f} GB")
+
+
+def _disk(folder: Path) -> Finding:
+    free = shutil.disk_usage(folder).free
+    good = free >= _DISK_WANTED
+    return Finding(
+        name="disk",
+        value=f"{free / 1e9:.1f} GB free in {folder}",
+        good=good,
+        advice="" if good else "a run with its pictures may not fit: free some space",
+    )
+
+
+def _search() -> Finding:
+    """Say which backend searches and encodes neighbours; compiled, it is several times faster."""
+    import torch
+
+    from pcore.kernels.functional import backend
+
+    kind = "cuda" if torch.cuda.is_available() else "cpu"
+    used = backend(torch.device(kind))
+    slow = kind == "cpu" and used == "reference"
+    return Finding(
+        name="kernels",
+        value=f"{used} (numba {installed('numba') or 'not installed'})",
+        good=not slow,
+        advice="the reference kernels are slow on a CPU: unset PCORE_KERNELS" if slow else "",
+    )
+
+
+def _packages() -> list[Finding]:
+    findings: list[Finding] = []
+    for name, extra, loss in _OPTIONAL:
+        if find_spec(name) is None:
+            mend = f"{loss}; `pip install 'pcore-edit[{extra}]'` brings it"
+            findings.append(Finding(name=name, value="not installed", good=False, advice=mend))
+        else:
+            findings.append(Finding(name=name, value=f"installed (extra {extra})"))
+    return findings
+
+
+def _lpips() -> list[Finding]:
+    from pcore.training.perceptual import find_weights, missing_weights
+    from pcore.training.trunks import TRUNKS
+
+    findings: list[Finding] = []
+    for trunk in TRUNKS:
+        paths = find_weights(trunk)
+        name = f"LPIPS {trunk}"
+        if paths is None:
+            advice = missing_weights(trunk) or ""
+            findings.append(Finding(name=name, value="missing", good=False, advice=advice))
+        else:
+            findings.append(Finding(name=name, value=f"{paths.trunk}, {paths.heads}"))
+    return findings

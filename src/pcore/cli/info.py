@@ -1,0 +1,80 @@
+"""`pcore info RUN`: what a run folder or a model file is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+Rows = list[tuple[str, str]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class InfoCommand:
+    """Say what a run is: stage, steps, points, configuration, scores."""
+
+    run_or_file: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a run, or a model.safetensors."""
+
+    def run(self) -> None:
+        """Print the table; raises CheckpointError when it is neither."""
+        table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+        table.add_column(no_wrap=True)
+        table.add_column(overflow="fold")
+        for name, value in describe(self.run_or_file):
+            table.add_row(Text(name, "bold"), Text(value))
+        Console().print(table)
+
+
+def describe(path: Path) -> Rows:
+    """Return name and value of all there is to say about a run folder or model file.
+
+    Raises:
+        CheckpointError: there is neither, or what is there is damaged.
+    """
+    from pcore.training.output import RunFolder
+
+    if not path.is_dir():
+        return _model_rows(path)
+    run = RunFolder.open(path)
+    rows: Rows = [("run", str(path)), ("stage", run.stage), ("scene", run.scene)]
+    rows += _flat(run.notes)
+    if run.state.exists():
+        rows.append(("can resume from", f"step {run.saved_step()}"))
+    rows += _model_rows(run.model) if run.model.exists() else [("model", "none saved yet")]
+    return rows + _flat(run.config, "config.")
+
+
+def _model_rows(path: Path) -> Rows:
+    from pcore.model.checkpoint import describe_model
+    from pcore.model.records import to_dict
+
+    summary = describe_model(path)
+    came, size = summary.provenance, path.stat().st_size / 1e6
+    lower, upper = (", ".join(f"{x:.3g}" for x in corner) for corner in came.extent)
+    return [
+        ("model", f"{path} ({size:.1f} MB, {summary.parameters:,} numbers)"),
+        ("made by", f"{came.stage}, {came.step} steps, pcore {came.pcore}"),
+        ("trained on", came.scene),
+        ("points", f"{summary.points:,}"),
+        ("extent", f"({lower}) to ({upper}), world units"),
+        *_flat(to_dict(summary.config), "papr."),
+    ]
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Rows:
+    """Return nested values as rows named by dotted keys."""
+    rows: Rows = []
+    for key, value in values.items():
+        if isinstance(value, dict):
+            rows += _flat(cast("dict[str, Any]", value), f"{prefix}{key}.")
+        else:
+            rows.append((f"{prefix}{key}", value if isinstance(value, str) else json.dumps(value)))
+    return rows

@@ -1,0 +1,120 @@
+"""`pcore VERB ...`: find the verb, parse its options, hand over.
+
+The modules of the verbs are imported only when their verb is used, so that help and typing
+mistakes do not wait for torch.
+"""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import Protocol
+
+from rich.console import Console
+from rich.table import Table
+
+from pcore.cli.console import guarded
+from pcore.errors import InputError
+
+
+class Command(Protocol):
+    """What a verb's dataclass must be able to do once its options are parsed."""
+
+    def run(self) -> None:
+        """Do it; raise `PcoreError` for what the user can mend."""
+        ...
+
+
+@dataclass(frozen=True)
+class Verb:
+    """One entry of the command line."""
+
+    name: str
+    """One or two words."""
+    module: str
+    """Module that defines it, imported on use."""
+    command: str
+    """The frozen dataclass in it whose fields are the options; it has a method `run()`."""
+    summary: str
+    """One line for `pcore --help`."""
+
+
+VERBS: tuple[Verb, ...] = (
+    Verb("info", "pcore.cli.info", "InfoCommand", "say what a run or model file is"),
+    Verb("doctor", "pcore.cli.doctor", "DoctorCommand", "check this machine"),
+)
+"""In the order of the help; a new verb is one more line."""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command line `args` (default: of the process) and return its exit code."""
+    words = list(sys.argv[1:] if args is None else args)
+    try:
+        return guarded(lambda: _dispatch(words))
+    except SystemExit as end:  # The parser's way to say that it has shown help or an error.
+        return end.code if isinstance(end.code, int) else 0
+
+
+def _dispatch(words: list[str]) -> None:
+    if not words or words[0] in ("-h", "--help"):
+        _show_help()
+    elif words[0] == "--version":
+        print(f"pcore {_version()}")
+    else:
+        verb = _find(words)
+        _run(verb, words[len(verb.name.split()) :])
+
+
+def _run(verb: Verb, options: list[str]) -> None:
+    import tyro
+
+    kind: type[Command] = getattr(import_module(verb.module), verb.command)
+    command = tyro.cli(
+        kind,
+        prog=f"pcore {verb.name}",
+        args=options,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    command.run()
+
+
+def _find(words: list[str]) -> Verb:
+    """Return the verb that the words begin with; raises InputError that suggests one."""
+    for verb in VERBS:
+        name = verb.name.split()
+        if words[: len(name)] == name:
+            return verb
+    given = words[0]
+    longer = [verb.name for verb in VERBS if verb.name.split()[0] == given]
+    close = longer or difflib.get_close_matches(given, [verb.name for verb in VERBS], n=1)
+    hint = f"; did you mean {' or '.join(f'`pcore {name}`' for name in close)}?" if close else ""
+    names = ", ".join(verb.name for verb in VERBS)
+    raise InputError(f"unknown command {given!r}: expected one of {names}{hint}")
+
+
+def _show_help() -> None:
+    console = Console()
+    console.print("usage: pcore VERB [OPTIONS]\n", markup=False)
+    console.print("Edit captured objects: neural points that stay hole-free under deformation.\n")
+    table = Table(box=None, show_header=False, padding=(0, 2))
+    for verb in VERBS:
+        table.add_row(verb.name, verb.summary)
+    console.print(table)
+    console.print(
+        "\n`pcore VERB --help` shows the options of a verb; `pcore --version` the version."
+    )
+
+
+def _version() -> str:
+    try:
+        return version("pcore-edit")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
