@@ -26,18 +26,25 @@ class Deformation(ABC):
     def jacobian(self, points: Tensor) -> Tensor:
         """Jacobians (..., 3, 3) at points (..., 3): `J[..., i, j] = d out_i / d in_j`.
 
-        This default pushes the three unit vectors forward through the map (forward-mode
-        autograd), which costs about three evaluations; subclasses with a short formula
-        override it.
+        This default differentiates the three output coordinates in turn: because every point
+        moves by itself, the gradient of a sum over points is one row of all Jacobians. It
+        costs about three backward passes; subclasses with a short formula override it.
         """
         check_points(points)
-
-        def push(direction: Tensor) -> Tensor:
-            tangent = direction.expand(points.shape)
-            return torch.func.jvp(self.__call__, (points,), (tangent,))[1]
-
-        basis = torch.eye(3, dtype=points.dtype, device=points.device)
-        return torch.func.vmap(push)(basis).movedim(0, -1)
+        keep_graph = torch.is_grad_enabled() and points.requires_grad
+        with torch.inference_mode(mode=False), torch.enable_grad():
+            inputs = points if keep_graph else points.detach().clone().requires_grad_()
+            rows = [
+                torch.autograd.grad(
+                    coordinate.sum(),
+                    inputs,
+                    retain_graph=True,
+                    create_graph=keep_graph,
+                    materialize_grads=True,
+                )[0]
+                for coordinate in self(inputs).unbind(dim=-1)
+            ]
+        return torch.stack(rows, dim=-2)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,12 @@ from pcore.errors import EditError
 SINGULAR = 1e-6
 
 
+def count_folded(deformation: Deformation, points: Tensor) -> int:
+    """At how many of the points (N, 3) the map flattens space or turns it inside out."""
+    # Written so that a NaN counts as folded.
+    return int((~(orientation(deformation, points.detach()) > SINGULAR)).sum())
+
+
 def check_invertible(
     deformation: Deformation, points: Tensor, *, allow_folds: bool = False
 ) -> None:
@@ -32,7 +38,7 @@ def check_invertible(
             f"the deformation sends {lost} of {total} points to NaN or infinity, expected finite "
             "positions; lower the amount"
         )
-    folded = int((~(orientation(deformation, points.detach()) > SINGULAR)).sum())
+    folded = count_folded(deformation, points)
     if folded == 0 or (allow_folds and folded < total):
         return
     raise EditError(

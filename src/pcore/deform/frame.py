@@ -17,7 +17,7 @@ AXIS_NAMES = ("x", "y", "z")
 
 
 def axis_vector(axis: str | Sequence[float]) -> Tensor:
-    """Return the unit vector (3,) float64 of "x", "y", "z" or of any non-zero vector of three numbers.
+    """Return the unit vector (3,) float64 of "x", "y", "z" or of any non-zero [x, y, z].
 
     Raises:
         InputError: an unknown name, a zero or non-finite vector, or not three numbers.
@@ -66,7 +66,7 @@ def bend_frame(axis: str | Sequence[float]) -> Tensor:
 
 
 def perpendicular_frame(direction: Tensor, first: Tensor) -> Tensor:
-    """Right-handed frame (3, 3): axis `direction` (3,), first vector the part of `first` across it."""
+    """Right-handed frame (3, 3) with axis `direction` (3,) and the part of `first` across it."""
     direction = direction / direction.norm()
     first = first - direction * (direction @ first)
     first = first / first.norm()

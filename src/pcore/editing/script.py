@@ -109,14 +109,17 @@ class EditScript(BaseModel):
             EditError: the file cannot be written.
         """
         path = Path(path)
+        if not path.parent.is_dir():
+            raise EditError(f"{path}: expected an existing folder to write to, got {path.parent}")
         partial = path.with_name(f".{path.name}.partial")
         try:
             partial.write_text(self.to_json(), encoding="utf-8")
             partial.replace(path)
         except OSError as error:
+            partial.unlink(missing_ok=True)
             raise EditError(
                 f"{path}: cannot write the edit file ({error.strerror}); "
-                "expected an existing folder that can be written to"
+                "expected a place that can be written to"
             ) from error
 
 

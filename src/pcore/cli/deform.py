@@ -1,0 +1,93 @@
+"""`pcore deform`: apply an edit file to a bare set of points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import tyro
+
+from pcore.data.points import check_point_path, read_point_file, save_points
+from pcore.deform.base import Deformation
+from pcore.deform.checks import count_folded
+from pcore.editing.script import load_edit
+from pcore.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeformCommand:
+    """Apply an edit file to a set of points and write the moved points."""
+
+    input: tyro.conf.Positional[Path]
+    """Points to move: a NumPy array (N, 3) in a .npy file, or the vertices of a .ply."""
+
+    edit: Path
+    """Edit file (JSON); an edit without "extent" takes that of these points, as Blender does."""
+
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Where to write: .npy or .ply; a PLY keeps vertex colours and faces. Replaced if it exists."""
+
+    strict: bool = False
+    """Refuse an edit that folds space anywhere, as rendering does, instead of only saying so."""
+
+    def run(self) -> None:
+        """Do it; see `deform`."""
+        deform(self)
+
+
+def deform(command: DeformCommand) -> None:
+    """Read points and edits, move the points in double precision, write them and say what was done.
+
+    The result has the precision of the input file (a .ply stores float32).
+
+    Raises:
+        InputError: the points cannot be read or written, or would replace their own file.
+        EditError: the edit file is not valid or its deformation is singular at the points.
+    """
+    check_point_path(command.output)
+    if _same_file(command.input, command.output):
+        raise InputError(
+            f"{command.output}: expected an output other than the input, got the same file; "
+            "the points would be lost"
+        )
+    script = load_edit(command.edit)
+    source = read_point_file(command.input)
+    points = source.positions.double()
+    deformation = script.bind(points, allow_folds=not command.strict)
+    moved = deformation(points)
+    save_points(
+        command.output, moved.to(source.positions.dtype), colors=source.colors, faces=source.faces
+    )
+    kinds = ", ".join(edit.type for edit in script.edits) or "no edit"
+    print(f"{command.input}: {len(points):,} points, {kinds}")
+    _print_change(points, moved)
+    _print_folds(deformation, points)
+    print(f"written to {command.output}")
+
+
+def _print_change(points: torch.Tensor, moved: torch.Tensor) -> None:
+    for name, cloud in (("before", points), ("after", moved)):
+        lower, upper = cloud.amin(dim=0).tolist(), cloud.amax(dim=0).tolist()
+        box = "  ".join(
+            f"{axis} {lo:.4g} to {hi:.4g}" for axis, lo, hi in zip("xyz", lower, upper, strict=True)
+        )
+        print(f"  {name}: {box}")
+    distance = (moved - points).norm(dim=-1)
+    print(
+        f"  moved by {float(distance.mean()):.4g} on average, {float(distance.max()):.4g} at most"
+    )
+
+
+def _print_folds(deformation: Deformation, points: torch.Tensor) -> None:
+    folded = count_folded(deformation, points)
+    if folded:
+        print(
+            f"  note: the edit flattens space or turns it inside out at {folded:,} of "
+            f"{len(points):,} points; a run would refuse to render it"
+        )
+
+
+def _same_file(first: Path, second: Path) -> bool:
+    return first.exists() and second.exists() and first.samefile(second)
