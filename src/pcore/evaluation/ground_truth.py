@@ -1,7 +1,7 @@
-"""The truth about deformed objects: their meshes, the motion of any point near them, their depth.
+"""The truth about deformed objects: their meshes, the motion of points near them, their depth.
 
-Reads the layout that the embedded sample and the evaluation sets share: `meshes.npz` with the
-canonical mesh and every state in the same vertex order, `STATE/deformation.json` beside it.
+Reads `meshes.npz` of a scene (canonical mesh and states, one vertex order) and
+`STATE/deformation.json` beside it: the layout of the embedded sample and the evaluation sets.
 """
 
 from __future__ import annotations
@@ -207,7 +207,7 @@ def mesh_depth(vertices: FloatArray, faces: IntArray, camera: Camera) -> Tensor:
         camera: the view.
 
     Returns:
-        (H, W) float32 camera z in world units; infinity where the mesh is not hit.
+        (H, W) float32 camera z in world units; infinity where nothing is hit.
 
     Raises:
         DependencyError: embreex is not installed.
@@ -264,14 +264,17 @@ def _face_frames(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        with path.open("rb") as stream:
+            if not zipfile.is_zipfile(stream):
+                raise ValueError("not a whole archive")
+            stream.seek(0)
+            with np.load(stream, allow_pickle=False) as file:
+                return {name: file[name] for name in file.files}
     except FileNotFoundError as error:
         raise SceneError(
-            f"{path}: not found; the true deformation needs the meshes of the scene "
-            "('canonical', 'faces' and one array per state)"
+            f"{path}: not found; it must hold 'canonical', 'faces' and one array per state"
         ) from error
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+    except Exception as error:  # damaged bytes make the readers raise almost anything
         raise SceneError(
             f"{path}: expected a NumPy archive of plain arrays, could not read it ({error})"
         ) from error
