@@ -142,10 +142,13 @@ class ProximityAttention(nn.Module):
 
 
 def _background_softmax(scores: Tensor, background_score: float) -> tuple[Tensor, Tensor]:
-    """Softmax over k points and the background; then the points' weights renormalised."""
+    """Softmax over k points and the background; then the points' weights renormalised.
+
+    The renormalised weights a_i / sum a are the softmax of the points alone. Computed so, they
+    neither underflow nor divide by a vanishing sum when the background outweighs every point.
+    """
     constant = scores.new_full((scores.shape[0], 1), background_score)
     attention = torch.softmax(torch.cat([scores, constant], dim=-1), dim=-1)
-    foreground = attention[:, :-1]
-    total = foreground.sum(dim=-1, keepdim=True)
-    weights = foreground / total.clamp_min(torch.finfo(total.dtype).tiny)
+    none = torch.isneginf(scores).all(dim=-1, keepdim=True)
+    weights = torch.softmax(scores.masked_fill(none, 0.0), dim=-1).masked_fill(none, 0.0)
     return attention[:, -1], weights
