@@ -26,6 +26,7 @@ from pcore.data.sample_mesh import PaintedMesh, snail
 from pcore.data.sample_render import (
     MeshCaster,
     camera_poses,
+    ray_caster_class,
     render_rgba,
     sample_surface,
     seen_samples,
@@ -79,6 +80,7 @@ def make_sample(
     folder = Path(root)
     if _is_there(folder, settings):
         return folder
+    ray_caster_class()  # before any work, so that a missing extra is said at once
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from pcore.errors import DependencyError
@@ -14,6 +15,18 @@ Array = NDArray[Any]
 
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 _SUBSAMPLES = 4  # rays along each side of a pixel
+
+
+def ray_caster_class() -> Any:
+    """Import trimesh's Embree ray caster; DependencyError naming the extra when it is missing."""
+    try:
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+    except ImportError as problem:
+        raise DependencyError(
+            "the embedded sample is ray cast with embreex, which is not installed; "
+            'install it with: pip install "pcore-edit[sample]"'
+        ) from problem
+    return RayMeshIntersector
 
 
 class MeshCaster:
@@ -25,17 +38,9 @@ class MeshCaster:
     """
 
     def __init__(self, vertices: Array, faces: Array) -> None:
-        try:
-            import trimesh
-            from trimesh.ray.ray_pyembree import RayMeshIntersector
-        except ImportError as problem:
-            raise DependencyError(
-                "the embedded sample is ray cast with embreex, which is not installed; "
-                'install it with: pip install "pcore-edit[sample]"'
-            ) from problem
         self.vertices, self.faces = vertices, faces
         mesh = trimesh.Trimesh(vertices, faces, process=False)
-        self._embree: Any = RayMeshIntersector(mesh)
+        self._embree: Any = ray_caster_class()(mesh)
 
     def first_hits(self, origin: Array, directions: Array) -> tuple[Array, Array, Array]:
         """Nearest hits of rays from one point.
