@@ -314,6 +314,7 @@ def test_orientation_does_not_depend_on_units():
         ({"extent": (1.0, 1.0)}, r"deform extent: expected finite lo < hi, got \(1.0, 1.0\)"),
         ({"extent": (0.0, math.inf)}, "deform extent: expected finite lo < hi"),
         ({"limits": (0.8, 0.2)}, "deform limits: expected 0 <= first < second <= 1"),
+        ({"extent": (0.0, 1e-320)}, "deform limits: expected a span that numbers can resolve"),
         ({"limits": (-0.1, 1.0)}, "deform limits: expected 0 <= first < second <= 1"),
         ({"value": math.nan}, "deform value: expected a finite number, got nan"),
     ],
@@ -353,3 +354,21 @@ def test_bad_scales_are_refused(factor: float):
 def test_a_singular_affine_has_no_inverse():
     with pytest.raises(InputError, match="expected an invertible matrix"):
         Affine(torch.zeros(3, 3), torch.zeros(3)).inverse()
+
+
+def test_folds_are_found_where_the_determinant_stays_positive():
+    """A taper past its apex turns the cross-section over by half a turn: det J > 0 again."""
+    taper = Taper(
+        rotation=axis_frame("z"), origin=torch.zeros(3), extent=(-1.0, 1.0), value=-3.0
+    )  # cross-sections times 1 - 1.5 t
+    points = torch.tensor([[0.1, 0.1, -0.5], [0.1, 0.1, 0.5], [0.1, 0.1, 0.9]])
+    assert float(orientation(taper, points).min()) > 0
+    assert taper.folded(points).tolist() == [False, False, True]
+
+
+def test_two_folds_do_not_undo_each_other():
+    mirror = Affine(torch.diag(torch.tensor([1.0, 1.0, -1.0])), torch.zeros(3))
+    points = cloud(10)
+    assert bool((orientation(Compose(mirror, mirror), points) > 0).all())
+    assert bool(Compose(mirror, mirror).folded(points).all())
+    assert not bool(Compose(rigid("x", 1.0), Identity()).folded(points).any())

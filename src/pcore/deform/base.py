@@ -10,6 +10,9 @@ from torch import Tensor
 
 from pcore.errors import InputError
 
+# A share of `orientation`, which is 1 for rigid motions and does not depend on units.
+SINGULAR = 1e-6
+
 
 class Deformation(ABC):
     """A map R^3 -> R^3 in world units whose parameters are frozen.
@@ -45,6 +48,15 @@ class Deformation(ABC):
                 for coordinate in self(inputs).unbind(dim=-1)
             ]
         return torch.stack(rows, dim=-2)
+
+    def folded(self, points: Tensor) -> Tensor:
+        """Where space is flattened or turned inside out: bool (...,) at points (..., 3).
+
+        True where det J is 0, nearly so, negative or not a number. Maps that can turn a
+        part of space over while det J stays positive override it.
+        """
+        # Written so that a NaN counts as folded.
+        return ~(orientation(self, points) > SINGULAR)
 
 
 @dataclass(frozen=True)
@@ -128,6 +140,15 @@ class Compose(Deformation):
             total = matrix_product(step.jacobian(points), total)
             points = step(points)
         return total
+
+    def folded(self, points: Tensor) -> Tensor:
+        """Where any of the steps folds space (two folds do not undo each other)."""
+        check_points(points)
+        result = torch.zeros(points.shape[:-1], dtype=torch.bool, device=points.device)
+        for step in self.steps:
+            result = result | step.folded(points)
+            points = step(points)
+        return result
 
 
 def orientation(deformation: Deformation, points: Tensor) -> Tensor:

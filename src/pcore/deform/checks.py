@@ -5,17 +5,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pcore.deform.base import Deformation, orientation
+from pcore.deform.base import SINGULAR, Deformation, orientation
 from pcore.errors import EditError
-
-# Compared with `orientation`, which is 1 for rigid motions and does not depend on units.
-SINGULAR = 1e-6
 
 
 def count_folded(deformation: Deformation, points: Tensor) -> int:
     """At how many of the points (N, 3) the map flattens space or turns it inside out."""
-    # Written so that a NaN counts as folded.
-    return int((~(orientation(deformation, points.detach()) > SINGULAR)).sum())
+    return int(deformation.folded(points.detach()).sum())
 
 
 def check_invertible(
@@ -38,8 +34,12 @@ def check_invertible(
             f"the deformation sends {lost} of {total} points to NaN or infinity, expected finite "
             "positions; lower the amount"
         )
-    folded = count_folded(deformation, points)
-    if folded == 0 or (allow_folds and folded < total):
+    if allow_folds:
+        upright = orientation(deformation, points.detach()) > SINGULAR
+        folded = 0 if bool(upright.any()) else total
+    else:
+        folded = count_folded(deformation, points)
+    if folded == 0:
         return
     raise EditError(
         f"singular deformation: expected space to keep its orientation (det J > 0) at all points, "

@@ -14,14 +14,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from pcore.deform.base import (
-    Deformation,
-    apply_matrix,
-    check_points,
-    frozen_tensor,
-    matrix_product,
-)
 from pcore.deform.motion import rigid, uniform_scale
+from pcore.deform.placed import SimpleDeform
 from pcore.errors import InputError
 
 __all__ = [
@@ -36,79 +30,6 @@ __all__ = [
     "rigid",
     "uniform_scale",
 ]
-
-_ORTHONORMAL_TOLERANCE = 1e-4
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SimpleDeform(Deformation):
-    """What all simple deforms share: a frame, an extent along the driving direction, an amount.
-
-    Attributes:
-        rotation: (3, 3) orthonormal, frame vectors as rows (see `pcore.deform.frame`).
-        origin: (3,) world units; coordinates in the frame are measured from here.
-        extent: (lo, hi) of the driving coordinate in the frame, world units.
-        value: the amount: radians for twist and bend, the factor for the others.
-        limits: the part of the extent, as fractions (0, 1), that is deformed.
-    """
-
-    rotation: Tensor
-    origin: Tensor
-    extent: tuple[float, float]
-    value: float
-    limits: tuple[float, float] = (0.0, 1.0)
-
-    def __post_init__(self) -> None:
-        rotation = frozen_tensor("deform frame", self.rotation, (3, 3))
-        error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max().item()
-        if error > _ORTHONORMAL_TOLERANCE:
-            raise InputError(
-                f"deform frame: expected orthonormal rows, got a matrix that is off by {error:.2g}"
-            )
-        object.__setattr__(self, "rotation", rotation)
-        object.__setattr__(self, "origin", frozen_tensor("deform origin", self.origin, (3,)))
-        if not (_finite(self.extent) and self.extent[0] < self.extent[1]):
-            raise InputError(f"deform extent: expected finite lo < hi, got {self.extent}")
-        if not (_finite(self.limits) and 0.0 <= self.limits[0] < self.limits[1] <= 1.0):
-            raise InputError(f"deform limits: expected 0 <= first < second <= 1, got {self.limits}")
-        if not math.isfinite(self.value):
-            raise InputError(f"deform value: expected a finite number, got {self.value}")
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Driving coordinates (a, b) between which the deformation acts, world units."""
-        lo, hi = self.extent
-        return lo + (hi - lo) * self.limits[0], lo + (hi - lo) * self.limits[1]
-
-    @property
-    def rate(self) -> float:
-        """The amount per unit of length along the driving direction."""
-        a, b = self.span
-        return self.value / (b - a)
-
-    def __call__(self, points: Tensor) -> Tensor:
-        """Map points (..., 3), world units."""
-        rotation, origin = self.rotation.to(points), self.origin.to(points)
-        moved = self._map(self._local(points))
-        return apply_matrix(rotation.T, moved) + origin
-
-    def jacobian(self, points: Tensor) -> Tensor:
-        """Jacobians (..., 3, 3) at points (..., 3), by formula."""
-        rotation = self.rotation.to(points)
-        inside = self._map_jacobian(self._local(points))
-        return matrix_product(rotation.T, matrix_product(inside, rotation))
-
-    def _local(self, points: Tensor) -> Tensor:
-        check_points(points)
-        return apply_matrix(self.rotation.to(points), points - self.origin.to(points))
-
-    @abstractmethod
-    def _map(self, local: Tensor) -> Tensor:
-        """Map frame coordinates (..., 3)."""
-
-    @abstractmethod
-    def _map_jacobian(self, local: Tensor) -> Tensor:
-        """Jacobians (..., 3, 3) of `_map`."""
 
 
 class _Turn(NamedTuple):
@@ -191,15 +112,37 @@ class Twist(AlongAxis):
         return _Turn(cos, sin, -k * sin, k * cos)
 
 
-class Taper(AlongAxis):
-    """Scale cross-sections by 1 + k t with k = value per unit length."""
+class SectionScale(AlongAxis):
+    """Deforms that scale cross-sections, without turning them."""
+
+    @abstractmethod
+    def _section(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        """Factor on the cross-section at places t along the axis, and its slope."""
 
     def _turn(self, t: Tensor) -> _Turn:
+        factor, slope = self._section(t)
         zero = torch.zeros_like(t)
-        return _Turn(1.0 + t * self.rate, zero, zero + self.rate, zero)
+        return _Turn(factor, zero, slope, zero)
+
+    def folded(self, points: Tensor) -> Tensor:
+        """Where space is flattened or turned inside out, bool (...,).
+
+        A negative factor on both cross directions leaves det J positive, but the cloud has
+        been pulled through the axis on the way there.
+        """
+        with torch.no_grad():
+            factor, _ = self._section(self._local(points)[..., 2].clamp(*self.span))
+        return super().folded(points) | ~(factor > 0)
 
 
-class Stretch(AlongAxis):
+class Taper(SectionScale):
+    """Scale cross-sections by 1 + k t with k = value per unit length."""
+
+    def _section(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        return 1.0 + t * self.rate, torch.ones_like(t) * self.rate
+
+
+class Stretch(SectionScale):
     """Blender's stretch: the axis times 1 + k, cross-sections times 1 - k + k t^2.
 
     k is `value` per unit length; the profile depends on the unit of length and flattens the middle
@@ -211,12 +154,12 @@ class Stretch(AlongAxis):
         """Factor on the axis inside the limits."""
         return 1.0 + self.rate
 
-    def _turn(self, t: Tensor) -> _Turn:
-        k, zero = self.rate, torch.zeros_like(t)
-        return _Turn(1.0 - k + k * t * t, zero, 2.0 * k * t, zero)
+    def _section(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        k = self.rate
+        return 1.0 - k + k * t * t, 2.0 * k * t
 
 
-class AxialStretch(AlongAxis):
+class AxialStretch(SectionScale):
     """Make the part inside the limits 1 + value times as long and keep every cross-section."""
 
     def __post_init__(self) -> None:
@@ -232,19 +175,15 @@ class AxialStretch(AlongAxis):
         """Factor on the axis inside the limits."""
         return 1.0 + self.value
 
-    def _turn(self, t: Tensor) -> _Turn:
-        zero = torch.zeros_like(t)
-        return _Turn(zero + self._section(), zero, zero, zero)
-
-    def _section(self) -> float:
-        return 1.0
+    def _section(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.ones_like(t), torch.zeros_like(t)
 
 
 class VolumeStretch(AxialStretch):
     """The same, with cross-sections times 1 / sqrt(1 + value): volume is kept inside the limits."""
 
-    def _section(self) -> float:
-        return 1.0 / math.sqrt(1.0 + self.value)
+    def _section(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.full_like(t, 1.0 / math.sqrt(self.growth)), torch.zeros_like(t)
 
 
 class Bend(SimpleDeform):
@@ -280,10 +219,6 @@ class Bend(SimpleDeform):
         along = 1.0 - inside * self.rate * towards
         zero, one = torch.zeros_like(cos), torch.ones_like(cos)
         return _matrices((cos * along, -sin, zero), (sin * along, cos, zero), (zero, zero, one))
-
-
-def _finite(pair: tuple[float, float]) -> bool:
-    return math.isfinite(pair[0]) and math.isfinite(pair[1])
 
 
 def _matrices(*rows: tuple[Tensor, Tensor, Tensor]) -> Tensor:

@@ -11,7 +11,15 @@ from abc import ABC, abstractmethod
 from typing import Annotated, Any, Literal, NamedTuple, cast
 
 import torch
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    model_validator,
+)
 from torch import Tensor
 
 from pcore.deform.base import Deformation, apply_matrix
@@ -35,7 +43,10 @@ def _axis(value: Any) -> str | tuple[float, float, float]:
         items = cast("list[Any]", list(value))
         if any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
             raise ValueError("not numbers")
-        value = tuple(float(item) for item in items)
+        try:
+            value = tuple(float(item) for item in items)
+        except OverflowError as error:
+            raise ValueError("integer too large") from error
     elif not isinstance(value, str):
         raise ValueError("neither a name nor a vector")
     try:
@@ -61,7 +72,12 @@ Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Triple = tuple[Number, Number, Number]
 _AXIS = '"x", "y", "z" or a non-zero vector [x, y, z] of finite numbers'
 _EXTENT = "two finite numbers [lo, hi] with lo < hi, world units from the origin"
-Axis = Annotated[str | tuple[float, float, float], PlainValidator(_axis)]
+# Serialised as it is: pydantic knows nothing about what a plain validator returns.
+Axis = Annotated[
+    str | tuple[float, float, float],
+    PlainValidator(_axis),
+    PlainSerializer(lambda axis: axis, return_type=Any),
+]
 Limits = Annotated[
     tuple[Number, Number],
     AfterValidator(_limits),
