@@ -81,18 +81,7 @@ def make_sample(
     if _is_there(folder, settings):
         return folder
     ray_caster_class()  # before any work, so that a missing extra is said at once
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    except OSError as problem:
-        raise SceneError(f"sample {folder}: cannot be written ({problem})") from problem
-    try:
-        _write_scene(scratch / "scene", settings, progress)
-        _move_into_place(scratch / "scene", folder, settings)
-    except OSError as problem:
-        raise SceneError(f"sample {folder}: cannot be written ({problem})") from problem
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+    _write_whole(folder, settings, progress)
     return folder
 
 
@@ -114,6 +103,22 @@ def _is_there(folder: Path, settings: dict[str, int]) -> bool:
         f"sample {folder}: expected an empty place or the sample with {wanted}, got {got}; "
         "choose another folder or remove this one"
     )
+
+
+def _write_whole(folder: Path, settings: dict[str, int], progress: Progress | None) -> None:
+    """Write beside the folder and rename; nothing is left behind when it fails."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    except OSError as problem:
+        raise SceneError(f"sample {folder}: cannot be written ({problem})") from problem
+    try:
+        _write_scene(scratch / "scene", settings, progress)
+        _move_into_place(scratch / "scene", folder, settings)
+    except OSError as problem:
+        raise SceneError(f"sample {folder}: cannot be written ({problem})") from problem
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _move_into_place(made: Path, folder: Path, settings: dict[str, int]) -> None:

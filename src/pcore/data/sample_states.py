@@ -40,41 +40,22 @@ def deformed_states(vertices: Array) -> dict[str, DeformedState]:
     angle, factor, scale = math.pi / 3, 0.6, 2.0
     origin, extent = torch.zeros(3, dtype=torch.float64), (lo, hi)
     along_x, about_z = axis_frame("x"), bend_frame("z")
-
-    def simple(name: str, method: str, axis: str, value: float, unit: str) -> dict[str, Any]:
-        return {
-            "name": name,
-            "type": "simple_deform",
-            "camera_angle_x": ANGLE_X,
-            "method": method,
-            "axis": axis,
-            "value": value,
-            "value_is": unit,
-            "limits": [0.0, 1.0],
-            "origin": [0.0, 0.0, 0.0],
-            "lock": [0, 0, 0],
-            "driver_axis": "X",
-            "driver_lo": lo,
-            "driver_hi": hi,
-            "k_per_unit": value / (hi - lo),
-        }
-
     wide = 2.0 * math.atan(scale * math.tan(0.5 * ANGLE_X))
     return {
         "twist60": DeformedState(
             deformation=Twist(rotation=along_x, origin=origin, extent=extent, value=angle),
             angle_x=ANGLE_X,
-            description=simple("twist60", "TWIST", "X", angle, "angle_rad"),
+            description=_simple_deform("twist60", ("TWIST", "X"), angle, extent),
         ),
         "bend60": DeformedState(
             deformation=Bend(rotation=about_z, origin=origin, extent=extent, value=angle),
             angle_x=ANGLE_X,
-            description=simple("bend60", "BEND", "Z", angle, "angle_rad"),
+            description=_simple_deform("bend60", ("BEND", "Z"), angle, extent),
         ),
         "stretch": DeformedState(
             deformation=Stretch(rotation=along_x, origin=origin, extent=extent, value=factor),
             angle_x=ANGLE_X,
-            description=simple("stretch", "STRETCH", "X", factor, "factor"),
+            description=_simple_deform("stretch", ("STRETCH", "X"), factor, extent),
         ),
         "scale2x": DeformedState(
             deformation=uniform_scale(scale),
@@ -88,6 +69,29 @@ def deformed_states(vertices: Array) -> dict[str, DeformedState]:
                 "note": "camera poses as canonical, wider field of view so that the object fits",
             },
         ),
+    }
+
+
+def _simple_deform(
+    name: str, method_axis: tuple[str, str], value: float, extent: tuple[float, float]
+) -> dict[str, Any]:
+    """Describe a Simple Deform about the origin that is driven by x over `extent`."""
+    method, axis = method_axis
+    return {
+        "name": name,
+        "type": "simple_deform",
+        "camera_angle_x": ANGLE_X,
+        "method": method,
+        "axis": axis,
+        "value": value,
+        "value_is": "factor" if method == "STRETCH" else "angle_rad",
+        "limits": [0.0, 1.0],
+        "origin": [0.0, 0.0, 0.0],
+        "lock": [0, 0, 0],
+        "driver_axis": "X",
+        "driver_lo": extent[0],
+        "driver_hi": extent[1],
+        "k_per_unit": value / (extent[1] - extent[0]),
     }
 
 
