@@ -86,7 +86,7 @@ def test_a_run_folder_stands_for_its_model(saved: tuple[Path, Papr, PointCloud])
 
 
 def test_the_header_alone_tells_what_it_is(saved: tuple[Path, Papr, PointCloud]) -> None:
-    path, papr, cloud = saved
+    path, papr, _ = saved
     summary = describe_model(path)
     assert summary.points == 5
     expected = sum(p.numel() for p in papr.state_dict().values()) + 5 * (3 + 6 + 1)
@@ -205,7 +205,7 @@ def test_a_diverged_model_never_replaces_a_good_one(
     bad = PointCloud(
         positions=cloud.positions, features=cloud.features, influence=cloud.influence / 0.0 * 0.0
     )
-    with pytest.raises(CheckpointError, match="NaN or infinity in cloud.influence"):
+    with pytest.raises(CheckpointError, match=r"NaN or infinity in cloud\.influence"):
         save_model(path, papr.state_dict(), bad, CONFIG, provenance)
     assert path.read_bytes() == before
 

@@ -115,7 +115,7 @@ def test_a_full_disk_is_a_clear_error(tmp_path: Path) -> None:
 
 
 def test_an_unwritable_log_is_found_when_it_is_opened(tmp_path: Path) -> None:
-    with pytest.raises(TrainingError, match="cannot write .*No such file or directory"):
+    with pytest.raises(TrainingError, match=r"cannot write .*No such file or directory"):
         JsonLinesLog(tmp_path / "absent" / "log.jsonl")
 
 

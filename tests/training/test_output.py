@@ -142,14 +142,14 @@ def test_an_unwritable_folder_is_found_before_training(
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
     monkeypatch.setattr(Path, "mkdir", read_only)
-    with pytest.raises(TrainingError, match="cannot write into .*Read-only file system.*-o"):
+    with pytest.raises(TrainingError, match=r"cannot write into .*Read-only file system.*-o"):
         create(tmp_path / "run")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_folder_without_permission(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
-    with pytest.raises(TrainingError, match="cannot write into .*Permission denied"):
+    with pytest.raises(TrainingError, match=r"cannot write into .*Permission denied"):
         create(tmp_path / "run")
 
 
@@ -184,9 +184,11 @@ def test_a_failure_before_the_first_save_says_that_nothing_is_there(tmp_path: Pa
 
 
 def test_two_runs_in_one_folder(tmp_path: Path) -> None:
-    with create(tmp_path):
-        with pytest.raises(InputError, match=f"another process \\(id {os.getpid()}\\)"):
-            create(tmp_path, resume=True)
+    with (
+        create(tmp_path),
+        pytest.raises(InputError, match=rf"another process \(id {os.getpid()}\)"),
+    ):
+        create(tmp_path, resume=True)
     with create(tmp_path, resume=True) as run:
         assert run.notes["status"] == "running"
 
@@ -231,3 +233,38 @@ def test_damaged_manifests(tmp_path: Path, content: str | None, message: str) ->
         (tmp_path / "run.json").write_text(content)
     with pytest.raises(CheckpointError, match=message):
         RunFolder.open(tmp_path)
+
+
+FILLER = """
+import resource, sys, torch
+from pathlib import Path
+from pcore.errors import TrainingError
+from pcore.training.output import RunFolder
+from pcore.training.state import TrainingState
+def state(step):
+    return TrainingState(stage="pretrain", step=step, papr={"w": torch.ones(1000 * step ** 3)},
+        cloud={}, optimisers={}, generators={})
+with RunFolder.create(Path(sys.argv[1]), stage="pretrain", scene="lego", config={}) as run:
+    run.save_state(state(1))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
+    try:
+        run.save_state(state(10))
+    except TrainingError as error:
+        print(error)
+    print(run.saved_step())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of file sizes are of POSIX")
+def test_a_write_that_the_system_stops_halfway_loses_nothing(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FILLER, str(tmp_path / "run")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    message, step = done.stdout.splitlines()
+    assert "File too large; already saved and undamaged" in message
+    assert "state.pt of step 1" in message
+    assert step == "1"
+    assert sorted(files(tmp_path / "run")) == [".lock", "run.json", "state.pt"]

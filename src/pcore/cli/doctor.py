@@ -11,11 +11,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 _OPTIONAL = (
-    ("embreex", "sample", "the embedded sample is ray cast without it, more slowly"),
+    ("embreex", "sample", "no embedded sample (`pcore demo`), no true depth of meshes"),
     ("imageio", "video", "no orbit videos"),
     ("av", "video", "no orbit videos"),
     ("tensorboard", "log", "no TensorBoard log; log.jsonl is always written"),
@@ -44,15 +43,15 @@ class DoctorCommand:
 
     def run(self) -> None:
         """Print the report."""
-        table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-        table.add_column(no_wrap=True)
-        table.add_column(overflow="fold")
-        table.add_column(overflow="fold")
-        for finding in examine():
-            mark = Text("ok", "green") if finding.good else Text("--", "yellow")
-            text = finding.value + (f"\n{finding.advice}" if finding.advice else "")
-            table.add_row(mark, finding.name, Text(text))
-        Console().print(table)
+        console, findings = Console(), examine()
+        width = max(len(finding.name) for finding in findings)
+        for finding in findings:
+            mark = ("ok", "green") if finding.good else ("--", "yellow")
+            line = f"  {finding.name:{width}}  {finding.value}"
+            # Not wrapped: file names and addresses in it are there to be copied.
+            console.print(Text.assemble(mark, line), soft_wrap=True)
+            if finding.advice:
+                console.print(Text(f"{'':{width + 6}}{finding.advice}"), soft_wrap=True)
 
 
 def examine() -> list[Finding]:

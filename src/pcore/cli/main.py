@@ -44,6 +44,13 @@ class Verb:
 
 
 VERBS: tuple[Verb, ...] = (
+    Verb("deform", "pcore.cli.deform", "DeformCommand", "apply an edit file to any points"),
+    Verb(
+        "import papr",
+        "pcore.cli.import_papr",
+        "ImportPaprCommand",
+        "make a run of an official PAPR checkpoint",
+    ),
     Verb("info", "pcore.cli.info", "InfoCommand", "say what a run or model file is"),
     Verb("doctor", "pcore.cli.doctor", "DoctorCommand", "check this machine"),
 )
@@ -104,9 +111,8 @@ def _show_help() -> None:
     for verb in VERBS:
         table.add_row(verb.name, verb.summary)
     console.print(table)
-    console.print(
-        "\n`pcore VERB --help` shows the options of a verb; `pcore --version` the version."
-    )
+    console.print("\n`pcore VERB --help` shows its options; `pcore --version` the version.")
+    console.print("With PCORE_DEBUG=1 in the environment errors show where they were raised.")
 
 
 def _version() -> str:

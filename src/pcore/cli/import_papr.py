@@ -1,0 +1,57 @@
+"""`pcore import papr`: bring a checkpoint of the original PAPR in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from rich.console import Console
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportPaprCommand:
+    """Make a run of an official PAPR checkpoint; it is then used like one of our own.
+
+    The file is untrusted: only tensors are read, nothing in it is executed.
+    """
+
+    model: Annotated[Positional[Path], arg(metavar="MODEL.PTH")]
+    """The original's model.pth."""
+
+    config: tuple[Path, ...]
+    """Its YAML configuration; of several files (default.yml lego.yml) the later ones win."""
+
+    output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
+    """Folder to make; it must be new or empty."""
+
+    def run(self) -> None:
+        """Import; raises CheckpointError, InputError or TrainingError and then leaves no run."""
+        from pcore.model.official import load_official
+        from pcore.model.provenance import provenance_of
+        from pcore.model.records import to_dict
+        from pcore.training.output import RunFolder, bytes_needed
+
+        official = load_official(self.model, self.config)
+        scene, step = str(official.provenance["scene"]), int(official.provenance["step"] or 0)
+        numbers = sum(value.numel() for value in official.state.values())
+        with RunFolder.create(
+            self.output,
+            stage="import",
+            scene=scene,
+            config={"papr": to_dict(official.config), "source": official.provenance},
+            needed=bytes_needed(numbers + official.cloud.features.numel()),
+        ) as run:
+            run.save_model(
+                official.state,
+                official.cloud,
+                official.config,
+                provenance_of(
+                    official.cloud, official.config, scene=scene, stage="import", step=step
+                ),
+            )
+            run.update(status="finished", step=step)
+        text = f"{self.output}: {scene}, {len(official.cloud):,} points, {step:,} steps"
+        Console().print(Text(text), soft_wrap=True)

@@ -1,0 +1,98 @@
+"""Progress in a terminal and in a log file; errors of the machine."""
+
+import errno
+import io
+import os
+
+import pytest
+from rich.console import Console
+
+from pcore.cli.console import ProgressDisplay, clock, guarded
+from pcore.training.events import PopulationReport, StepReport, Stopped, ValidationReport
+
+
+def report(step: int) -> StepReport:
+    return StepReport(
+        stage="pretrain",
+        step=step,
+        steps=10,
+        loss=0.01234,
+        psnr=21.55,
+        points=5432,
+        seconds_left=75.0,
+    )
+
+
+def test_without_a_terminal_there_is_a_line_now_and_then() -> None:
+    out, now = io.StringIO(), [0.0]
+    display = ProgressDisplay(
+        Console(file=out, width=60), seconds_between_lines=10, now=lambda: now[0]
+    )
+    with display:
+        for step, seconds in ((1, 0.0), (2, 5.0), (3, 11.0), (4, 12.0), (10, 13.0)):
+            now[0] = seconds
+            display(report(step))
+    lines = out.getvalue().splitlines()
+    assert [line.split()[1] for line in lines] == ["1/10", "3/10", "10/10"]
+    expected = "pretrain 1/10  loss 0.01234  PSNR 21.6 dB  5,432 points  1:15 left"
+    assert lines[0] == expected
+
+
+def test_validation_and_the_end_are_said_in_words() -> None:
+    out = io.StringIO()
+    with ProgressDisplay(Console(file=out)) as display:
+        display(ValidationReport(stage="finetune", step=5, psnr=22.345, views=4, best=True))
+        display(ValidationReport(stage="finetune", step=6, psnr=22.0, views=4, best=False))
+        display(PopulationReport(stage="finetune", step=6, pruned=1, grown=2, points=3))
+        display(Stopped(stage="finetune", step=7, reason="interrupted", message="go on [so]"))
+    assert out.getvalue().splitlines() == [
+        "finetune 5: held-out views 22.34 dB (mean of 4), the best so far",
+        "finetune 6: held-out views 22.00 dB (mean of 4)",
+        "finetune interrupted at step 7: go on [so]",
+    ]
+
+
+def test_in_a_terminal_there_is_a_bar() -> None:
+    out = io.StringIO()
+    console = Console(file=out, force_terminal=True, width=120)
+    with ProgressDisplay(console) as display:
+        display(report(3))
+        display(report(7))
+    shown = out.getvalue()
+    assert "7/10" in shown
+    assert "PSNR 21.6 dB" in shown
+    assert "1:15 left" in shown
+    assert "━" in shown
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"), [(0.2, "0:00"), (75, "1:15"), (3723, "1:02:03"), (-5, "0:00")]
+)
+def test_clock(seconds: float, shown: str) -> None:
+    assert clock(seconds) == shown
+
+
+def test_a_full_disk_is_one_message(capsys: pytest.CaptureFixture[str]) -> None:
+    def fill() -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "RUN/picture.png")
+
+    assert guarded(fill) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("Error: RUN/picture.png: No space left on device; ")
+    assert "undamaged" in said
+
+
+def test_our_own_bugs_keep_their_traceback() -> None:
+    def bug() -> None:
+        raise FileNotFoundError(errno.ENOENT, "x")
+
+    with pytest.raises(FileNotFoundError):
+        guarded(bug)
+
+
+def test_an_interrupt_passes_on_how_to_go_on(capsys: pytest.CaptureFixture[str]) -> None:
+    def stop() -> None:
+        raise KeyboardInterrupt("step 5 is saved; go on with `pcore train S -o R --resume`")
+
+    assert guarded(stop) == 130
+    assert "go on with `pcore train S -o R --resume`" in capsys.readouterr().err

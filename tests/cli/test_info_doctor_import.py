@@ -1,0 +1,155 @@
+"""`pcore info`, `pcore doctor` and `pcore import papr`."""
+
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+
+from pcore.cli import doctor
+from pcore.cli.main import main
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.checkpoint import load_model
+from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.official import to_official_state
+from pcore.model.papr import Papr
+from pcore.model.provenance import provenance_of
+from pcore.training.output import RunFolder
+
+CONFIG = PaprConfig(
+    neighbours=3,
+    frequencies=2,
+    feature_size=5,
+    key=MlpConfig(layers=2, width=8, size=8),
+    query=MlpConfig(layers=2, width=8, size=8),
+    value=MlpConfig(layers=2, width=8, size=4),
+    unet_channels=(4, 6, 8),
+)
+
+
+@pytest.fixture
+def cloud() -> PointCloud:
+    return PointCloud(
+        positions=torch.randn(6, 3), features=torch.randn(6, 5), influence=torch.rand(6)
+    )
+
+
+def test_info_tells_stage_points_settings_and_scores(
+    tmp_path: Path, cloud: PointCloud, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "run"
+    with RunFolder.create(path, stage="finetune", scene="lego", config={"lambda_geo": 3}) as run:
+        came = provenance_of(cloud, CONFIG, scene="lego", stage="finetune", step=500)
+        run.save_model(Papr(CONFIG).state_dict(), cloud, CONFIG, came)
+        run.update(status="finished", scores={"psnr": 25.5})
+    assert main(["info", str(path)]) == 0
+    rows = {line.split(maxsplit=1)[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert rows["stage"].split() == ["stage", "finetune"]
+    assert rows["status"].split() == ["status", "finished"]
+    assert rows["scores.psnr"].split() == ["scores.psnr", "25.5"]
+    assert rows["points"].split() == ["points", "6"]
+    assert rows["config.lambda_geo"].split() == ["config.lambda_geo", "3"]
+    assert rows["papr.neighbours"].split() == ["papr.neighbours", "3"]
+    assert "500 steps" in rows["made"]
+    assert main(["info", str(path / "model.safetensors")]) == 0
+    assert "trained on" in capsys.readouterr().out
+
+
+def test_info_of_a_run_that_has_just_begun(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    RunFolder.create(tmp_path, stage="pretrain", scene="lego", config={}).close()
+    assert main(["info", str(tmp_path)]) == 0
+    assert "none saved yet" in capsys.readouterr().out
+
+
+def test_info_of_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(tmp_path)]) == 2
+    assert "no run at" in capsys.readouterr().err
+    assert main(["info", str(tmp_path / "absent")]) == 2
+    assert "no model at" in capsys.readouterr().err
+
+
+def test_doctor_reports_everything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PCORE_LPIPS_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    assert main(["doctor"]) == 0
+    shown = capsys.readouterr().out
+    for name in ("torch", "device", "threads", "memory", "disk", "kernels", "tensorboard"):
+        assert name in shown
+    assert torch.__version__ in shown
+    assert "LPIPS vgg      missing" in shown
+    assert "PCORE_LPIPS_DIR" in shown
+
+
+def test_doctor_finds_weights(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PCORE_LPIPS_DIR", str(shared_data / "lpips"))
+    found = {item.name: item for item in doctor.examine() if item.name.startswith("LPIPS")}
+    assert any(item.good and str(shared_data) in item.value for item in found.values())
+
+
+def test_doctor_names_the_extra_of_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "find_spec", lambda _: None)
+    missing = {item.name: item for item in doctor._packages()}
+    assert not missing["tensorboard"].good
+    assert "pip install 'pcore-edit[log]'" in missing["tensorboard"].advice
+
+
+def test_doctor_says_what_would_be_slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PCORE_KERNELS", "reference")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(doctor, "usable_cores", lambda: 64)
+    found = {item.name: item for item in doctor.examine()}
+    assert "unset PCORE_KERNELS" in found["kernels"].advice
+    assert "use `tiny`" in found["device"].advice
+    assert "of 64 usable cores" in found["threads"].value
+    assert "slower than it could be" in found["threads"].advice
+
+
+def test_a_container_with_less_memory_than_the_machine(tmp_path: Path) -> None:
+    limit = tmp_path / "memory.max"
+    total = doctor.memory_bytes(tmp_path / "absent")
+    assert total is not None
+    limit.write_text("1000000\n")
+    assert doctor.memory_bytes(limit) == 1_000_000
+    limit.write_text("max\n")
+    assert doctor.memory_bytes(limit) == total
+
+
+def write_official(folder: Path, cloud: PointCloud) -> tuple[Papr, list[str]]:
+    """Write an original checkpoint; return the networks and the arguments to import it."""
+    papr = Papr(CONFIG)
+    torch.save({"1234": to_official_state(papr, cloud)}, folder / "model.pth")
+    tree = {"index": "toy", "dataset": {"coord_scale": 10.0}, "geoms": {}}
+    (folder / "toy.yml").write_text(yaml.safe_dump(tree))
+    files = [str(folder / "model.pth"), "--config", str(folder / "toy.yml")]
+    return papr, ["import", "papr", *files, "-o", str(folder / "run")]
+
+
+def test_import_makes_a_run_that_loads(
+    tmp_path: Path, cloud: PointCloud, capsys: pytest.CaptureFixture[str]
+) -> None:
+    papr, args = write_official(tmp_path, cloud)
+    assert main(args) == 0
+    assert "toy, 6 points, 1,234 steps" in capsys.readouterr().out
+    loaded = load_model(tmp_path / "run")
+    state = loaded.papr().state_dict()
+    assert all(torch.equal(state[name], value) for name, value in papr.state_dict().items())
+    torch.testing.assert_close(loaded.cloud.positions, cloud.positions)
+    assert (loaded.provenance.stage, loaded.provenance.step) == ("import", 1234)
+    assert RunFolder.open(tmp_path / "run").stage == "import"
+    assert main(args) == 2
+    assert "holds a run already" in capsys.readouterr().err
+
+
+def test_an_import_that_fails_makes_no_run(
+    tmp_path: Path, cloud: PointCloud, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, args = write_official(tmp_path, cloud)
+    (tmp_path / "model.pth").write_bytes(b"no checkpoint")
+    assert main(args) == 2
+    assert "model.pth" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
