@@ -116,13 +116,13 @@ class ProximityAttention(nn.Module):
             frequencies=config.frequencies,
         )
         vector = encoded_size(3, config.frequencies)
-        scores = self._scores(table[:, : 3 * vector], rays.directions)
+        scores = self._scores(table[:, : 3 * vector], rays.directions, k)
         rows = neighbours.flatten()
         scores = scores * cloud.influence.index_select(0, rows).view(rays_count, k)
         if config.cutoff is not None:
             scores = scores.masked_fill(squared > config.cutoff**2, -math.inf)
         background, weights = _background_softmax(scores, config.background_score)
-        hidden = self.value.hidden(table[:, vector:]).view(rays_count, k, -1)
+        hidden = self.value.hidden(table[:, vector:]).unflatten(0, (rays_count, k))
         positions = cloud.positions.index_select(0, rows).view(rays_count, k, 3)
         # The last linear layer commutes with the weighted sum: once per ray, not once per pair.
         last = self.value.layers[-1]
@@ -131,13 +131,13 @@ class ProximityAttention(nn.Module):
         surface = torch.bmm(weights.unsqueeze(1), positions).squeeze(1)
         return Attended(features=features, background=background, weights=weights, surface=surface)
 
-    def _scores(self, key_input: Tensor, directions: Tensor) -> Tensor:
+    def _scores(self, key_input: Tensor, directions: Tensor, k: int) -> Tensor:
         """relu(<W_q q, W_k k> / sqrt(width)), (R, k); W_k is folded into the query."""
         query = self.query(encode(directions, self.config.frequencies))
         query = self.w_query(query) / math.sqrt(self.config.key.size)
         folded = query @ self.w_key.weight
         constant = query @ self.w_key.bias
-        keys = self.key(key_input).view(len(directions), -1, self.config.key.size)
+        keys = self.key(key_input).unflatten(0, (len(directions), k))
         return F.relu(torch.bmm(keys, folded.unsqueeze(-1)).squeeze(-1) + constant[:, None])
 
 

@@ -1,0 +1,273 @@
+"""PAPR's forward pass: shapes, constants, gradients, and what bad numbers must not do."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from pcore.errors import InputError
+from pcore.geometry.camera import Camera
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
+from pcore.kernels.functional import BACKENDS
+from pcore.kernels.reference import encode
+from pcore.model.attention import Mlp
+from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.encoding import Normalisation, encoded_size
+from pcore.model.papr import Papr
+from pcore.model.unet import Unet
+
+
+def small_config(**changes: object) -> PaprConfig:
+    values: dict[str, object] = {
+        "neighbours": 4,
+        "feature_size": 6,
+        "key": MlpConfig(layers=3, width=16, size=16),
+        "query": MlpConfig(layers=3, width=16, size=16),
+        "value": MlpConfig(layers=3, width=16, size=8),
+        "unet_channels": (8, 12, 16),
+    }
+    return PaprConfig(**(values | changes))  # pyright: ignore[reportArgumentType]
+
+
+def small_cloud(count: int = 40, *, influence: float = 1.0) -> PointCloud:
+    return PointCloud(
+        positions=torch.randn(count, 3) * 0.3,
+        features=torch.randn(count, 6),
+        influence=torch.full((count,), influence),
+    )
+
+
+def view(width: int = 9, height: int = 6) -> RayBundle:
+    pose = torch.eye(4)
+    pose[2, 3] = 2.5
+    return Camera.from_fov(pose, width=width, height=height, angle_x=0.8).rays()
+
+
+@pytest.fixture(params=BACKENDS, autouse=True)
+def kernels(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setenv("PCORE_KERNELS", request.param)
+    return request.param
+
+
+def test_shapes_and_ranges() -> None:
+    out = Papr(small_config())(small_cloud(), view())
+    assert out.rgb.shape == out.surface.shape == (6, 9, 3)
+    assert out.alpha.shape == (6, 9)
+    assert out.weights.shape == out.neighbours.shape == (6, 9, 4)
+    assert out.features.shape == (6, 9, 8)
+    assert torch.allclose(out.weights.sum(dim=-1), torch.ones(6, 9))
+    assert bool(((out.alpha >= 0) & (out.alpha <= 1)).all())
+
+
+def test_surface_is_the_weighted_mean_of_the_neighbours() -> None:
+    cloud = small_cloud()
+    out = Papr(small_config())(cloud, view())
+    expected = (out.weights.unsqueeze(-1) * cloud.positions[out.neighbours]).sum(dim=-2)
+    assert torch.allclose(out.surface, expected, atol=1e-6)
+
+
+def test_fewer_points_than_neighbours() -> None:
+    out = Papr(small_config(neighbours=20))(small_cloud(3), view())
+    assert out.weights.shape == (6, 9, 3)
+    assert bool(torch.isfinite(out.rgb).all())
+
+
+def test_empty_cloud() -> None:
+    with pytest.raises(InputError, match="expected at least one point and k >= 1, got 0 points"):
+        Papr(small_config())(small_cloud(0), view())
+
+
+def test_zero_influence_leaves_the_opacity_of_equal_scores() -> None:
+    """All scores are 0 then: k points share exp(0) each against exp(background)."""
+    config = small_config(background_score=1.5)
+    out = Papr(config)(small_cloud(influence=0.0), view())
+    expected = 4 / (4 + math.exp(1.5))
+    assert torch.allclose(out.alpha, torch.full((6, 9), expected))
+    assert torch.allclose(out.weights, torch.full((6, 9, 4), 0.25))
+
+
+def test_background_colour_shows_where_nothing_answers() -> None:
+    config = small_config(background=(0.1, 0.5, 0.9), background_score=80.0)
+    out = Papr(config)(small_cloud(influence=0.0), view())
+    assert torch.allclose(out.rgb, torch.tensor(config.background).expand(6, 9, 3), atol=1e-6)
+
+
+def test_encoding_is_block_by_block() -> None:
+    x = torch.tensor([[0.3, -1.2]])
+    blocks = [
+        [v, *(f(2.0**o * v) for o in range(3) for f in (math.sin, math.cos))] for v in (0.3, -1.2)
+    ]
+    expected = torch.tensor([[*blocks[0], *blocks[1]]])
+    assert torch.allclose(encode(x, 3), expected, atol=1e-6)
+    assert expected.shape[1] == encoded_size(2, 3)
+
+
+def test_normalisation_is_the_originals() -> None:
+    norm = Normalisation(5)
+    torch.nn.init.normal_(norm.gain)
+    torch.nn.init.normal_(norm.offset)
+    x = torch.randn(7, 5) * 3
+    expected = norm.gain * (x - x.mean(-1, keepdim=True)) / (x.std(-1, keepdim=True) + 1e-6)
+    assert torch.allclose(norm(x), expected + norm.offset, atol=2e-6)
+
+
+def test_normalisation_of_equal_numbers_is_the_offset() -> None:
+    norm = Normalisation(4)
+    x = torch.full((2, 4), 3.0, requires_grad=True)
+    out = norm(x)
+    out.sum().backward()
+    assert torch.allclose(out, torch.zeros(2, 4), atol=1e-4)
+    assert x.grad is not None
+    assert bool(torch.isfinite(x.grad).all())
+
+
+def test_mlp_skip_takes_hidden_then_input() -> None:
+    mlp = Mlp(3, MlpConfig(layers=3, width=4, size=2, skip_after=1), 0.2)
+    x = torch.randn(5, 3)
+    first, second, third = mlp.layers
+    hidden = torch.nn.functional.leaky_relu(first(x), 0.2)
+    hidden = torch.nn.functional.leaky_relu(second(torch.cat([hidden, x], dim=-1)), 0.2)
+    assert torch.allclose(mlp(x), third(hidden), atol=1e-6)
+    assert [tuple(layer.weight.shape) for layer in mlp.layers] == [(4, 3), (4, 7), (2, 4)]
+
+
+@pytest.mark.parametrize("size", [(5, 123), (4, 4), (4, 7), (160, 6), (6, 5)])
+def test_unet_keeps_odd_sizes(size: tuple[int, int]) -> None:
+    out = Unet(8, (4, 4, 4))(torch.randn(1, 8, *size))
+    assert out.shape == (1, 3, *size)
+
+
+# --- gradients -----------------------------------------------------------------------------
+
+
+def leaf_cloud() -> PointCloud:
+    cloud = small_cloud()
+    for tensor in (cloud.positions, cloud.features, cloud.influence):
+        tensor.requires_grad_()
+    return cloud
+
+
+def test_gradients_reach_points_features_influence_and_networks() -> None:
+    papr, cloud = Papr(small_config(background_score=0.0)), leaf_cloud()
+    out = papr(cloud, view())
+    (out.rgb.square().mean() + out.surface.square().mean()).backward()
+    for tensor in (cloud.positions, cloud.features, cloud.influence):
+        assert tensor.grad is not None
+        assert float(tensor.grad.abs().max()) > 0
+    for name, parameter in papr.named_parameters():
+        assert parameter.grad is not None, name
+        assert bool(torch.isfinite(parameter.grad).all()), name
+
+
+def test_no_gradient_through_the_keys_encoded_position() -> None:
+    """A key that reads nothing but enc(p): points move the opacity, unknown to autograd."""
+    papr, cloud = Papr(small_config(background_score=0.0)), leaf_cloud()
+    papr.attention.key.innorm = torch.nn.Identity()  # pyright: ignore[reportAttributeAccessIssue]
+    with torch.no_grad():
+        papr.attention.key.mlp.layers[0].weight[:, encoded_size(3, 6) :] = 0
+    alpha = papr(cloud, view()).alpha
+    gradient = torch.autograd.grad(alpha.sum(), cloud.positions)[0]
+    assert float(gradient.abs().max()) == 0
+    moved = papr(cloud.moved(cloud.positions + 0.003), view()).alpha
+    assert float((moved - alpha).detach().abs().max()) > 1e-3
+
+
+@pytest.mark.parametrize("part", ["h", "t"])
+def test_gradients_flow_through_the_offsets(part: str) -> None:
+    papr, cloud = Papr(small_config(background_score=0.0)), leaf_cloud()
+    vector = encoded_size(3, 6)
+    kept = slice(vector, 2 * vector) if part == "h" else slice(2 * vector, 3 * vector)
+    papr.attention.key.innorm = torch.nn.Identity()  # pyright: ignore[reportAttributeAccessIssue]
+    with torch.no_grad():
+        weight = papr.attention.key.mlp.layers[0].weight
+        keep = torch.zeros_like(weight)
+        keep[:, kept] = 1
+        weight *= keep
+    gradient = torch.autograd.grad(papr(cloud, view()).alpha.sum(), cloud.positions)[0]
+    assert float(gradient.abs().max()) > 0
+
+
+@pytest.mark.parametrize("influence", [0.0, -1e4, 1e4])
+def test_extreme_influence_gives_finite_gradients(influence: float) -> None:
+    papr = Papr(small_config())
+    cloud = small_cloud(influence=influence)
+    cloud.positions.requires_grad_()
+    cloud.influence.requires_grad_()
+    out = papr(cloud, view())
+    (1e3 * (out.rgb.sum() + out.surface.sum() + out.alpha.sum())).backward()
+    for tensor in (cloud.positions, cloud.influence, *papr.parameters()):
+        assert tensor.grad is not None
+        assert bool(torch.isfinite(tensor.grad).all())
+    assert torch.allclose(out.weights.sum(dim=-1), torch.ones(6, 9))
+
+
+# --- the cut-off ---------------------------------------------------------------------------
+
+
+def test_all_masked_pairs_give_finite_gradients() -> None:
+    """Attention itself, on rays that have no point within the cut-off."""
+    papr, cloud = Papr(small_config(cutoff=1e-6)), leaf_cloud()
+    rays = view().flat()
+    neighbours = torch.zeros(54, 4, dtype=torch.int64)
+    out = papr.attention(cloud, rays, neighbours)
+    assert torch.equal(out.background, torch.ones(54))
+    assert torch.equal(out.weights, torch.zeros(54, 4))
+    (1e3 * (out.features.sum() + out.background.sum() + out.surface.sum())).backward()
+    for tensor in (cloud.positions, cloud.features, cloud.influence, *papr.parameters()):
+        if tensor.grad is not None:
+            assert bool(torch.isfinite(tensor.grad).all())
+
+
+def test_no_ray_within_the_cutoff() -> None:
+    config = small_config(cutoff=1e-4, background=(0.2, 0.4, 0.6))
+    papr, cloud = Papr(config), leaf_cloud()
+    out = papr(cloud.moved(cloud.positions + 5.0), view())
+    assert torch.equal(out.alpha, torch.zeros(6, 9))
+    assert torch.equal(out.rgb, torch.tensor(config.background).expand(6, 9, 3))
+    out.rgb.sum().backward()
+
+
+def test_points_beyond_the_cutoff_get_no_weight() -> None:
+    cloud = small_cloud()
+    rays = view()
+    out = Papr(small_config(cutoff=0.1))(cloud, rays)
+    offset = cloud.positions[out.neighbours] - rays.origins.unsqueeze(-2)
+    distance = torch.linalg.cross(
+        offset, rays.directions.unsqueeze(-2).expand_as(offset), dim=-1
+    ).norm(dim=-1)
+    assert bool((distance > 0.1).any())
+    assert bool((distance[..., 0] < 0.1).any())
+    weights = out.weights.detach()
+    assert float(weights[distance > 0.101].abs().max()) == 0
+    assert float(weights[distance < 0.099].min()) > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"neighbours": 0},
+            "expected neighbours, frequencies and feature_size of at least 1, got 0",
+        ),
+        ({"cutoff": -1.0}, r"expected a positive coord_scale and cutoff, got 10.0 and -1.0"),
+        (
+            {"key": MlpConfig(layers=2, size=8)},
+            "key and query embeddings of one size, got 8 and 16",
+        ),
+    ],
+)
+def test_wrong_configuration(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        small_config(**changes)
+
+
+@pytest.mark.parametrize(
+    ("layers", "skip", "message"),
+    [(1, None, "at least 2 layers"), (3, 3, "skip_after between 1 and 2, got 3")],
+)
+def test_wrong_mlp(layers: int, skip: int | None, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        MlpConfig(layers=layers, skip_after=skip)
