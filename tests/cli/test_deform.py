@@ -113,7 +113,7 @@ def test_a_singular_deformation_is_refused(folder: Path):
     points = np.load(folder / "in.npy")
     points[:, 2] = np.abs(points[:, 2])
     np.save(folder / "in.npy", points)
-    with pytest.raises(EditError, match="singular deformation.*at 100 of 100 points"):
+    with pytest.raises(EditError, match=r"singular deformation.*at 100 of 100 points"):
         run(folder)
     assert not (folder / "out.npy").exists()
 

@@ -40,7 +40,12 @@ def load_points(path: Path | str) -> Tensor:
     Raises:
         InputError: see `read_point_file`.
     """
-    return read_point_file(path).positions.float()
+    points = read_point_file(path).positions.float()
+    if not bool(torch.isfinite(points).all()):
+        raise InputError(
+            f"{path}: expected world units, got numbers too large for single precision"
+        )
+    return points
 
 
 def read_point_file(path: Path | str) -> PointFile:
