@@ -2,15 +2,17 @@
 
 import json
 import re
+from pathlib import Path
 
 import torch
 
-from conftest import REPOSITORY
 from pcore.editing.script import parse_edit
 
 
 def test_every_example_of_the_guide_works():
-    text = (REPOSITORY / "docs" / "guide" / "edit-files.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "guide" / "edit-files.md").read_text(
+        encoding="utf-8"
+    )
     edits = [json.loads(line) for line in re.findall(r"^    (\{.*\})$", text, re.MULTILINE)]
     assert {edit["type"] for edit in edits} == {
         "twist", "bend", "taper", "stretch", "scale", "rigid"
