@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 import torch
 
+from pcore.cli.main import main
 from pcore.geometry.camera import Camera
+from pcore.model.checkpoint import load_model
 from pcore.model.official import from_official_state
 from pcore.model.official_config import OfficialSettings
 from pcore.model.papr import Papr, Rendering
@@ -46,17 +48,39 @@ def oracle(shared_data: Path) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def rendering(oracle: dict[str, np.ndarray]) -> Rendering:
-    state = {
+def weights(oracle: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
+    return {
         str(name): official_weight(str(name), ast.literal_eval(str(shape)))
         for name, shape in zip(oracle["names"], oracle["shapes"], strict=True)
     }
-    settings = OfficialSettings(
-        coord_scale=float(oracle["coord_scale"]), background_score=float(oracle["bkg_constant"])
-    )
-    config, ours, cloud = from_official_state(state, settings, where="oracle")
-    papr = Papr(config)
-    papr.load_state_dict(ours)
+
+
+@pytest.fixture(scope="module", params=["tensors", "command line"])
+def rendering(
+    oracle: dict[str, np.ndarray],
+    weights: dict[str, torch.Tensor],
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Rendering:
+    """Our picture, from the tensors at hand and from a run made by `pcore import papr`."""
+    scale, constant = float(oracle["coord_scale"]), float(oracle["bkg_constant"])
+    if request.param == "tensors":
+        settings = OfficialSettings(coord_scale=scale, background_score=constant)
+        config, ours, cloud = from_official_state(weights, settings, where="oracle")
+        papr = Papr(config)
+        papr.load_state_dict(ours)
+    else:
+        folder = tmp_path_factory.mktemp("official")
+        torch.save({"250000": weights}, folder / "model.pth")
+        (folder / "chair.yml").write_text(
+            f"dataset: {{coord_scale: {scale}}}\ngeoms: {{background: {{constant: {constant}}}}}\n"
+        )
+        run = folder / "run"
+        words = ["import", "papr", f"{folder / 'model.pth'}", "--config", f"{folder / 'chair.yml'}"]
+        assert main([*words, "-o", str(run)]) == 0
+        model = load_model(run)
+        assert model.provenance.step == 250000
+        papr, cloud = model.papr(), model.cloud
     with torch.no_grad():
         return papr(cloud, camera(oracle).rays())
 
