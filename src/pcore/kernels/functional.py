@@ -1,0 +1,94 @@
+"""Public face of the kernels: one signature each, the backend chosen by device."""
+
+from __future__ import annotations
+
+import os
+
+import torch
+from torch import Tensor
+
+from pcore.errors import InputError
+from pcore.kernels import cpu, reference
+
+BACKENDS = ("reference", "cpu")
+
+
+def backend(device: torch.device) -> str:
+    """Name of the backend that the kernels use on a device.
+
+    PCORE_KERNELS=reference|cpu overrides the choice.
+    """
+    wanted = os.environ.get("PCORE_KERNELS")
+    if wanted is not None and wanted not in BACKENDS:
+        raise InputError(f"PCORE_KERNELS: expected one of {', '.join(BACKENDS)}, got {wanted!r}")
+    return wanted or ("cpu" if device.type == "cpu" else "reference")
+
+
+def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int) -> Tensor:
+    """Indices of the k points nearest to each ray's infinite line, nearest first.
+
+    Args:
+        origins: (..., 3) ray origins.
+        directions: (..., 3) unit directions.
+        points: (N, 3).
+        k: how many; N when there are fewer points.
+
+    Returns:
+        (..., min(k, N)) int64 indices; equal distances come in order of the index.
+
+    Raises:
+        InputError: without points, or with k < 1.
+    """
+    if points.shape[0] == 0 or k < 1:
+        raise InputError(
+            f"nearest_to_rays: expected at least one point and k >= 1, got {points.shape[0]} "
+            f"points and k = {k}"
+        )
+    k = min(k, points.shape[0])
+    search = cpu if backend(points.device) == "cpu" else reference
+    flat = search.nearest_to_rays(origins.reshape(-1, 3), directions.reshape(-1, 3), points, k)
+    return flat.reshape(*origins.shape[:-1], k)
+
+
+def encode_pairs(
+    positions: Tensor,
+    features: Tensor,
+    origins: Tensor,
+    directions: Tensor,
+    neighbours: Tensor,
+    *,
+    scale: float,
+    frequencies: int,
+) -> tuple[Tensor, Tensor]:
+    """What PAPR's embedding networks see of every ray-point pair.
+
+    With h the part of (point - origin) along the ray and t the rest (paper, Preliminaries), a row is
+    [gamma(scale p), gamma(scale h), gamma(scale t), mu]: the key reads the first three blocks, the
+    value the last three. No gradient flows through gamma(scale p), as in the original.
+
+    Args:
+        positions: (N, 3).
+        features: (N, F).
+        origins: (R, 3) ray origins; not differentiated.
+        directions: (R, 3) unit directions; not differentiated.
+        neighbours: (R, k) indices into the points.
+        scale: factor on positions before they are encoded.
+        frequencies: octaves L of the encoding.
+
+    Returns:
+        The table (R k, 9 (1 + 2 L) + F), differentiable in positions and features, and the squared
+        distances |t|^2 (R, k), without gradient.
+    """
+    if backend(positions.device) == "cpu" and positions.dtype == torch.float32:
+        encode = cpu.encode_pairs
+    else:
+        encode = reference.encode_pairs
+    return encode(
+        positions,
+        features,
+        origins.detach(),
+        directions.detach(),
+        neighbours,
+        scale=scale,
+        frequencies=frequencies,
+    )

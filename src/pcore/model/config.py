@@ -1,0 +1,80 @@
+"""What makes one PAPR model differ from another: sizes, constants, and the three presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pcore.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class MlpConfig:
+    """Shape of one embedding network."""
+
+    layers: int
+    """Number of linear layers."""
+    width: int = 256
+    """Hidden width."""
+    size: int = 256
+    """Width of the output."""
+    skip_after: int | None = None
+    """Concatenate the network's own input behind the output of this layer (1 is the first)."""
+
+    def __post_init__(self) -> None:
+        if self.layers < 2 or self.width < 1 or self.size < 1:
+            raise InputError(
+                f"MLP: expected at least 2 layers and positive widths, got {self.layers} layers, "
+                f"width {self.width}, output {self.size}"
+            )
+        if self.skip_after is not None and not 1 <= self.skip_after < self.layers:
+            raise InputError(
+                f"MLP: expected skip_after between 1 and {self.layers - 1}, got {self.skip_after}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaprConfig:
+    """Architecture of PAPR; the defaults are the original's `chair` configuration."""
+
+    neighbours: int = 20
+    """Points that a ray attends to (k)."""
+    coord_scale: float = 10.0
+    """Positions are multiplied by this before they are encoded."""
+    frequencies: int = 6
+    """Octaves of the positional encoding (L)."""
+    feature_size: int = 64
+    """Length of a point's feature vector mu."""
+    key: MlpConfig = field(default_factory=lambda: MlpConfig(layers=5))
+    """Network that embeds a point as seen from a ray; normalised before and after."""
+    query: MlpConfig = field(default_factory=lambda: MlpConfig(layers=5))
+    """Network that embeds a ray's direction; normalised before and after."""
+    value: MlpConfig = field(default_factory=lambda: MlpConfig(layers=8, size=32))
+    """Network that embeds what a point contributes to a ray's feature."""
+    negative_slope: float = 0.0
+    """Slope of the leaky ReLU inside the embedding networks (0 is ReLU, `lego` uses 0.2)."""
+    background_score: float = 5.0
+    """Constant attention score of the background."""
+    unet_channels: tuple[int, int, int] = (128, 256, 512)
+    """Channels of the renderer at full, half and quarter resolution."""
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Colour that shows where no point answers, RGB in [0, 1]."""
+    cutoff: float | None = None
+    """Points farther than this from a ray (world units) get no attention; rays without any are
+    pure background and cost nothing. None (the original) lets every point answer every ray."""
+
+    def __post_init__(self) -> None:
+        if self.neighbours < 1 or self.frequencies < 1 or self.feature_size < 1:
+            raise InputError(
+                "PAPR: expected neighbours, frequencies and feature_size of at least 1, got "
+                f"{self.neighbours}, {self.frequencies}, {self.feature_size}"
+            )
+        if self.key.size != self.query.size:
+            raise InputError(
+                "PAPR: expected key and query embeddings of one size, got "
+                f"{self.key.size} and {self.query.size}"
+            )
+        if self.coord_scale <= 0 or (self.cutoff is not None and self.cutoff <= 0):
+            raise InputError(
+                "PAPR: expected a positive coord_scale and cutoff, got "
+                f"{self.coord_scale} and {self.cutoff}"
+            )

@@ -1,0 +1,116 @@
+"""PAPR: points and rays in, a rendering out. The middle of the house."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
+from pcore.kernels.functional import nearest_to_rays
+from pcore.model.attention import Attended, ProximityAttention
+from pcore.model.config import PaprConfig
+from pcore.model.unet import Unet
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rendering:
+    """What PAPR says about an (H, W) bundle of rays.
+
+    Attributes:
+        rgb: (H, W, 3) colours over the background, not clamped.
+        alpha: (H, W) opacity, 1 - attention of the background.
+        surface: (H, W, 3) predicted surface points, world units.
+        weights: (H, W, k) weights of the neighbours, zero where none is within the cut-off.
+        neighbours: (H, W, k) indices into the cloud.
+        features: (H, W, C) input of the renderer network.
+    """
+
+    rgb: Tensor
+    alpha: Tensor
+    surface: Tensor
+    weights: Tensor
+    neighbours: Tensor
+    features: Tensor
+
+
+class Papr(nn.Module):
+    """The networks of PAPR; the points are passed in."""
+
+    def __init__(self, config: PaprConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.attention = ProximityAttention(config)
+        self.unet = Unet(config.value.size, config.unet_channels)
+
+    def forward(self, cloud: PointCloud, rays: RayBundle) -> Rendering:
+        """Render an (H, W) bundle of rays.
+
+        Args:
+            cloud: the points, canonical or deformed.
+            rays: (H, W) rays, world units.
+
+        Returns:
+            The rendering, differentiable in the cloud and the networks.
+        """
+        height, width = rays.shape
+        attended, neighbours = self.attend(cloud, rays.flat())
+        alpha = 1 - attended.background
+        features = attended.features.reshape(height, width, -1)
+        return Rendering(
+            rgb=self.shade(features, alpha.reshape(height, width)),
+            alpha=alpha.reshape(height, width),
+            surface=attended.surface.reshape(height, width, 3),
+            weights=attended.weights.reshape(height, width, -1),
+            neighbours=neighbours.reshape(height, width, -1),
+            features=features,
+        )
+
+    def attend(self, cloud: PointCloud, rays: RayBundle) -> tuple[Attended, Tensor]:
+        """Nearest points and attention of (R,) rays; rays beyond the cut-off cost nothing."""
+        neighbours = nearest_to_rays(
+            rays.origins, rays.directions, cloud.positions.detach(), self.config.neighbours
+        )
+        if self.config.cutoff is None:
+            return self.attention(cloud, rays, neighbours), neighbours
+        near = _within(cloud, rays, neighbours, self.config.cutoff)
+        part = self.attention(
+            cloud,
+            RayBundle(origins=rays.origins[near], directions=rays.directions[near]),
+            neighbours[near],
+        )
+        return _scatter(part, near, neighbours.shape), neighbours
+
+    def shade(self, features: Tensor, alpha: Tensor) -> Tensor:
+        """Colours (H, W, 3) of a feature map (H, W, C) over the background."""
+        colours = self.unet(features.permute(2, 0, 1).unsqueeze(0))[0].permute(1, 2, 0)
+        background = colours.new_tensor(self.config.background)
+        opacity = alpha.unsqueeze(-1)
+        return colours * opacity + background * (1 - opacity)
+
+
+def _within(cloud: PointCloud, rays: RayBundle, neighbours: Tensor, cutoff: float) -> Tensor:
+    """Indices of the rays that have a point within the cut-off."""
+    with torch.no_grad():
+        # Neighbours come nearest first, so the first decides.
+        offset = cloud.positions[neighbours[:, 0]] - rays.origins
+        along = (offset * rays.directions).sum(dim=-1, keepdim=True)
+        distance = (offset - along * rays.directions).square().sum(dim=-1)
+        return torch.nonzero(distance <= cutoff**2).squeeze(-1)
+
+
+def _scatter(part: Attended, rows: Tensor, shape: torch.Size) -> Attended:
+    """Spread the attended rays over all R rays; the others are pure background."""
+
+    def spread(values: Tensor, fill: float) -> Tensor:
+        full = values.new_full((shape[0], *values.shape[1:]), fill)
+        return full.index_copy(0, rows, values)
+
+    return Attended(
+        features=spread(part.features, 0.0),
+        background=spread(part.background, 1.0),
+        weights=spread(part.weights, 0.0),
+        surface=spread(part.surface, 0.0),
+    )

@@ -1,0 +1,196 @@
+"""Where points start, which ones go, where new ones come."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor, nn
+
+from pcore.errors import InputError, TrainingError
+from pcore.geometry.camera import Camera
+
+_NEIGHBOURS_OF_SPREAD = 10
+_PARENTS = 3
+
+
+class MaskedView(Protocol):
+    """A view with a silhouette."""
+
+    @property
+    def camera(self) -> Camera:
+        """The view's camera."""
+        ...
+
+    def alpha(self) -> Tensor:
+        """(H, W) coverage."""
+        ...
+
+
+def grid_points(count: int, lower: Tensor, upper: Tensor) -> Tensor:
+    """Regular grid of at least `count` points in a box, cut to `count`: the original's start.
+
+    Args:
+        count: number of points.
+        lower: (3,) corner of the box, world units.
+        upper: (3,) corner of the box.
+
+    Returns:
+        (count, 3).
+    """
+    side = int(np.ceil(count ** (1 / 3)))
+    axes = [torch.linspace(float(lower[i]), float(upper[i]), side) for i in range(3)]
+    grid = torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, 3)
+    chosen = torch.linspace(0, len(grid) - 1, count).round().long()
+    return grid[chosen]
+
+
+def hull_points(
+    count: int,
+    views: Sequence[MaskedView],
+    lower: Tensor,
+    upper: Tensor,
+    *,
+    generator: torch.Generator,
+    resolution: int = 128,
+) -> Tensor:
+    """Points on the surface of the visual hull of the training masks.
+
+    Args:
+        count: number of points.
+        views: training views with an alpha channel.
+        lower: (3,) corner of the region that is searched, world units.
+        upper: (3,) corner of the region.
+        generator: draws among the surface voxels and jitters inside them.
+        resolution: voxels along the longest side of the hull's bounding box.
+
+    Returns:
+        (count, 3).
+
+    Raises:
+        TrainingError: when the silhouettes have no common inside.
+    """
+    masks = [(view.camera, view.alpha() > 0.5) for view in views]
+    coarse, size = _voxels(lower, upper, 64)
+    inside = _inside_all(coarse, masks)
+    if not bool(inside.any()):
+        raise TrainingError(
+            "visual hull: the training masks have no common inside; expected silhouettes of one "
+            "object in consistent poses. Check the poses and the alpha channels, or start from a "
+            "grid or a PLY"
+        )
+    kept = coarse[inside]
+    fine, size = _voxels(kept.amin(dim=0) - size, kept.amax(dim=0) + size, resolution)
+    surface = _surface_voxels(fine, _inside_all(fine, masks), size)
+    chosen = torch.randint(len(surface), (count,), generator=generator)
+    jitter = torch.rand(count, 3, generator=generator) - 0.5
+    return surface[chosen] + jitter * size
+
+
+def _voxels(lower: Tensor, upper: Tensor, resolution: int) -> tuple[Tensor, float]:
+    """Centres of cubic voxels (X, Y, Z, 3) that fill a box, and their size."""
+    size = float((upper - lower).max()) / resolution
+    axes = []
+    for low, high in zip(lower.tolist(), upper.tolist(), strict=True):
+        steps = max(1, round((high - low) / size))
+        axes.append(low + size * (torch.arange(steps) + 0.5))
+    return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1), size
+
+
+def _inside_all(voxels: Tensor, masks: Sequence[tuple[Camera, Tensor]]) -> Tensor:
+    """Which voxel centres (..., 3) no view sees outside its mask."""
+    flat = voxels.reshape(-1, 3)
+    alive = torch.arange(len(flat))
+    for camera, mask in masks:
+        alive = alive[_inside(flat[alive], camera, mask)]
+    inside = torch.zeros(len(flat), dtype=torch.bool)
+    inside[alive] = True
+    return inside.reshape(voxels.shape[:-1])
+
+
+def _inside(points: Tensor, camera: Camera, mask: Tensor) -> Tensor:
+    pose = camera.world_from_camera
+    local = (points - camera.center) @ pose[:3, :3]
+    depth = -local[:, 2]
+    column = (local[:, 0] / depth * camera.fx + camera.cx).floor().long()
+    row = (-local[:, 1] / depth * camera.fy + camera.cy).floor().long()
+    seen = (depth > 0) & (column >= 0) & (column < camera.width)
+    seen &= (row >= 0) & (row < camera.height)
+    value = mask[row.clamp(0, camera.height - 1), column.clamp(0, camera.width - 1)]
+    # What a view does not see, it cannot carve.
+    return value | ~seen
+
+
+def _surface_voxels(voxels: Tensor, inside: Tensor, size: float) -> Tensor:
+    """Centres (S, 3) of the inside voxels with a neighbour outside."""
+    padded = torch.nn.functional.pad(inside, (1, 1, 1, 1, 1, 1))
+    core = torch.ones_like(inside)
+    for axis in range(3):
+        for shift in (-1, 1):
+            core &= padded.roll(shift, dims=axis)[1:-1, 1:-1, 1:-1]
+    surface = voxels[inside & ~core]
+    if len(surface) == 0:
+        raise TrainingError(f"visual hull: no surface found with voxels of {size:.3g}")
+    return surface
+
+
+def replace_rows(
+    optimizer: torch.optim.Optimizer, parameter: nn.Parameter, keep: Tensor, new: Tensor
+) -> nn.Parameter:
+    """Keep some rows of a parameter and append others; the kept rows keep Adam's moments.
+
+    Args:
+        optimizer: holds the parameter; its state and groups are updated in place.
+        parameter: (N, ...).
+        keep: (N,) bool.
+        new: (A, ...) rows to append, with zero moments.
+
+    Returns:
+        The parameter that took the old one's place, (K + A, ...).
+    """
+    replaced = nn.Parameter(torch.cat([parameter.detach()[keep], new]))
+    state = optimizer.state.pop(parameter, {})
+    for name, value in state.items():
+        if torch.is_tensor(value) and value.shape == parameter.shape:
+            state[name] = torch.cat([value[keep], torch.zeros_like(new)])
+    if state:
+        optimizer.state[replaced] = state
+    for group in optimizer.param_groups:
+        group["params"] = [replaced if p is parameter else p for p in group["params"]]
+    return replaced
+
+
+def growth_sites(positions: Tensor, count: int) -> Tensor:
+    """Indices (count,) of the points whose neighbour distances differ most (original's rule)."""
+    if len(positions) <= _NEIGHBOURS_OF_SPREAD:
+        raise InputError(
+            f"growing: expected more than {_NEIGHBOURS_OF_SPREAD} points, got {len(positions)}"
+        )
+    array = positions.detach().cpu().numpy()
+    distance, _ = cKDTree(array).query(array, k=_NEIGHBOURS_OF_SPREAD + 1)
+    spread = torch.from_numpy(distance[:, 1:].std(axis=1))
+    order = torch.argsort(spread, descending=True, stable=True)
+    return order[torch.arange(count) % len(order)].to(positions.device)
+
+
+def growth_mixture(
+    positions: Tensor, sites: Tensor, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Parents and weights of new points: random convex combinations of the nearest neighbours.
+
+    Args:
+        positions: (N, 3).
+        sites: (A,) where to grow.
+        generator: draws the weights.
+
+    Returns:
+        parents (A, 3) indices and weights (A, 3) that sum to one.
+    """
+    array = positions.detach().cpu().numpy()
+    _, nearest = cKDTree(array).query(array[sites.cpu().numpy()], k=_PARENTS + 1)
+    parents = torch.from_numpy(nearest[:, 1:]).to(positions.device)
+    weights = torch.rand(parents.shape, generator=generator).to(positions)
+    return parents, weights / weights.sum(dim=-1, keepdim=True)
