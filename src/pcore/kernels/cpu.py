@@ -145,7 +145,7 @@ class _EncodePairs(torch.autograd.Function):
 
 
 @numba.njit(cache=True)
-def _guarded_length(direction: np.ndarray) -> float:
+def _guarded_length(direction: np.ndarray) -> Any:
     """Squared length, guarded as in the original."""
     total = np.float32(LENGTH_GUARD)
     for axis in range(3):
