@@ -1,0 +1,136 @@
+"""Cameras on a circle around an object."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from pcore.errors import InputError
+from pcore.geometry.camera import Camera
+
+_UP = (0.0, 0.0, 1.0)
+_PARALLEL = 1e-6
+
+
+def orbit_cameras(
+    center: Tensor,
+    distance: float,
+    count: int,
+    *,
+    elevation: float,
+    width: int,
+    height: int,
+    angle_x: float,
+    up: Tensor | None = None,
+) -> list[Camera]:
+    """Cameras that go once around `center`, evenly spaced, looking at it.
+
+    Args:
+        center: (3,) world units.
+        distance: from the center to the cameras, world units.
+        count: how many; the circle is not closed by a repeated camera.
+        elevation: angle above the plane across `up`, radians, strictly between -pi/2 and pi/2.
+        width: image width in pixels.
+        height: image height in pixels.
+        angle_x: horizontal field of view, radians.
+        up: (3,) direction that points up in the pictures, of any length; None is +z.
+
+    Raises:
+        InputError: a count below 1, a distance that is not positive, or an elevation or up
+            direction that leaves the horizon undefined.
+    """
+    poses = _orbit_poses(center, distance, count, elevation=elevation, up=up)
+    return [Camera.from_fov(pose, width=width, height=height, angle_x=angle_x) for pose in poses]
+
+
+def orbit_like(
+    cameras: Sequence[Camera], center: Tensor, count: int, *, up: Tensor | None = None
+) -> list[Camera]:
+    """Orbit at the mean distance and mean elevation of given cameras.
+
+    It has the intrinsics of the first camera and begins at that camera's azimuth.
+
+    Args:
+        cameras: at least one, such as the training cameras of a scene.
+        center: (3,) what to look at, world units.
+        count: how many cameras to make.
+        up: as for `orbit_cameras`.
+
+    Raises:
+        InputError: no cameras, or all of them at the center.
+    """
+    if not cameras:
+        raise InputError("orbit: expected at least one camera to take its shape from, got none")
+    offsets = torch.stack([camera.center for camera in cameras]) - center
+    distances = offsets.norm(dim=1)
+    side, ahead, top = _frame(up)
+    heights = (offsets @ top) / distances.clamp_min(1e-12)
+    elevation = float(torch.asin(heights.clamp(-1, 1)).mean())
+    # Cameras all around a sphere have their mean at the horizon; straight above there is none.
+    limit = math.radians(85)
+    start = math.atan2(float(offsets[0] @ ahead), float(offsets[0] @ side))
+    poses = _orbit_poses(
+        center,
+        float(distances.mean()),
+        count,
+        elevation=max(-limit, min(limit, elevation)),
+        up=up,
+        start=start,
+    )
+    return [cameras[0].moved(pose) for pose in poses]
+
+
+def _orbit_poses(
+    center: Tensor,
+    distance: float,
+    count: int,
+    *,
+    elevation: float,
+    up: Tensor | None,
+    start: float = 0.0,
+) -> list[Tensor]:
+    """Poses world_from_camera (4, 4) of an orbit that begins at azimuth `start`."""
+    _check(distance, count, elevation)
+    side, ahead, top = _frame(up)
+    poses: list[Tensor] = []
+    for index in range(count):
+        azimuth = start + 2 * math.pi * index / count
+        outward = math.cos(azimuth) * side + math.sin(azimuth) * ahead
+        right = math.cos(azimuth) * ahead - math.sin(azimuth) * side
+        backward = math.cos(elevation) * outward + math.sin(elevation) * top
+        pose = torch.eye(4)
+        pose[:3, 0] = right
+        pose[:3, 1] = torch.linalg.cross(backward, right)
+        pose[:3, 2] = backward
+        pose[:3, 3] = center.cpu() + distance * backward
+        poses.append(pose)
+    return poses
+
+
+def _frame(up: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+    """Right-handed orthonormal frame whose third axis is `up`; x, y, z for +z."""
+    top = torch.tensor(_UP) if up is None else up.detach().cpu().float()
+    length = float(top.norm())
+    if top.shape != (3,) or not math.isfinite(length) or length < _PARALLEL:
+        raise InputError(f"orbit: expected an up direction (3,) of finite length, got {up}")
+    top = top / length
+    # The axis that is least along `up` cannot be parallel to it; +x for +z.
+    side = torch.eye(3)[int(top.abs().argmin())]
+    side = side - (side @ top) * top
+    side = side / side.norm()
+    return side, torch.linalg.cross(top, side), top
+
+
+def _check(distance: float, count: int, elevation: float) -> None:
+    if count < 1:
+        raise InputError(f"orbit: expected at least one camera, got {count}")
+    if not (distance > 0 and math.isfinite(distance)):
+        raise InputError(f"orbit: expected a positive distance in world units, got {distance}")
+    if not abs(elevation) < math.pi / 2:
+        raise InputError(
+            "orbit: expected an elevation between -pi/2 and pi/2 radians (straight above there is "
+            f"no way up in the picture), got {elevation}"
+        )

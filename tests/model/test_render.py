@@ -1,0 +1,213 @@
+"""Full-image rendering: the tiled picture is the whole forward pass, and its by-products."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from pcore.errors import InputError
+from pcore.geometry.camera import Camera
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.papr import Papr
+from pcore.model.render import Picture, RenderCancelledError, normals, rays_within, render
+
+
+def config(**changes: object) -> PaprConfig:
+    values: dict[str, object] = {
+        "neighbours": 4,
+        "feature_size": 6,
+        "frequencies": 3,
+        "key": MlpConfig(layers=2, width=16, size=16),
+        "query": MlpConfig(layers=2, width=16, size=16),
+        "value": MlpConfig(layers=2, width=16, size=8),
+        "unet_channels": (6, 8, 10),
+        "background": (0.9, 0.3, 0.1),
+        "background_score": 1.0,
+    }
+    return PaprConfig(**(values | changes))  # pyright: ignore[reportArgumentType]
+
+
+@pytest.fixture
+def cloud() -> PointCloud:
+    return PointCloud(
+        positions=torch.randn(60, 3) * 0.3,
+        features=torch.randn(60, 6),
+        influence=torch.rand(60) * 2,
+    )
+
+
+def camera(width: int, height: int, distance: float = 2.5) -> Camera:
+    pose = torch.eye(4)
+    pose[2, 3] = distance
+    return Camera.from_fov(pose, width=width, height=height, angle_x=0.8)
+
+
+@pytest.mark.parametrize(
+    ("size", "tile", "max_rays"),
+    [
+        ((37, 53), 16, 100),
+        ((100, 101), 32, 999),
+        ((101, 34), 20, 1200),
+        ((67, 66), 64, 4000),
+        ((6, 5), 4, 7),
+        ((30, 31), 4, 500),
+        ((40, 40), 256, None),
+    ],
+)
+def test_tiles_equal_the_whole_picture(
+    cloud: PointCloud, size: tuple[int, int], tile: int, max_rays: int | None
+) -> None:
+    papr, cam = Papr(config()).eval(), camera(*size)
+    with torch.no_grad():
+        whole = papr(cloud, cam.rays())
+    got = render(papr, cloud, cam, tile=tile, max_rays=max_rays)
+    assert got.rgb.shape == (size[1], size[0], 3)
+    torch.testing.assert_close(got.rgb, whole.rgb, atol=1e-5, rtol=0)
+    torch.testing.assert_close(got.alpha, whole.alpha, atol=1e-6, rtol=0)
+    torch.testing.assert_close(got.surface, whole.surface, atol=1e-6, rtol=0)
+    torch.testing.assert_close(got.depth, 2.5 - whole.surface[..., 2], atol=1e-5, rtol=0)
+
+
+def test_a_tile_without_its_surroundings_would_differ(
+    cloud: PointCloud, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The margin is needed: the test above would see a smaller one."""
+    papr, cam = Papr(config()).eval(), camera(40, 40)
+    exact = render(papr, cloud, cam)
+    monkeypatch.setattr("pcore.model.render.RECEPTIVE_MARGIN", 8)
+    assert float((render(papr, cloud, cam, tile=16).rgb - exact.rgb).abs().max()) > 1e-5
+
+
+def test_nothing_is_there_where_no_point_answers(cloud: PointCloud) -> None:
+    papr, cam = Papr(config(cutoff=0.05)).eval(), camera(40, 30)
+    picture = render(papr, cloud, cam, tile=8)
+    empty = picture.alpha == 0
+    assert bool(empty.any())
+    assert bool((~empty).any())
+    assert torch.equal(picture.depth.isnan(), empty)
+    assert torch.equal(picture.surface.isnan().all(dim=-1), empty)
+    assert torch.equal(
+        picture.rgb[empty], torch.tensor([0.9, 0.3, 0.1]).expand_as(picture.rgb[empty])
+    )
+
+
+def test_rendering_leaves_no_graph_and_no_mode_behind(cloud: PointCloud) -> None:
+    papr = Papr(config())
+    cloud.positions.requires_grad_()
+    assert not render(papr, cloud, camera(8, 8)).rgb.requires_grad
+    assert torch.is_grad_enabled()
+    assert papr.training
+
+
+def test_progress_ends_at_one_and_grows(cloud: PointCloud) -> None:
+    shares: list[float] = []
+    render(Papr(config()), cloud, camera(20, 20), tile=8, max_rays=100, progress=shares.append)
+    assert len(shares) == 4 + 9
+    assert shares == sorted(set(shares))
+    assert shares[-1] == 1
+
+
+def test_cancelling(cloud: PointCloud) -> None:
+    asked: list[int] = []
+
+    def cancel() -> bool:
+        asked.append(1)
+        return len(asked) == 3
+
+    with pytest.raises(RenderCancelledError, match="cancelled before it was complete"):
+        render(Papr(config()), cloud, camera(20, 20), max_rays=100, cancel=cancel)
+    assert len(asked) == 3
+
+
+@pytest.mark.parametrize(
+    ("size", "options", "message"),
+    [
+        ((3, 9), {}, r"at least 4 x 4 pixels, got 3 x 9"),
+        ((9, 9), {"tile": 10}, "a tile that is a multiple of 4, got 10"),
+        ((9, 9), {"tile": 0}, "tile: expected a whole number of at least 4, got 0"),
+        ((9, 9), {"max_rays": -1}, "max_rays: expected a whole number of at least 1, got -1"),
+    ],
+)
+def test_bad_arguments(
+    cloud: PointCloud, size: tuple[int, int], options: dict[str, int], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        render(Papr(config()), cloud, camera(*size), **options)  # pyright: ignore[reportArgumentType]
+
+
+def test_larger_models_get_smaller_chunks() -> None:
+    small, paper = config(), PaprConfig()
+    assert rays_within(paper, 2**28) < rays_within(small, 2**28)
+    assert rays_within(paper, 2**29) == pytest.approx(2 * rays_within(paper, 2**28), abs=1)
+    assert rays_within(paper, 1) == 256
+
+
+# --- normals -------------------------------------------------------------------------------
+
+
+def picture_of(surface: torch.Tensor, cam: Camera, alpha: torch.Tensor | None = None) -> Picture:
+    shape = surface.shape[:2]
+    return Picture(
+        rgb=torch.zeros(*shape, 3),
+        alpha=torch.ones(shape) if alpha is None else alpha,
+        depth=cam.depth(surface),
+        surface=surface,
+    )
+
+
+def plane(cam: Camera, normal: torch.Tensor) -> torch.Tensor:
+    """Where the rays meet the plane through the world's origin."""
+    rays = cam.rays()
+    s = -(rays.origins @ normal) / (rays.directions @ normal)
+    return rays.origins + s.unsqueeze(-1) * rays.directions
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0, 1.0), (1.0, 0.5, 1.0), (-0.4, 2.0, 1.0)])
+def test_normals_of_a_plane(tilt: tuple[float, float, float]) -> None:
+    normal = torch.tensor(tilt) / torch.tensor(tilt).norm()
+    cam = camera(12, 9)
+    got = normals(picture_of(plane(cam, normal), cam), cam)
+    expected = normal.expand(7, 10, 3)
+    torch.testing.assert_close(got[1:-1, 1:-1], expected, atol=1e-4, rtol=0)
+    border = got.isnan().all(dim=-1)
+    assert bool(border[0].all() and border[-1].all() and border[:, 0].all() and border[:, -1].all())
+
+
+def test_normals_of_a_sphere_point_outwards() -> None:
+    cam = camera(64, 64)
+    rays = cam.rays()
+    b = (rays.origins * rays.directions).sum(dim=-1)
+    root = b.square() - rays.origins.square().sum(dim=-1) + 0.49
+    hit = root > 0
+    surface = rays.origins + (-b - root.clamp_min(0).sqrt()).unsqueeze(-1) * rays.directions
+    surface[~hit] = math.nan
+    got = normals(picture_of(surface, cam, hit.float()), cam)
+    known = ~got.isnan().any(dim=-1)
+    assert int(known.sum()) > 0.6 * int(hit.sum())
+    assert not bool((known & ~hit).any())
+    cosine = (got[known] * surface[known] / 0.7).sum(dim=-1)
+    assert float(cosine.min()) > 0.97
+
+
+def test_no_normals_across_jumps_and_beside_holes() -> None:
+    cam = camera(12, 9)
+    surface = plane(cam, torch.tensor([0.0, 0.0, 1.0]))
+    jump = surface.clone()
+    jump[:, 6:] *= 2.0
+    jump[:, 6:, 2] = -2.5
+    known = ~normals(picture_of(jump, cam), cam).isnan().any(dim=-1)
+    assert known[4].tolist() == [False, *[True] * 4, False, False, *[True] * 4, False]
+    alpha = torch.ones(9, 12)
+    alpha[4, 6] = 0.4
+    known = ~normals(picture_of(surface, cam, alpha), cam).isnan().any(dim=-1)
+    holes = [(y, x) for y in range(1, 8) for x in range(1, 11) if not known[y, x]]
+    assert holes == [(3, 6), (4, 5), (4, 6), (4, 7), (5, 6)]
+
+
+def test_no_normals_in_a_picture_of_two_columns() -> None:
+    cam = camera(2, 5)
+    surface = plane(cam, torch.tensor([0.0, 0.0, 1.0]))
+    assert bool(normals(picture_of(surface, cam), cam).isnan().all())
