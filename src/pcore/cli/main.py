@@ -44,6 +44,7 @@ class Verb:
 
 
 VERBS: tuple[Verb, ...] = (
+    Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),
     Verb("deform", "pcore.cli.deform", "DeformCommand", "apply an edit file to any points"),
     Verb(
         "import papr",

@@ -1,0 +1,167 @@
+"""`pcore eval RUN`: score a run on the true images of its scene, canonical and deformed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from rich.console import Console
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+if TYPE_CHECKING:
+    from pcore.evaluation.runner import Method, Taken
+
+PICTURES = "pictures"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalCommand:
+    """Score a run on test views: canonical, deformed states, or an exact uniform scale.
+
+    Writes images.csv (one line per picture) and summary.json (means and gains), and prints a
+    table. A fine-tuned run is compared with the run it was tuned from.
+    """
+
+    run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of the run."""
+
+    scene: Path | None = None
+    """Folder of the scene; default: the one the run was trained on."""
+
+    state: tuple[str, ...] = ("all",)
+    """States besides the canonical one: names, `all`, or `scale:S` (any scene; exact truth)."""
+
+    baseline: Path | None = None
+    """Run to compare with; default: the one that a fine-tuned run was tuned from."""
+
+    protocol: Literal["papr", "standard", "both"] = "both"
+    """How images are compared: as the original PAPR does, as everybody else does, or both."""
+
+    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """Folder for the results; default: RUN/eval."""
+
+    pictures: bool = False
+    """Also write a sheet per test view: truth, baseline and this run, with depth maps."""
+
+    factor: int | None = None
+    """Down-scaling of the true images; default: that of the training."""
+
+    def run(self) -> None:
+        """Evaluate; raises PcoreError subclasses for what the user can mend."""
+        evaluate_run(self, Console())
+
+
+def evaluate_run(command: EvalCommand, console: Console) -> None:
+    """Score the run, write the files and print the table.
+
+    Raises:
+        CheckpointError: the run or its baseline cannot be read.
+        SceneError: the scene or a state cannot be read or scored.
+        InputError: an unknown state, a factor that does not fit, or an output folder in use.
+    """
+    from pcore.cli.models import baseline_of, open_run, scene_of
+    from pcore.cli.results import counting, show_results
+    from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
+    from pcore.evaluation.runner import Method, evaluate
+    from pcore.evaluation.states import open_states
+    from pcore.evaluation.summary import gains, state_means
+    from pcore.evaluation.tables import summary_record, write_tables
+    from pcore.model.render import render
+
+    run = open_run(command.run_folder)
+    base = baseline_of(run, command.baseline)
+    places = open_states(scene_of(run, command.scene), factor=command.factor or run.factor)
+    states = places.select(command.state)
+    output = command.output or command.run_folder / "eval"
+    prepare_output(output, about=run.path)
+    first = [] if base is None else [Method(name=base.label, papr=base.papr, cloud=base.cloud)]
+    name = _unlike(run.label, [m.name for m in first], command.run_folder)
+    methods = [*first, Method(name=name, papr=run.papr, cloud=run.cloud)]
+    chosen = PROTOCOLS.values() if command.protocol == "both" else [PROTOCOLS[command.protocol]]
+    perceptual = load_perceptual()
+    with counting(console, "pictures") as tell:
+        rows = evaluate(
+            methods,
+            states,
+            draw=render,
+            protocols=list(chosen),
+            perceptual=perceptual,
+            progress=tell,
+            show=_sheet_writer(output / PICTURES, methods) if command.pictures else None,
+        )
+    means = state_means(rows)
+    found = gains(means, methods[0].name) if base is not None else []
+    about = {
+        "run": str(run.path),
+        "baseline": None if base is None else str(base.path),
+        "scene": str(places.path),
+        "factor": places.factor,
+    }
+    record = summary_record(means, found, about=about, perceptual=perceptual)
+    write_tables(output, rows, record)
+    notes = [places.left_out] if places.left_out else []
+    show_results(console, means, found, perceptual=perceptual, notes=notes)
+    console.print(Text(f"written to {output}"), soft_wrap=True)
+
+
+def prepare_output(folder: Path, *, about: Path) -> None:
+    """Make a folder for results; refuse one that holds something else.
+
+    Args:
+        folder: where the results go.
+        about: the run that they are about: results of the same run are replaced.
+
+    Raises:
+        InputError: it is a file, a run, or holds the results of another run.
+    """
+    from pcore.errors import InputError
+    from pcore.evaluation.tables import SUMMARY_FILE
+    from pcore.training.manifest import MANIFEST_FILE
+
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file: expected a folder for results; use another -o")
+    if (folder / MANIFEST_FILE).exists():
+        raise InputError(
+            f"{folder} holds a run: expected a folder for results only; use another -o, or none "
+            "for the folder eval of the run"
+        )
+    path = folder / SUMMARY_FILE
+    if path.exists() and _subject(path) != str(about):
+        raise InputError(
+            f"{folder} holds the results of {_subject(path) or 'something else'}, which are not "
+            f"overwritten by those of {about}; use another -o"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+def _subject(path: Path) -> str | None:
+    """Run that a summary is about; None when it is no summary of ours."""
+    try:
+        record: Any = json.loads(path.read_text(encoding="utf-8"))
+        return str(record["about"]["run"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _unlike(name: str, taken: Sequence[str], path: Path) -> str:
+    """Name a method differently from those that are there already."""
+    return name if name not in taken else f"{name} ({path.name})"
+
+
+def _sheet_writer(folder: Path, methods: Sequence[Method]) -> Callable[[Taken], None]:
+    from pcore.evaluation.figures import png_bytes
+    from pcore.evaluation.panels import comparison_sheet
+    from pcore.model.atomic import write_atomically
+
+    folder.mkdir(parents=True, exist_ok=True)
+    names = [method.name for method in methods]
+
+    def write(taken: Taken) -> None:
+        file = f"{taken.state}-{taken.view}.png".replace(":", "_")
+        write_atomically(folder / file, png_bytes(comparison_sheet(taken, names)))
+
+    return write

@@ -1,0 +1,113 @@
+"""Runs as the evaluating verbs read them: the model, its scene, and what it was tuned from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pcore.errors import CheckpointError, InputError
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.checkpoint import load_model
+from pcore.model.papr import Papr
+from pcore.training.output import RunFolder
+
+_WHITE = (1.0, 1.0, 1.0)
+_NAMES = {"finetune": "P-CORE"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """A run folder, opened for reading.
+
+    Attributes:
+        path: the folder.
+        papr: the networks, rendering on white as the metrics do.
+        cloud: canonical points, world units.
+        label: what made it: `PAPR`, or `P-CORE` after fine-tuning.
+        manifest: what `run.json` says.
+    """
+
+    path: Path
+    papr: Papr
+    cloud: PointCloud
+    label: str
+    manifest: RunFolder
+
+    @property
+    def factor(self) -> int:
+        """Down-scaling factor that its training images had; 1 when none is on record."""
+        found = _find(self.manifest.config, "factor")
+        return found if isinstance(found, int) and found > 0 else 1
+
+    @property
+    def base(self) -> Path | None:
+        """Folder of the run that this one was fine-tuned from; None for other runs."""
+        found = self.manifest.config.get("base")
+        return None if found is None else self.path / str(found)
+
+
+def open_run(path: Path, *, device: str = "cpu") -> Run:
+    """Open a run folder.
+
+    Raises:
+        CheckpointError: there is no run, or its model is missing or damaged.
+    """
+    manifest = RunFolder.open(path)
+    saved = load_model(path)
+    # The true images lie on white; the background only enters after the networks.
+    papr = Papr(replace(saved.config, background=_WHITE))
+    papr.load_state_dict(saved.papr_state)
+    return Run(
+        path=path,
+        papr=papr.eval().requires_grad_(False).to(device),
+        cloud=saved.cloud,
+        label=_NAMES.get(saved.provenance.stage, "PAPR"),
+        manifest=manifest,
+    )
+
+
+def scene_of(run: Run, given: Path | None) -> Path:
+    """Folder of the scene to score on: the one given, else the one the run was trained on.
+
+    Raises:
+        InputError: none is given and that of the run is not there (any more).
+    """
+    if given is not None:
+        return given
+    recorded = run.manifest.scene
+    # Relative paths were typed where training was started, or stand relative to the run.
+    for candidate in (Path(recorded), run.path / recorded):
+        if recorded and candidate.is_dir():
+            return candidate
+    raise InputError(
+        f"{run.path}: the scene it was trained on ({recorded or 'not recorded'}) is not a folder "
+        "here; give the scene's folder with --scene"
+    )
+
+
+def baseline_of(run: Run, given: Path | None, *, device: str = "cpu") -> Run | None:
+    """Open the run to compare with: the one given, else the one that `run` was tuned from.
+
+    Raises:
+        CheckpointError: it is not there or damaged.
+    """
+    if given is not None:
+        return open_run(given, device=device)
+    if run.base is None:
+        return None
+    try:
+        return open_run(run.base, device=device)
+    except CheckpointError as error:
+        raise CheckpointError(
+            f"{run.path} was fine-tuned from {run.base}, which cannot be read: {error}; give that "
+            "run with --baseline"
+        ) from error
+
+
+def _find(config: Any, key: str) -> Any:
+    """Value of a key at the top of a configuration or in its part about the scene."""
+    if key in config:
+        return config[key]
+    part = config.get("scene")
+    return part.get(key) if isinstance(part, dict) else None

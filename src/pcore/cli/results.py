@@ -1,0 +1,124 @@
+"""Evaluation results in the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from pcore.evaluation.protocol import PROTOCOLS, Perceptual
+from pcore.evaluation.summary import Gain, StateMean
+from pcore.evaluation.tables import shown
+
+# Metric, title, digits, shown as percent. Foreground SSIM and the rest stand in the files.
+_COLUMNS = (
+    ("foreground_psnr", "fg\nPSNR", 2, False),
+    ("psnr", "\nPSNR", 2, False),
+    ("ssim", "\nSSIM", 3, False),
+    ("lpips_alex", "LPIPS\nalex", 3, False),
+    ("lpips_squeeze", "LPIPS\nsqueeze", 3, False),
+    ("lpips_vgg", "LPIPS\nvgg", 3, False),
+    ("hole_rate", "\nholes", 1, True),
+    ("see_through_rate", "see-\nthrough", 1, True),
+    ("depth_error_relative", "depth\nerror", 2, True),
+    ("spill_to_object", "\nspill", 1, True),
+)
+
+_WIDTH = 96
+
+
+@contextmanager
+def counting(console: Console, title: str) -> Generator[Callable[[int, int], None]]:
+    """Give a function (done, total) that moves a bar; one line at the end without a terminal."""
+    progress = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    )
+    task = progress.add_task(title, total=None)
+    last = [0]
+
+    def tell(done: int, total: int) -> None:
+        last[0] = done
+        progress.update(task, completed=done, total=total)
+
+    with progress:
+        yield tell
+    if not console.is_terminal and last[0]:
+        console.print(Text(f"{title}: {last[0]}"), soft_wrap=True)
+
+
+def show_results(
+    console: Console,
+    means: Sequence[StateMean],
+    gains: Sequence[Gain],
+    *,
+    perceptual: Perceptual | None,
+    notes: Sequence[str] = (),
+) -> None:
+    """Print a table for every protocol, the gains below it, and why columns are missing."""
+    for protocol in dict.fromkeys(one.protocol for one in means):
+        chosen = [one for one in means if one.protocol == protocol]
+        # A table cut to a narrow terminal loses figures; one that is too wide is only ugly.
+        console.print(_table(protocol, chosen), width=max(console.width, _WIDTH), crop=False)
+        console.print(Text(_caption(protocol, chosen), "dim"), soft_wrap=True)
+        for gain in gains:
+            if gain.protocol == protocol:
+                console.print(Text(gain_text(gain)), soft_wrap=True)
+        console.print()
+    missing = ", ".join(perceptual.missing) if perceptual is not None else ""
+    why = f"no LPIPS with {missing}: weights are missing; `pcore doctor` says which files go where"
+    for line in [*notes, *([why] if missing else [])]:
+        console.print(Text(f"note: {line}"), soft_wrap=True)
+
+
+def gain_text(gain: Gain) -> str:
+    """One sentence per figure of a comparison, for people."""
+    parts = [
+        f"{gain.method} against {gain.baseline}, mean of the {gain.group} states "
+        f"({', '.join(gain.states)}):",
+        f"  foreground PSNR {_signed(gain.gain)} dB; {gain.baseline} loses "
+        f"{shown(gain.lost)} dB there, recovered {shown(gain.recovered, 0, percent=True)}",
+        f"  additional holes {shown(gain.baseline_holes, 1, percent=True)} -> "
+        f"{shown(gain.method_holes, 1, percent=True)}, removed "
+        f"{shown(gain.holes_removed, 0, percent=True)}",
+        f"  canonical loss {shown(gain.canonical_loss)} dB foreground, "
+        f"{shown(gain.canonical_loss_full)} dB whole image",
+    ]
+    return "\n".join(parts)
+
+
+def _table(protocol: str, means: Sequence[StateMean]) -> Table:
+    columns = [c for c in _COLUMNS if any(one.scores.get(c[0]) is not None for one in means)]
+    table = Table(
+        title=f"protocol {protocol}", title_justify="left", box=None, padding=(0, 2, 0, 0)
+    )
+    table.add_column("state", no_wrap=True)
+    table.add_column("method", no_wrap=True)
+    for _, title, _, _ in columns:
+        table.add_column(title, justify="right", no_wrap=True)
+    before = ""
+    for one in means:
+        cells = [shown(one.scores.get(key), n, percent=p) for key, _, n, p in columns]
+        table.add_row(Text(one.state if one.state != before else ""), Text(one.method), *cells)
+        before = one.state
+    return table
+
+
+def _caption(protocol: str, means: Sequence[StateMean]) -> str:
+    views = sorted({one.views for one in means})
+    known = PROTOCOLS.get(protocol)
+    count = " or ".join(map(str, views))
+    return f"{known.description if known else protocol}; means over {count} test views"
+
+
+def _signed(value: float | None) -> str:
+    text = shown(value)
+    return f"+{text}" if value is not None and value > 0 else text

@@ -1,0 +1,229 @@
+"""Take every picture of every state with every method, and score it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol as Shape
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pcore.errors import InputError
+from pcore.evaluation.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
+from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
+from pcore.evaluation.states import Kind, Shot, State
+from pcore.geometry.camera import Camera
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.papr import Papr
+
+Value = float | int | None
+Progress = Callable[[int, int], None]
+
+
+class Photo(Shape):
+    """What a renderer hands back; tensors on the CPU."""
+
+    @property
+    def rgb(self) -> Tensor:
+        """(H, W, 3) colours on white, not clamped."""
+        ...
+
+    @property
+    def alpha(self) -> Tensor:
+        """(H, W) opacity."""
+        ...
+
+    @property
+    def depth(self) -> Tensor:
+        """(H, W) camera z, world units."""
+        ...
+
+
+Draw = Callable[[Papr, PointCloud, Camera], Photo]
+"""Renders one view; `pcore.model.render.render` is one."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Method:
+    """One of the methods that are compared.
+
+    Attributes:
+        name: for tables; unique among the methods.
+        papr: the networks, which have been trained on white or render on white.
+        cloud: canonical points, world units.
+    """
+
+    name: str
+    papr: Papr
+    cloud: PointCloud
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageRow:
+    """Scores of one picture of one method under one protocol.
+
+    Attributes:
+        method: name of the method.
+        state: name of the state.
+        kind: of the state.
+        protocol: name of the protocol that the image metrics follow.
+        view: name of the test view.
+        scores: metric -> value; None where it is not defined or not known.
+    """
+
+    method: str
+    state: str
+    kind: Kind
+    protocol: str
+    view: str
+    scores: Mapping[str, Value]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Taken:
+    """The pictures of one shot, for whoever wants to show them.
+
+    Attributes:
+        state: the state.
+        view: name of the test view.
+        index: position of the view among the state's.
+        rgba: (H, W, 4) truth, straight alpha.
+        depth: (H, W) true camera z, infinite on the background; None when not known.
+        photos: method -> what it rendered.
+    """
+
+    state: str
+    view: str
+    index: int
+    rgba: Tensor
+    depth: Tensor | None
+    photos: Mapping[str, Photo]
+
+
+def evaluate(
+    methods: Sequence[Method],
+    states: Sequence[State],
+    *,
+    draw: Draw,
+    protocols: Sequence[Protocol] = (PAPR, STANDARD),
+    perceptual: Perceptual | None = None,
+    progress: Progress | None = None,
+    show: Callable[[Taken], None] | None = None,
+) -> list[ImageRow]:
+    """Score methods on states of a scene.
+
+    Args:
+        methods: at least one, names unique.
+        states: from `SceneStates.select`.
+        draw: the renderer.
+        protocols: ways to score images; every picture is taken once and scored by each.
+        perceptual: LPIPS networks; None leaves LPIPS out.
+        progress: called with (pictures done, pictures in all).
+        show: called with the pictures of every shot as soon as they are taken; they are not kept.
+
+    Returns:
+        One row per picture and protocol: states, views, methods, protocols from slow to fast.
+
+    Raises:
+        InputError: no method, names that repeat, or a picture that cannot be measured.
+    """
+    _check_names(methods)
+    total = len(methods) * sum(len(state.shots) for state in states)
+    rows: list[ImageRow] = []
+    done = 0
+    for state in states:
+        clouds = {m.name: _carry(m.cloud, state) for m in methods}
+        for index, shot in enumerate(state.shots):
+            rgba = shot.view.rgba()
+            depth = None if shot.depth is None else shot.depth()
+            photos: dict[str, Photo] = {}
+            for method in methods:
+                photo = _take(draw, method.papr, clouds[method.name], shot.camera)
+                photos[method.name] = photo
+                geometry = _geometry(photo, shot, rgba, depth, state.object_size)
+                for protocol in protocols:
+                    images = measure(protocol, photo.rgb, rgba, perceptual).row()
+                    rows.append(
+                        ImageRow(
+                            method=method.name,
+                            state=state.name,
+                            kind=state.kind,
+                            protocol=protocol.name,
+                            view=shot.view.name,
+                            scores={**images, **geometry},
+                        )
+                    )
+                done += 1
+                if progress is not None:
+                    progress(done, total)
+            if show is not None:
+                taken = Taken(
+                    state=state.name,
+                    view=shot.view.name,
+                    index=index,
+                    rgba=rgba,
+                    depth=depth,
+                    photos=photos,
+                )
+                show(taken)
+    return rows
+
+
+def _check_names(methods: Sequence[Method]) -> None:
+    names = [method.name for method in methods]
+    if not names or len({*names}) < len(names):
+        raise InputError(
+            "methods to compare: expected at least one and no name twice, got "
+            f"{', '.join(names) or 'none'}"
+        )
+
+
+def _carry(cloud: PointCloud, state: State) -> PointCloud:
+    positions = cloud.positions.detach()
+    return cloud.detached().moved(state.move(positions.cpu()).to(positions))
+
+
+def _take(draw: Draw, papr: Papr, cloud: PointCloud, camera: Camera) -> Photo:
+    with torch.no_grad():
+        return draw(papr, cloud, camera)
+
+
+def _geometry(
+    photo: Photo, shot: Shot, rgba: Tensor, depth: Tensor | None, size: float | None
+) -> Mapping[str, Value]:
+    """Geometry metrics; without a true shape only those that need the opacity alone."""
+    alpha = rgba[..., 3]
+    if depth is not None and size is not None:
+        truth = TrueGeometry(alpha=alpha, depth=depth, object_size=size)
+        return measure_geometry(photo.alpha, photo.depth, truth).row()
+    if not shot.view.has_alpha:
+        return _NO_GEOMETRY
+    # No pixel has a true depth: only coverage is judged, and nothing may claim more than that.
+    unknown = torch.full_like(alpha, torch.inf)
+    truth = TrueGeometry(alpha=alpha, depth=unknown, object_size=1.0)
+    drawn = torch.nan_to_num(photo.depth, nan=0.0, posinf=0.0, neginf=0.0)
+    scores = measure_geometry(photo.alpha, drawn, truth)
+    return replace(scores, hole_rate=None, depth_off_rate=None).row()
+
+
+_NO_GEOMETRY: Mapping[str, Value] = dict.fromkeys(
+    GeometryScores(
+        hole_rate=None,
+        see_through_rate=None,
+        depth_off_rate=None,
+        depth_error=None,
+        depth_error_relative=None,
+        spill=None,
+        spill_to_object=None,
+        solid_pixels=0,
+        empty_pixels=0,
+    ).row()
+)
+
+
+def mean(values: Sequence[Value]) -> float | None:
+    """Mean of the values that are there; None when none is. Infinity is shown, not hidden."""
+    known = [float(value) for value in values if value is not None]
+    return float(np.mean(known)) if known else None

@@ -1,0 +1,245 @@
+"""States of a scene that can be scored: where the points go and what the camera then sees.
+
+A state is the canonical scene, a deformed state with true images and meshes, or a uniform scale
+`scale:S`, whose truth is any real test view: points and camera centres that are scaled together
+about the origin give the same picture.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from pcore.data.load import find_states, load_scene, load_state
+from pcore.data.scene import Scene, View
+from pcore.errors import InputError, SceneError
+from pcore.evaluation.ground_truth import DeformedTruth, SurfaceAnchors, load_truth
+from pcore.geometry.camera import Camera
+
+CANONICAL = "canonical"
+ALL = "all"
+SCALE = "scale:"
+MESHES = "meshes.npz"
+
+Kind = Literal["canonical", "analytic", "skeletal"]
+"""`analytic` states have a formula for all of space, `skeletal` ones come from an animation."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shot:
+    """One picture to take of a state.
+
+    Attributes:
+        view: its true image, the caller's camera aside.
+        camera: where the picture is taken from; the view's own unless the state moves cameras.
+        depth: gives the true camera z (H, W), world units, infinite on the background; None when
+            the true shape is not known.
+    """
+
+    view: View
+    camera: Camera
+    depth: Callable[[], Tensor] | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class State:
+    """A state of a scene and its test views.
+
+    Attributes:
+        name: `canonical`, the name of a deformed state, or `scale:S`.
+        kind: what sort of deformation it is.
+        shots: the pictures to take, at least one.
+        move: carries canonical points (N, 3) to the state, world units.
+        object_size: diagonal of the canonical bounding box, world units; None without a mesh.
+    """
+
+    name: str
+    kind: Kind
+    shots: tuple[Shot, ...]
+    move: Callable[[Tensor], Tensor]
+    object_size: float | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneStates:
+    """The states of one scene folder.
+
+    Attributes:
+        path: the scene's folder.
+        scene: its canonical views.
+        factor: whole number by which images are down-scaled.
+        truth: the true meshes; None when the scene has none.
+    """
+
+    path: Path
+    scene: Scene
+    factor: int
+    truth: DeformedTruth | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the deformed states that can be scored."""
+        return () if self.truth is None else tuple(n for n in self._pictured if n in self._moved)
+
+    @property
+    def left_out(self) -> str | None:
+        """Text about states with true images that cannot be scored; None when there are none."""
+        names = [name for name in self._pictured if name not in self.names]
+        if not names:
+            return None
+        return (
+            f"left out: {', '.join(names)} of {self.path}: true images alone do not say where the "
+            f"points go; a state can be scored when {MESHES} holds its true mesh"
+        )
+
+    def select(self, wanted: Sequence[str]) -> list[State]:
+        """Build the canonical state and those wanted, in this order and without repetition.
+
+        Args:
+            wanted: names of states, `scale:S`, or `all` for every state that can be scored.
+
+        Raises:
+            InputError: an unknown state (the message lists the known ones) or a bad factor S.
+            SceneError: the scene has no test views, or a state has images but no mesh.
+        """
+        names: list[str] = []
+        for name in wanted:
+            names += self.names if name == ALL else [name]
+        return [self._build(name) for name in dict.fromkeys([CANONICAL, *names])]
+
+    def _build(self, name: str) -> State:
+        if name == CANONICAL:
+            return self._canonical()
+        if name.startswith(SCALE):
+            return self._scaled(name)
+        if name not in self._pictured:
+            known = ", ".join([CANONICAL, *self.names, f"{SCALE}S (for example {SCALE}2)", ALL])
+            raise InputError(f"{self.path}: no state {name!r}; expected one of {known}")
+        if name not in self.names or self.truth is None:
+            raise SceneError(
+                f"{self.path}: the state {name!r} has true images but no mesh in {MESHES}, so "
+                "nothing says where the points go and it cannot be scored; choose another state "
+                f"({', '.join([CANONICAL, *self.names])}), or render it with an edit file"
+            )
+        return self._deformed(name, self.truth)
+
+    def _canonical(self) -> State:
+        return State(
+            name=CANONICAL,
+            kind="canonical",
+            shots=tuple(self._shot(view, None) for view in self._test_views),
+            move=_stay,
+            object_size=self._size,
+        )
+
+    def _deformed(self, name: str, truth: DeformedTruth) -> State:
+        scene = load_state(self.path, name, factor=self.factor)
+        analytic = truth.record(name).type in ("simple_deform", "scale")
+        return State(
+            name=name,
+            kind="analytic" if analytic else "skeletal",
+            shots=tuple(self._shot(view, name) for view in scene.split("test")),
+            move=lambda points: self._carrier(points, name),
+            object_size=self._size,
+        )
+
+    def _scaled(self, name: str) -> State:
+        scale = _scale_factor(name)
+        shots: list[Shot] = []
+        for shot in self._canonical().shots:
+            pose = shot.camera.world_from_camera.clone()
+            pose[:3, 3] *= scale
+            depth = None if shot.depth is None else _times(shot.depth, scale)
+            shots.append(Shot(view=shot.view, camera=shot.camera.moved(pose), depth=depth))
+        return State(
+            name=name,
+            kind="analytic",
+            shots=tuple(shots),
+            move=lambda points: points * scale,
+            object_size=self._size,
+        )
+
+    def _shot(self, view: View, state: str | None) -> Shot:
+        truth = self.truth
+        depth = None if truth is None else (lambda: truth.depth(state, view.camera))
+        return Shot(view=view, camera=view.camera, depth=depth)
+
+    @property
+    def _test_views(self) -> tuple[View, ...]:
+        return self.scene.split("test")
+
+    @property
+    def _size(self) -> float | None:
+        return None if self.truth is None else self.truth.object_size
+
+    @cached_property
+    def _pictured(self) -> tuple[str, ...]:
+        return find_states(self.path)
+
+    @property
+    def _moved(self) -> tuple[str, ...]:
+        return () if self.truth is None else tuple(self.truth.states)
+
+    @cached_property
+    def _carrier(self) -> Callable[[Tensor, str], Tensor]:
+        if self.truth is None:
+            raise SceneError(f"{self.path}: no {MESHES}, nothing carries points")
+        return _Carrier(self.truth)
+
+
+class _Carrier:
+    """Carries points with a mesh; the search for closest points is done once per cloud."""
+
+    def __init__(self, truth: DeformedTruth) -> None:
+        self._truth = truth
+        self._known: list[tuple[Tensor, SurfaceAnchors]] = []
+
+    def __call__(self, points: Tensor, state: str) -> Tensor:
+        for cloud, anchors in self._known:
+            if cloud is points or torch.equal(cloud, points):
+                return self._truth.follow(anchors, state)
+        anchors = self._truth.anchor(points)
+        self._known.append((points, anchors))
+        return self._truth.follow(anchors, state)
+
+
+def open_states(path: Path, *, factor: int = 1) -> SceneStates:
+    """Open a scene folder for scoring.
+
+    Args:
+        path: the folder, as for `load_scene`; true meshes are used when it holds `meshes.npz`.
+        factor: whole number by which all true images are down-scaled.
+
+    Raises:
+        SceneError: no scene there, or files missing, damaged or inconsistent.
+        InputError: a factor that does not divide the image size.
+    """
+    scene = load_scene(path, factor=factor)
+    truth = load_truth(path) if (path / MESHES).is_file() else None
+    return SceneStates(path=path, scene=scene, factor=factor, truth=truth)
+
+
+def _scale_factor(name: str) -> float:
+    text = name.removeprefix(SCALE)
+    try:
+        scale = float(text)
+    except ValueError:
+        scale = math.nan
+    if not (math.isfinite(scale) and scale > 0):
+        raise InputError(f"state {name!r}: expected {SCALE}S with a factor S > 0, got {text!r}")
+    return scale
+
+
+def _times(depth: Callable[[], Tensor], scale: float) -> Callable[[], Tensor]:
+    return lambda: depth() * scale
+
+
+def _stay(points: Tensor) -> Tensor:
+    return points
