@@ -89,18 +89,24 @@ class Camera:
         """Return the same intrinsics at another pose."""
         return replace(self, world_from_camera=world_from_camera)
 
-    def rays(self) -> RayBundle:
-        """Rays through all pixel centres, (H, W), unit directions, world units."""
+    def rays(
+        self, top: int = 0, left: int = 0, height: int | None = None, width: int | None = None
+    ) -> RayBundle:
+        """Rays through the pixel centres of a rectangle, the whole image by default.
+
+        Returns:
+            (height, width) rays with unit directions, world units.
+        """
         pose = self.world_from_camera
-        x = (torch.arange(self.width, dtype=torch.float32) + 0.5 - self.cx) / self.fx
-        y = -(torch.arange(self.height, dtype=torch.float32) + 0.5 - self.cy) / self.fy
+        columns = torch.arange(left, left + width if width else self.width, dtype=torch.float32)
+        rows = torch.arange(top, top + height if height else self.height, dtype=torch.float32)
+        x = (columns + 0.5 - self.cx) / self.fx
+        y = -(rows + 0.5 - self.cy) / self.fy
         grid_y, grid_x = torch.meshgrid(y, x, indexing="ij")
         in_camera = torch.stack([grid_x, grid_y, -torch.ones_like(grid_x)], dim=-1)
         directions = in_camera @ pose[:3, :3].T
         directions = directions / directions.norm(dim=-1, keepdim=True)
-        return RayBundle(
-            origins=self.center.expand_as(directions), directions=directions
-        )
+        return RayBundle(origins=self.center.expand_as(directions), directions=directions)
 
     def depth(self, points: Tensor) -> Tensor:
         """Camera z of world points (..., 3): distance along the viewing axis, world units."""

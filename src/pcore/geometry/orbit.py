@@ -13,6 +13,8 @@ from pcore.geometry.camera import Camera
 
 _UP = (0.0, 0.0, 1.0)
 _PARALLEL = 1e-6
+_STEEPEST = math.radians(85)
+_MARGIN = 1.05
 
 
 def orbit_cameras(
@@ -47,16 +49,27 @@ def orbit_cameras(
 
 
 def orbit_like(
-    cameras: Sequence[Camera], center: Tensor, count: int, *, up: Tensor | None = None
+    cameras: Sequence[Camera],
+    center: Tensor,
+    count: int,
+    *,
+    elevation: float | None = None,
+    scale: float = 1.0,
+    size: tuple[int, int] | None = None,
+    up: Tensor | None = None,
 ) -> list[Camera]:
     """Orbit at the mean distance and mean elevation of given cameras.
 
-    It has the intrinsics of the first camera and begins at that camera's azimuth.
+    It begins at the azimuth of the first camera and has that camera's horizontal field of view,
+    with square pixels and the center in the middle of the picture.
 
     Args:
         cameras: at least one, such as the training cameras of a scene.
         center: (3,) what to look at, world units.
         count: how many cameras to make.
+        elevation: instead of the mean one, radians.
+        scale: factor on the mean distance, such as `growth` of an edited cloud.
+        size: (width, height) in pixels; None takes that of the first camera.
         up: as for `orbit_cameras`.
 
     Raises:
@@ -67,20 +80,37 @@ def orbit_like(
     offsets = torch.stack([camera.center for camera in cameras]) - center
     distances = offsets.norm(dim=1)
     side, ahead, top = _frame(up)
-    heights = (offsets @ top) / distances.clamp_min(1e-12)
-    elevation = float(torch.asin(heights.clamp(-1, 1)).mean())
-    # Cameras all around a sphere have their mean at the horizon; straight above there is none.
-    limit = math.radians(85)
-    start = math.atan2(float(offsets[0] @ ahead), float(offsets[0] @ side))
+    if elevation is None:
+        heights = (offsets @ top) / distances.clamp_min(1e-12)
+        mean = float(torch.asin(heights.clamp(-1, 1)).mean())
+        # All cameras may stand straight above, where an orbit has no way up in its pictures.
+        elevation = max(-_STEEPEST, min(_STEEPEST, mean))
     poses = _orbit_poses(
         center,
-        float(distances.mean()),
+        scale * float(distances.mean()),
         count,
-        elevation=max(-limit, min(limit, elevation)),
+        elevation=elevation,
         up=up,
-        start=start,
+        start=math.atan2(float(offsets[0] @ ahead), float(offsets[0] @ side)),
     )
-    return [cameras[0].moved(pose) for pose in poses]
+    first = cameras[0]
+    width, height = size or (first.width, first.height)
+    angle_x = 2 * math.atan(0.5 * first.width / first.fx)
+    return [Camera.from_fov(pose, width=width, height=height, angle_x=angle_x) for pose in poses]
+
+
+def fitting_distance(points: Tensor, center: Tensor, angle: float) -> float:
+    """Distance from `center` at which points (N, 3) fit a field of view of `angle` radians."""
+    radius = float((points.detach().cpu() - center.cpu()).norm(dim=-1).max())
+    return _MARGIN * max(radius, _PARALLEL) / math.sin(0.5 * angle)
+
+
+def growth(before: Tensor, after: Tensor, center: Tensor) -> float:
+    """Return by which factor points (N, 3) reach farther from `center` than before; at least 1."""
+    reaches = [
+        float((points.cpu() - center.cpu()).norm(dim=-1).max()) for points in (before, after)
+    ]
+    return max(1.0, reaches[1] / max(reaches[0], _PARALLEL))
 
 
 def _orbit_poses(

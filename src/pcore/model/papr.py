@@ -45,12 +45,15 @@ class Papr(nn.Module):
         self.attention = ProximityAttention(config)
         self.unet = Unet(config.value.size, config.unet_channels)
 
-    def forward(self, cloud: PointCloud, rays: RayBundle) -> Rendering:
+    def forward(
+        self, cloud: PointCloud, rays: RayBundle, background: Tensor | None = None
+    ) -> Rendering:
         """Render an (H, W) bundle of rays.
 
         Args:
             cloud: the points, canonical or deformed.
             rays: (H, W) rays, world units.
+            background: (3,) colour behind the object; None takes the configured one.
 
         Returns:
             The rendering, differentiable in the cloud and the networks.
@@ -60,7 +63,7 @@ class Papr(nn.Module):
         alpha = 1 - attended.background
         features = attended.features.reshape(height, width, -1)
         return Rendering(
-            rgb=self.shade(features, alpha.reshape(height, width)),
+            rgb=self.shade(features, alpha.reshape(height, width), background),
             alpha=alpha.reshape(height, width),
             surface=attended.surface.reshape(height, width, 3),
             weights=attended.weights.reshape(height, width, -1),
@@ -83,10 +86,11 @@ class Papr(nn.Module):
         )
         return _scatter(part, near, neighbours.shape), neighbours
 
-    def shade(self, features: Tensor, alpha: Tensor) -> Tensor:
-        """Colours (H, W, 3) of a feature map (H, W, C) over the background."""
+    def shade(self, features: Tensor, alpha: Tensor, background: Tensor | None = None) -> Tensor:
+        """Colours (H, W, 3) of a feature map (H, W, C) over a background (3,)."""
         colours = self.unet(features.permute(2, 0, 1).unsqueeze(0))[0].permute(1, 2, 0)
-        background = colours.new_tensor(self.config.background)
+        if background is None:
+            background = colours.new_tensor(self.config.background)
         opacity = alpha.unsqueeze(-1)
         return colours * opacity + background * (1 - opacity)
 

@@ -1,0 +1,214 @@
+"""Settings of pre-training and fine-tuning, and the presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from pcore.deform.sampler import DeformationRanges
+from pcore.errors import InputError
+from pcore.model.config import MlpConfig, PaprConfig
+from pcore.training.schedule import Schedule
+
+PresetName = Literal["tiny", "fast", "paper"]
+TrunkName = Literal["alex", "squeeze", "vgg"]
+Background = Literal["white", "black", "random"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rates:
+    """Learning rates; that of the points is in scaled units (world units times coord_scale)."""
+
+    points: Schedule
+    attention: Schedule
+    features: Schedule
+    influence: Schedule
+    unet: Schedule
+
+    def named(self) -> dict[str, Schedule]:
+        """Schedules by parameter group."""
+        return {
+            "points": self.points,
+            "attention": self.attention,
+            "features": self.features,
+            "influence": self.influence,
+            "unet": self.unet,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class PatchConfig:
+    """Which rays a step sees."""
+
+    side: int = 160
+    """Side of a square patch in pixels; images smaller than it are taken whole."""
+    views: int = 1
+    """Patches per step, each of another random training view."""
+
+    def __post_init__(self) -> None:
+        if self.side < 4 or self.views < 1:
+            raise InputError(
+                f"patches: expected a side of at least 4 pixels and at least 1 view, got "
+                f"{self.side} and {self.views}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PruneConfig:
+    """When points of little influence go."""
+
+    every: int = 500
+    first: int = 10_000
+    last: int = 150_000
+    threshold: float = 0.0
+    """Points whose influence is not above this are removed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GrowConfig:
+    """When points are added where the cloud is uneven."""
+
+    every: int = 1000
+    first: int = 20_000
+    last: int = 70_000
+    count: int = 1000
+    limit: int = 30_000
+    """No more points than this in all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PretrainConfig:
+    """Pre-training of PAPR on one scene; the defaults are the original's schedule."""
+
+    model: PaprConfig = field(default_factory=PaprConfig)
+    """Architecture."""
+    steps: int = 250_000
+    """Optimiser steps."""
+    patch: PatchConfig = field(default_factory=PatchConfig)
+    """Rays of a step."""
+    rates: Rates
+    """Learning rates."""
+    points: int = 3000
+    """Points at the start."""
+    start: str = "hull"
+    """"hull" (visual hull of the training masks), "grid" (the original's) or a PLY or NPY file."""
+    influence_start: float = 0.0
+    """Influence of every point at the start."""
+    feature_spread: float = 1.0
+    """Standard deviation of the random features at the start."""
+    lpips_weight: float = 0.0
+    """Weight of the LPIPS loss; its weights must be on this machine when it is positive."""
+    lpips_trunk: TrunkName = "vgg"
+    """Network of the LPIPS loss."""
+    opacity_weight: float = 0.0
+    """Weight of the squared error of the opacity against the alpha channel, where there is one."""
+    background: Background = "white"
+    """Behind images with alpha; "random" draws another colour every step and renders on white."""
+    prune: PruneConfig | None = None
+    """Removal of points; None keeps all."""
+    grow: GrowConfig | None = None
+    """Addition of points; None adds none."""
+    hold_out: int = 10
+    """Every so-manieth training view is kept for validation."""
+    validate_every: int = 5000
+    """Steps between validations."""
+    save_every: int = 5000
+    """Steps between saves."""
+    mixed_precision: bool = False
+    """Half precision on a GPU; the CPU always computes in float32."""
+    seed: int = 0
+    """Of every random draw."""
+
+    def __post_init__(self) -> None:
+        _check_positive(self, "steps", "points", "validate_every", "save_every")
+        if self.hold_out < 2:
+            raise InputError(f"pre-training: expected hold_out of at least 2, got {self.hold_out}")
+        if self.lpips_weight < 0 or self.opacity_weight < 0:
+            raise InputError(
+                "pre-training: expected weights of losses of 0 or more, got "
+                f"lpips_weight {self.lpips_weight}, opacity_weight {self.opacity_weight}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinetuneConfig:
+    """Self-supervised fine-tuning (paper, "Self-Supervised Fine-Tuning Objective")."""
+
+    steps: int = 500
+    """Optimiser steps."""
+    patch: PatchConfig = field(default_factory=PatchConfig)
+    """Rays of a step."""
+    rates: Rates
+    """Learning rates."""
+    points_only: bool = True
+    """Use the mode that deforms points and keeps the camera."""
+    rays_and_points: bool = True
+    """Use the mode that deforms points and ray origins."""
+    alternate: bool = False
+    """With both modes: one per step in turn, instead of the sum of both in every step."""
+    geometry_weight: float = 1.0
+    """lambda_geo; L_geo is measured in units of the cloud's bounding-box diagonal."""
+    texture_weight: float = 1.0
+    """lambda_tex."""
+    origin_distance: float = 0.5
+    """Rays-and-points mode: how far before the surface the moved origins lie, as a fraction of the
+    distance between camera and surface."""
+    background_rays: bool = True
+    """Deform rays of the background as well and ask them to stay background; otherwise only rays
+    of the foreground enter L_tex."""
+    texture_target: Literal["rendering", "photo"] = "rendering"
+    """What the deformed rendering is compared with: the canonical rendering (the paper) or the
+    training photo of the same rays."""
+    anchor: bool = False
+    """Take surface points and canonical renderings from the network before fine-tuning instead of
+    the one that is being tuned."""
+    train_points: bool = False
+    """Let gradients move the points."""
+    foreground_alpha: float = 0.5
+    """Rays whose canonical opacity is above this are foreground."""
+    opacity_weight: float = 0.0
+    """Weight of the squared error of the canonical opacity against the alpha channel."""
+    lpips_weight: float = 0.0
+    """Weight of LPIPS in the canonical photometric loss."""
+    lpips_trunk: TrunkName = "vgg"
+    """Network of the LPIPS loss."""
+    ranges: DeformationRanges = field(default_factory=DeformationRanges)
+    """What is drawn."""
+    average: float = 0.0
+    """Decay of the running average of weights that becomes the result; 0 keeps the last weights."""
+    largest_loss: float | None = None
+    """Stop early when the held-out canonical PSNR is this many dB under its start, and keep the
+    last weights that were not; None never stops."""
+    background: Background = "white"
+    """Behind images with alpha."""
+    hold_out: int = 10
+    """Every so-manieth training view is kept for validation."""
+    validate_every: int = 100
+    """Steps between validations."""
+    save_every: int = 100
+    """Steps between saves."""
+    mixed_precision: bool = False
+    """Half precision on a GPU."""
+    seed: int = 0
+    """Of every random draw."""
+
+    def __post_init__(self) -> None:
+        _check_positive(self, "steps", "validate_every", "save_every")
+        if not (self.points_only or self.rays_and_points):
+            raise InputError(
+                "fine-tuning: expected at least one of points_only and rays_and_points"
+            )
+        if not 0 < self.origin_distance <= 1:
+            raise InputError(
+                "fine-tuning: expected origin_distance above 0 and at most 1, got "
+                f"{self.origin_distance}"
+            )
+        if not 0 <= self.average < 1:
+            raise InputError(f"fine-tuning: expected 0 <= average < 1, got {self.average}")
+
+
+def _check_positive(config: PretrainConfig | FinetuneConfig, *names: str) -> None:
+    for name in names:
+        value = getattr(config, name)
+        if value < 1:
+            raise InputError(f"{type(config).__name__}: expected {name} >= 1, got {value}")

@@ -1,0 +1,134 @@
+"""Surface consistency under a deformation: D(surface(P)) = surface(D(P)) (paper, "Method")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pcore.deform.base import Deformation
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
+from pcore.model.papr import Papr, Rendering
+
+
+@dataclass(frozen=True, kw_only=True)
+class Canonical:
+    """What the canonical state says about a patch; all without gradient.
+
+    Attributes:
+        surface: (H, W, 3) surface points s.
+        foreground: (H, W) whether a ray meets the object.
+        near: (H, W) whether a ray has any point within the cut-off (all, without one).
+        ends: (H, W, 3) where on each ray it ends: beside s for the foreground, beside the nearest
+            point for the background.
+        rgb: (H, W, 3) the rendering, or the photo, that the deformed rendering should repeat.
+    """
+
+    surface: Tensor
+    foreground: Tensor
+    near: Tensor
+    ends: Tensor
+    rgb: Tensor
+
+
+def canonical_of(
+    rendering: Rendering, cloud: PointCloud, rays: RayBundle, rgb: Tensor, foreground_alpha: float
+) -> Canonical:
+    """Stop the gradient (sg of the paper) and find where every ray ends.
+
+    The end is the projection of the surface point ON the ray: aiming at the surface point itself,
+    which lies up to a point spacing beside the ray, would shift the picture and blur it.
+    """
+    surface = rendering.surface.detach()
+    foreground = rendering.alpha.detach() > foreground_alpha
+    nearest = cloud.positions.detach()[rendering.neighbours[..., 0]]
+    target = torch.where(foreground.unsqueeze(-1), surface, nearest)
+    along = ((target - rays.origins) * rays.directions).sum(dim=-1, keepdim=True)
+    return Canonical(
+        surface=surface,
+        foreground=foreground,
+        near=rendering.weights.detach().sum(dim=-1) > 0,
+        ends=rays.origins + along * rays.directions,
+        rgb=rgb.detach(),
+    )
+
+
+def points_only_rays(rays: RayBundle, canonical: Canonical, deformation: Deformation) -> RayBundle:
+    """Rays from the original origins to the deformed ends (paper, "Points-only mode")."""
+    return _towards(rays.origins, deformation(canonical.ends))
+
+
+def rays_and_points_rays(
+    rays: RayBundle, canonical: Canonical, deformation: Deformation, origin_distance: float
+) -> RayBundle:
+    """Rays from deformed origins near the surface to the deformed ends ("Rays-and-points mode").
+
+    Args:
+        rays: (H, W) canonical rays.
+        canonical: where they end.
+        deformation: the field D.
+        origin_distance: how far before the end the origin is put, as a fraction of the distance
+            between camera and end.
+    """
+    origins = canonical.ends + origin_distance * (rays.origins - canonical.ends)
+    return _towards(deformation(origins), deformation(canonical.ends))
+
+
+def _towards(origins: Tensor, ends: Tensor) -> RayBundle:
+    difference = ends - origins
+    return RayBundle(
+        origins=origins,
+        directions=difference / difference.norm(dim=-1, keepdim=True).clamp_min(1e-12),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Consistency:
+    """L_geo and L_tex of one mode.
+
+    Attributes:
+        geometry: mean squared distance over the foreground (Eq. geo), in squared `unit`s.
+        texture: mean squared difference of colours.
+    """
+
+    geometry: Tensor
+    texture: Tensor
+
+
+def consistency(
+    papr: Papr,
+    deformed: PointCloud,
+    rays: RayBundle,
+    canonical: Canonical,
+    deformation: Deformation,
+    *,
+    unit: float,
+    background: Tensor,
+    background_rays: bool,
+) -> Consistency:
+    """Render the deformed cloud along deformed rays and compare with what was deformed.
+
+    Args:
+        papr: the networks that are tuned.
+        deformed: D(P).
+        rays: (H, W) deformed rays.
+        canonical: what the canonical state says.
+        deformation: the field D.
+        unit: length in which L_geo is measured, world units.
+        background: (3,) colour behind the object.
+        background_rays: whether rays of the background enter L_tex.
+
+    Returns:
+        Both losses; zero where the patch has no foreground.
+    """
+    rendering = papr(deformed, rays, background)
+    foreground = canonical.foreground
+    offset = rendering.surface - deformation(canonical.surface)
+    seen = foreground & (rendering.weights.detach().sum(dim=-1) > 0)
+    geometry = (offset / unit).square().sum(dim=-1)[seen].sum() / foreground.sum().clamp_min(1)
+    difference = (rendering.rgb - canonical.rgb).square().mean(dim=-1)
+    chosen = torch.ones_like(foreground) if background_rays else foreground
+    texture = (difference * chosen).sum() / difference.numel()
+    return Consistency(geometry=geometry, texture=texture)

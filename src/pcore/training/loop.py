@@ -1,0 +1,242 @@
+"""The loop that both stages share: rates, steps, validation, saving, interruption."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+
+import torch
+
+from pcore.data.scene import View
+from pcore.errors import TrainingError
+from pcore.model.provenance import provenance_of
+from pcore.training.config import Background, Rates
+from pcore.training.events import Listener, Saved, StepReport, Stopped, ValidationReport
+from pcore.training.losses import Losses
+from pcore.training.output import RunFolder
+from pcore.training.trainable import Trainable, restore
+from pcore.training.trained import Trained
+from pcore.training.validation import validate
+
+_REPORT_EVERY = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What a loop does besides its steps.
+
+    Attributes:
+        steps: optimiser steps in all.
+        rates: learning rates.
+        validate_every: steps between validations.
+        save_every: steps between saves.
+        average: decay of the running average of weights, 0 for none.
+        validation: held-out training views.
+        background: behind images with alpha.
+        scene: name of the scene, for the model file.
+    """
+
+    steps: int
+    rates: Rates
+    validate_every: int
+    save_every: int
+    average: float
+    validation: Sequence[View]
+    background: Background
+    scene: str
+
+
+def run_loop(
+    work: Trainable,
+    plan: Plan,
+    losses: Callable[[], Losses],
+    *,
+    after_step: Callable[[Listener], None] = lambda listener: None,
+    accept: Callable[[float], bool] = lambda psnr: True,
+    folder: RunFolder | None = None,
+    listener: Listener,
+) -> Trained:
+    """Train to the last step, or to the first validation that `accept` refuses.
+
+    Args:
+        work: what is trained; continued from the folder's state when it holds one.
+        plan: steps, rates, validation, saving.
+        losses: draws a batch and computes the terms of the coming step, with gradients.
+        after_step: changes the population.
+        accept: whether to go on after a validation of this PSNR.
+        folder: where to save; None keeps everything in memory.
+        listener: told everything.
+
+    Raises:
+        TrainingError: the loss is not finite, or the folder cannot be written.
+        KeyboardInterrupt: after Ctrl-C, with everything saved.
+    """
+    _resume(work, folder)
+    clock = _Clock(work.step, plan.steps)
+    with _deferred_interrupt() as interrupted:
+        while work.step < plan.steps:
+            found = _step(work, plan, losses)
+            after_step(listener)
+            if work.step % _REPORT_EVERY == 0 or work.step == plan.steps:
+                listener(_report(work, plan, found, clock))
+            go_on = True
+            if work.step % plan.validate_every == 0 or work.step == plan.steps:
+                go_on = _validate(work, plan, accept, listener)
+            last = work.step == plan.steps or not go_on or bool(interrupted)
+            if last or work.step % plan.save_every == 0:
+                _save(work, plan, folder, listener, finished=last and not interrupted)
+            if interrupted:
+                _stop(work, folder, listener)
+            if not go_on:
+                listener(Stopped(stage=work.stage, step=work.step, reason="early"))
+                return _result(work)
+    listener(Stopped(stage=work.stage, step=work.step, reason="finished"))
+    return _result(work)
+
+
+def _step(work: Trainable, plan: Plan, losses: Callable[[], Losses]) -> Losses:
+    work.set_rates(plan.rates, plan.steps)
+    work.optimizer.zero_grad(set_to_none=True)
+    found = losses()
+    found.total.backward()
+    work.optimizer.step()
+    work.step += 1
+    if plan.average > 0:
+        work.update_average(plan.average)
+    return found
+
+
+def _report(work: Trainable, plan: Plan, found: Losses, clock: _Clock) -> StepReport:
+    loss = float(found.total.detach())
+    if not math.isfinite(loss):
+        raise TrainingError(
+            f"{work.stage}: the loss is {loss} at step {work.step}; what was saved before is "
+            "untouched. Lower the learning rates, or check the images and poses"
+        )
+    error = float(found.squared_error)
+    return StepReport(
+        stage=work.stage,
+        step=work.step,
+        steps=plan.steps,
+        loss=loss,
+        losses={name: float(term.detach()) for name, term in found.terms.items()},
+        psnr=-10 * math.log10(max(error, 1e-12)),
+        points=len(work.cloud),
+        seconds_left=clock.seconds_left(work.step),
+        rates={group["name"]: group["lr"] for group in work.optimizer.param_groups},
+    )
+
+
+def _validate(
+    work: Trainable, plan: Plan, accept: Callable[[float], bool], listener: Listener
+) -> bool:
+    if not plan.validation:
+        return True
+    scores = validate(work.result(), plan.validation, plan.background)
+    psnr = scores["psnr"]
+    go_on = accept(psnr)
+    best = psnr > work.best.get("psnr", -math.inf)
+    if best:
+        work.best = {**work.best, "psnr": psnr, "step": work.step}
+    if go_on and "weights" in work.best:
+        work.best["weights"] = {k: t.clone() for k, t in (work.average or work.weights()).items()}
+    listener(
+        ValidationReport(
+            stage=work.stage,
+            step=work.step,
+            psnr=psnr,
+            views=len(plan.validation),
+            scores=scores,
+            best=best,
+        )
+    )
+    return go_on
+
+
+def _result(work: Trainable) -> Trained:
+    """Return the last weights that validation accepted, where those are kept, else the last."""
+    return work.result(work.best.get("weights"))
+
+
+def _resume(work: Trainable, folder: RunFolder | None) -> None:
+    state = folder.load_state() if folder is not None else None
+    if state is not None:
+        restore(work, state)
+
+
+def _save(
+    work: Trainable, plan: Plan, folder: RunFolder | None, listener: Listener, *, finished: bool
+) -> None:
+    if folder is None:
+        return
+    folder.save_state(work.state())
+    listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
+    result = _result(work)
+    config = result.papr.config
+    folder.save_model(
+        result.papr.state_dict(),
+        result.cloud,
+        config,
+        provenance_of(
+            result.cloud,
+            config,
+            scene=plan.scene,
+            stage="pretrain" if work.stage == "pretrain" else "finetune",
+            step=work.step,
+        ),
+    )
+    listener(Saved(stage=work.stage, step=work.step, path=str(folder.model)))
+    best = {key: value for key, value in work.best.items() if isinstance(value, int | float)}
+    folder.update(status="finished" if finished else "stopped", step=work.step, validation=best)
+
+
+def _stop(work: Trainable, folder: RunFolder | None, listener: Listener) -> None:
+    listener(Stopped(stage=work.stage, step=work.step, reason="interrupted"))
+    if folder is None:
+        raise KeyboardInterrupt(f"{work.stage} stopped at step {work.step}; nothing was saved")
+    raise KeyboardInterrupt(
+        f"step {work.step} is saved in {folder.path}; go on with the same command and --resume"
+    )
+
+
+class _Clock:
+    """Estimates the time that is left from the steps of this process."""
+
+    def __init__(self, first: int, steps: int) -> None:
+        self._first, self._steps, self._start = first, steps, time.monotonic()
+
+    def seconds_left(self, step: int) -> float | None:
+        done = step - self._first
+        return (time.monotonic() - self._start) * (self._steps - step) / done if done else None
+
+
+@contextmanager
+def _deferred_interrupt() -> Generator[list[int]]:
+    """Collect Ctrl-C until the step is complete; a second one interrupts at once."""
+    seen: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield seen  # Signals only reach the main thread.
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if seen:
+            raise KeyboardInterrupt
+        seen.append(number)
+
+    signal.signal(signal.SIGINT, handle)
+    try:
+        yield seen
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def autocast(device: torch.device, *, enabled: bool) -> torch.autocast:
+    """Half precision on a GPU (bfloat16 needs no loss scaling); never on the CPU."""
+    return torch.autocast(device.type, dtype=torch.bfloat16, enabled=enabled and device.type != "cpu")

@@ -1,0 +1,72 @@
+"""Photometric losses that both stages share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pcore.model.papr import Papr, Rendering
+from pcore.training.config import TrunkName
+from pcore.training.patches import Patch
+from pcore.training.perceptual import load_lpips
+
+Perceptual = Callable[[Tensor, Tensor], Tensor]
+"""Distance of two (1, 3, H, W) images in [-1, 1]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Losses:
+    """Weighted terms by name.
+
+    Attributes:
+        terms: scalars with gradient; their sum is what is minimised.
+        squared_error: mean squared error of the patch, for its PSNR.
+    """
+
+    terms: Mapping[str, Tensor]
+    squared_error: Tensor
+
+    @property
+    def total(self) -> Tensor:
+        """The sum."""
+        return torch.stack(list(self.terms.values())).sum()
+
+
+def perceptual_loss(weight: float, trunk: TrunkName, device: torch.device) -> Perceptual | None:
+    """Return the LPIPS network when its loss is asked for.
+
+    Raises:
+        WeightsError: its weights are not on this machine; the message says where to put them.
+    """
+    return load_lpips(trunk, device=device) if weight > 0 else None
+
+
+def photometric(
+    rendering: Rendering,
+    patch: Patch,
+    *,
+    opacity_weight: float,
+    lpips_weight: float,
+    perceptual: Perceptual | None,
+) -> Losses:
+    """L_rgb: squared error, LPIPS and opacity against the alpha channel (paper: "as in PAPR")."""
+    error = (rendering.rgb - patch.rgb).square().mean()
+    terms = {"rgb": error}
+    if perceptual is not None:
+        images = [_as_lpips(image) for image in (rendering.rgb, patch.rgb)]
+        terms["lpips"] = lpips_weight * perceptual(*images).mean()
+    if opacity_weight > 0 and patch.alpha is not None:
+        terms["opacity"] = opacity_weight * (rendering.alpha - patch.alpha).square().mean()
+    return Losses(terms=terms, squared_error=error.detach())
+
+
+def background_of(papr: Papr, patch: Patch) -> Tensor:
+    """Colour (3,) behind the object in this patch."""
+    return patch.background.to(papr.unet.outc.weight)
+
+
+def _as_lpips(image: Tensor) -> Tensor:
+    return 2 * image.permute(2, 0, 1).unsqueeze(0) - 1

@@ -1,0 +1,70 @@
+"""Random patches of training views: rays and what they should show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pcore.data.images import background_color, composite
+from pcore.data.scene import View
+from pcore.geometry.rays import RayBundle
+from pcore.training.config import Background, PatchConfig
+
+_TRIES = 20
+_LEAST_COVERAGE = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Patch:
+    """A square of one view.
+
+    Attributes:
+        rays: (H, W) rays, world units.
+        rgb: (H, W, 3) photo over the background.
+        alpha: (H, W) coverage, None for photos without an alpha channel.
+        background: (3,) colour behind the object.
+    """
+
+    rays: RayBundle
+    rgb: Tensor
+    alpha: Tensor | None
+    background: Tensor
+
+
+def draw_patch(
+    views: Sequence[View],
+    config: PatchConfig,
+    background: Background,
+    generator: torch.Generator,
+    device: torch.device,
+) -> Patch:
+    """Draw a view and a patch of it; patches that miss the object are drawn again.
+
+    Returns:
+        The patch on `device`; every draw comes from `generator`.
+    """
+    view = views[_draw(len(views), generator)]
+    camera = view.camera
+    height, width = min(config.side, camera.height), min(config.side, camera.width)
+    rgba = view.rgba()
+    for _ in range(_TRIES):
+        top = _draw(camera.height - height + 1, generator)
+        left = _draw(camera.width - width + 1, generator)
+        crop = rgba[top : top + height, left : left + width]
+        if not view.has_alpha or float(crop[..., 3].mean()) > _LEAST_COVERAGE:
+            break
+    color = background_color(background, generator)
+    rays = camera.rays(top, left, height, width)
+    return Patch(
+        rays=RayBundle(origins=rays.origins.to(device), directions=rays.directions.to(device)),
+        rgb=composite(crop, color).to(device),
+        alpha=crop[..., 3].to(device) if view.has_alpha else None,
+        background=color.to(device),
+    )
+
+
+def _draw(bound: int, generator: torch.Generator) -> int:
+    return int(torch.randint(bound, (1,), generator=generator))

@@ -1,0 +1,103 @@
+"""Named settings: `paper` (the original), `fast` (one GPU, minutes), `tiny` (2 CPU cores, minutes)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import get_args
+
+from pcore.errors import InputError
+from pcore.model.config import MlpConfig, PaprConfig
+from pcore.training.config import (
+    FinetuneConfig,
+    GrowConfig,
+    PatchConfig,
+    PresetName,
+    PretrainConfig,
+    PruneConfig,
+    Rates,
+)
+from pcore.training.schedule import Schedule
+
+_PAPER_RATES = Rates(
+    points=Schedule(base=2e-3),
+    attention=Schedule(base=3e-4, warmup=10_000, final=0.5),
+    features=Schedule(base=1e-3, warmup=10_000, final=0.5),
+    influence=Schedule(base=1e-3, warmup=10_000, final=0.5),
+    unet=Schedule(base=1e-4, warmup=10_000, final=0.5),
+)
+_SMALL_RATES = Rates(
+    points=Schedule(base=2e-3, warmup=100, final=0.02),
+    attention=Schedule(base=1e-3, warmup=100, final=0.02),
+    features=Schedule(base=1e-2, warmup=100, final=0.02),
+    influence=Schedule(base=1e-2, warmup=100, final=0.02),
+    unet=Schedule(base=1e-3, warmup=100, final=0.02),
+)
+
+
+def _small_model(*, neighbours: int, width: int, unet: int) -> PaprConfig:
+    return PaprConfig(
+        neighbours=neighbours,
+        feature_size=width // 2,
+        key=MlpConfig(layers=3, width=width, size=width),
+        query=MlpConfig(layers=3, width=width, size=width),
+        value=MlpConfig(layers=4, width=width, size=32),
+        unet_channels=(unet, 2 * unet, 4 * unet),
+        cutoff=0.12,
+    )
+
+
+PAPER = PretrainConfig(
+    rates=_PAPER_RATES,
+    points=3000,
+    lpips_weight=0.01,
+    prune=PruneConfig(),
+    grow=GrowConfig(),
+    mixed_precision=True,
+)
+"""The original's sizes and schedule; asks for LPIPS weights (VGG-16)."""
+
+FAST = PretrainConfig(
+    model=_small_model(neighbours=12, width=128, unet=48),
+    rates=_SMALL_RATES,
+    steps=20_000,
+    points=20_000,
+    influence_start=1.0,
+    feature_spread=0.5,
+    opacity_weight=0.1,
+    mixed_precision=True,
+    validate_every=2000,
+    save_every=2000,
+)
+"""For one GPU; asks for no weights."""
+
+TINY = PretrainConfig(
+    model=_small_model(neighbours=8, width=64, unet=24),
+    rates=_SMALL_RATES,
+    steps=4500,
+    patch=PatchConfig(side=100),
+    points=6000,
+    influence_start=1.0,
+    feature_spread=0.5,
+    opacity_weight=0.1,
+    validate_every=500,
+    save_every=500,
+)
+"""For 2 CPU cores; asks for no weights."""
+
+_PRESETS: dict[PresetName, PretrainConfig] = {"tiny": TINY, "fast": FAST, "paper": PAPER}
+
+
+def preset(name: PresetName) -> PretrainConfig:
+    """Return the pre-training settings of that name.
+
+    Raises:
+        InputError: there is no such preset.
+    """
+    if name not in _PRESETS:
+        raise InputError(f"preset: expected one of {', '.join(get_args(PresetName))}, got {name!r}")
+    return _PRESETS[name]
+
+
+def demo_pretrain() -> PretrainConfig:
+    """Return `tiny`, shortened for the embedded sample."""
+    return replace(TINY, steps=1200, points=4000, validate_every=300, save_every=300)

@@ -1,0 +1,217 @@
+"""Pre-training of PAPR on the photos of one scene."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from pcore.data.points import load_points
+from pcore.data.scene import Scene, View, hold_out
+from pcore.errors import InputError, TrainingError
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.papr import Papr
+from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
+from pcore.training.events import Listener, PopulationReport, silent
+from pcore.training.loop import Plan, autocast, run_loop
+from pcore.training.losses import Losses, perceptual_loss, photometric
+from pcore.training.output import RunFolder
+from pcore.training.patches import draw_patch
+from pcore.training.population import (
+    grid_points,
+    growth_mixture,
+    growth_sites,
+    hull_points,
+    replace_rows,
+)
+from pcore.training.trainable import Trainable, trainable
+from pcore.training.trained import Trained
+
+_GRID_HALF_SIDE = 1.2
+
+
+def pretrain(
+    scene: Scene,
+    config: PretrainConfig,
+    *,
+    folder: RunFolder | None = None,
+    listener: Listener = silent,
+    device: str = "cpu",
+) -> Trained:
+    """Learn points and attention from the training views.
+
+    Args:
+        scene: its `train` split is used, nothing else; every `hold_out`-th view only validates.
+        config: architecture and schedule.
+        folder: where to save and what to continue from; None keeps everything in memory.
+        listener: told of steps, validations, saves.
+        device: "cpu", "cuda", ...
+
+    Returns:
+        The networks and the canonical points.
+
+    Raises:
+        InputError: the scene has no silhouettes for a visual hull, or a bad starting cloud.
+        WeightsError: LPIPS was asked for and its weights are missing.
+        TrainingError: diverged, ran out of points, or cannot write.
+        KeyboardInterrupt: Ctrl-C, after saving.
+    """
+    where = torch.device(device)
+    perceptual = perceptual_loss(config.lpips_weight, config.lpips_trunk, where)
+    views, validation = hold_out(scene.split("train"), every=config.hold_out)
+    work = _begin(scene, views, config, where)
+
+    def losses() -> Losses:
+        patches = [
+            draw_patch(views, config.patch, config.background, work.generator, where)
+            for _ in range(config.patch.views)
+        ]
+        found: list[Losses] = []
+        for patch in patches:
+            with autocast(where, enabled=config.mixed_precision):
+                rendering = work.papr(work.cloud, patch.rays, patch.background)
+            found.append(
+                photometric(
+                    rendering,
+                    patch,
+                    opacity_weight=config.opacity_weight,
+                    lpips_weight=config.lpips_weight,
+                    perceptual=perceptual,
+                )
+            )
+        return mean_of(found)
+
+    return run_loop(
+        work,
+        Plan(
+            steps=config.steps,
+            rates=config.rates,
+            validate_every=config.validate_every,
+            save_every=config.save_every,
+            average=0.0,
+            validation=validation,
+            background=config.background,
+            scene=scene.name,
+        ),
+        losses,
+        after_step=lambda tell: _change_population(work, config, tell),
+        folder=folder,
+        listener=listener,
+    )
+
+
+def mean_of(losses: Sequence[Losses]) -> Losses:
+    """Mean of the same terms over several patches."""
+    count = len(losses)
+    return Losses(
+        terms={
+            name: torch.stack([one.terms[name] for one in losses if name in one.terms]).sum() / count
+            for name in dict.fromkeys(name for one in losses for name in one.terms)
+        },
+        squared_error=torch.stack([one.squared_error for one in losses]).mean(),
+    )
+
+
+def _begin(
+    scene: Scene, views: Sequence[View], config: PretrainConfig, device: torch.device
+) -> Trainable:
+    # Weights come from torch's global generator; fork it so that the library leaves it alone.
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        papr = Papr(_model_config(config))
+        generator = torch.Generator().manual_seed(config.seed)
+        positions = _start_positions(scene, views, config, generator)
+        features = torch.randn(len(positions), papr.config.feature_size, generator=generator)
+    cloud = PointCloud(
+        positions=positions.to(device),
+        features=(config.feature_spread * features).to(device),
+        influence=torch.full((len(positions),), config.influence_start, device=device),
+    )
+    return trainable("pretrain", papr.to(device), cloud, seed=config.seed + 1)
+
+
+def _model_config(config: PretrainConfig):  # noqa: ANN202
+    color = (0.0, 0.0, 0.0) if config.background == "black" else (1.0, 1.0, 1.0)
+    return dataclasses.replace(config.model, background=color)
+
+
+def _start_positions(
+    scene: Scene, views: Sequence[View], config: PretrainConfig, generator: torch.Generator
+) -> Tensor:
+    if config.start == "grid":
+        half = torch.full((3,), _GRID_HALF_SIDE)
+        return grid_points(config.points, -half, half)
+    if config.start != "hull":
+        return load_points(Path(config.start))
+    if not all(view.has_alpha for view in views):
+        raise InputError(
+            f"scene {scene.name}: expected images with an alpha channel for a visual hull, got "
+            'photos without one; start from "grid" or from a PLY or NPY file of points'
+        )
+    return hull_points(config.points, views, scene.lower, scene.upper, generator=generator)
+
+
+def _due(step: int, when: PruneConfig | GrowConfig) -> bool:
+    return when.first <= step <= when.last and step % when.every == 0
+
+
+def _change_population(work: Trainable, config: PretrainConfig, listener: Listener) -> None:
+    pruned = grown = 0
+    if config.prune is not None and _due(work.step, config.prune):
+        pruned = _prune(work, config.prune)
+    if config.grow is not None and _due(work.step, config.grow):
+        grown = _grow(work, config.grow)
+    if pruned or grown:
+        points = len(work.cloud)
+        listener(
+            PopulationReport(
+                stage=work.stage, step=work.step, pruned=pruned, grown=grown, points=points
+            )
+        )
+
+
+def _prune(work: Trainable, config: PruneConfig) -> int:
+    keep = work.cloud.influence.detach() > config.threshold
+    kept = int(keep.sum())
+    if kept == 0:
+        raise TrainingError(
+            f"pruning at step {work.step}: no point has an influence above {config.threshold}, the "
+            "cloud would be empty; prune later, lower the threshold or the learning rates"
+        )
+    if kept < len(work.cloud):
+        _replace(work, keep, {name: t[:0] for name, t in _tensors(work.cloud).items()})
+    return len(keep) - kept
+
+
+def _grow(work: Trainable, config: GrowConfig) -> int:
+    count = min(config.count, config.limit - len(work.cloud))
+    if count <= 0:
+        return 0
+    positions = work.cloud.positions.detach()
+    parents, weights = growth_mixture(positions, growth_sites(positions, count), work.generator)
+    new = {
+        name: torch.einsum("ap,ap...->a...", weights, tensor[parents])
+        for name, tensor in _tensors(work.cloud).items()
+    }
+    _replace(work, torch.ones(len(positions), dtype=torch.bool, device=positions.device), new)
+    return count
+
+
+def _tensors(cloud: PointCloud) -> dict[str, Tensor]:
+    return {
+        "positions": cloud.positions.detach(),
+        "features": cloud.features.detach(),
+        "influence": cloud.influence.detach(),
+    }
+
+
+def _replace(work: Trainable, keep: Tensor, new: dict[str, Tensor]) -> None:
+    work.cloud = PointCloud(
+        **{
+            name: replace_rows(work.optimizer, getattr(work.cloud, name), keep, rows)
+            for name, rows in new.items()
+        }
+    )

@@ -1,0 +1,154 @@
+"""The working state of a training loop: networks, points, optimiser, draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from pcore.errors import CheckpointError
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.papr import Papr
+from pcore.training.config import Rates
+from pcore.training.state import TrainingState, generator_states, restore_generators
+from pcore.training.trained import Trained
+
+_CLOUD = ("positions", "features", "influence")
+
+
+@dataclass(kw_only=True)
+class Trainable:
+    """What a loop changes from step to step.
+
+    Attributes:
+        stage: "pretrain" or "finetune".
+        papr: the networks.
+        cloud: the points; its tensors are parameters.
+        optimizer: Adam with one group per entry of `Rates`.
+        generator: source of every random draw of the loop.
+        step: steps done.
+        average: running average of all weights by name; empty where none is kept.
+        best: figures of the best validation, and its weights where they are kept.
+    """
+
+    stage: str
+    papr: Papr
+    cloud: PointCloud
+    optimizer: torch.optim.Optimizer
+    generator: torch.Generator
+    step: int = 0
+    average: dict[str, Tensor] = field(default_factory=dict[str, Tensor])
+    best: dict[str, Any] = field(default_factory=dict[str, Any])
+
+    def weights(self) -> dict[str, Tensor]:
+        """All weights by name, sharing memory with the training."""
+        cloud = {f"cloud.{name}": getattr(self.cloud, name).detach() for name in _CLOUD}
+        networks = {f"papr.{name}": t.detach() for name, t in self.papr.state_dict().items()}
+        return {**cloud, **networks}
+
+    def set_rates(self, rates: Rates, steps: int) -> None:
+        """Set the learning rate of every group for the coming step."""
+        for group, schedule in zip(self.optimizer.param_groups, rates.named().values(), strict=True):
+            group["lr"] = schedule.at(self.step, steps)
+        # The points' rate is in scaled units, the points themselves are in world units.
+        self.optimizer.param_groups[0]["lr"] /= self.papr.config.coord_scale
+
+    def update_average(self, decay: float) -> None:
+        """Move the running average towards the weights; it starts as the first weights it sees."""
+        weights = self.weights()
+        if not self.average:
+            self.average = {name: tensor.clone() for name, tensor in weights.items()}
+        for name, tensor in self.average.items():
+            tensor.lerp_(weights[name], 1 - decay)
+
+    def result(self, weights: Mapping[str, Tensor] | None = None) -> Trained:
+        """Networks and points to hand over: of `weights`, or the average, or as they are."""
+        return rebuild(self.papr, weights or self.average or self.weights(), self.step)
+
+    def state(self) -> TrainingState:
+        """What `restore` needs to go on exactly."""
+        return TrainingState(
+            stage=self.stage,
+            step=self.step,
+            papr={name: t.detach() for name, t in self.papr.state_dict().items()},
+            cloud={name: getattr(self.cloud, name).detach() for name in _CLOUD},
+            optimisers={"adam": self.optimizer.state_dict()},
+            generators=generator_states({"draws": self.generator}),
+            average=dict(self.average),
+            best=self.best,
+        )
+
+
+def trainable(
+    stage: str, papr: Papr, cloud: PointCloud, *, seed: int, train_points: bool = True
+) -> Trainable:
+    """Return networks and a cloud made ready to train, with Adam."""
+    device = cloud.positions.device
+    tensors = {name: nn.Parameter(getattr(cloud, name).detach().clone()) for name in _CLOUD}
+    tensors["positions"].requires_grad_(train_points)
+    papr.requires_grad_(True)
+    parameters = [
+        [tensors["positions"]],
+        list(papr.attention.parameters()),
+        [tensors["features"]],
+        [tensors["influence"]],
+        list(papr.unet.parameters()),
+    ]
+    groups = [
+        {"params": group, "name": name}
+        for name, group in zip(Rates.__dataclass_fields__, parameters, strict=True)
+    ]
+    return Trainable(
+        stage=stage,
+        papr=papr,
+        cloud=PointCloud(**tensors),
+        optimizer=torch.optim.Adam(groups, fused=device.type in ("cpu", "cuda")),
+        generator=torch.Generator().manual_seed(seed),
+    )
+
+
+def restore(work: Trainable, state: TrainingState) -> None:
+    """Put `work` into a saved state, exactly.
+
+    Raises:
+        CheckpointError: the state belongs to another stage or another architecture.
+    """
+    if state.stage != work.stage:
+        raise CheckpointError(
+            f"training state: expected one of stage {work.stage!r}, got {state.stage!r}; "
+            "resume it with the command that made it"
+        )
+    device = work.cloud.positions.device
+    try:
+        work.papr.load_state_dict(state.papr)
+    except RuntimeError as error:
+        raise CheckpointError(
+            f"training state: its networks have another architecture ({error}); resume with the "
+            "configuration that it was started with"
+        ) from error
+    old = work.cloud
+    tensors = {name: nn.Parameter(state.cloud[name].to(device)) for name in _CLOUD}
+    tensors["positions"].requires_grad_(old.positions.requires_grad)
+    work.cloud = PointCloud(**tensors)
+    swaps = {id(getattr(old, name)): tensors[name] for name in _CLOUD}
+    for group in work.optimizer.param_groups:
+        group["params"] = [swaps.get(id(p), p) for p in group["params"]]
+    work.optimizer.load_state_dict(state.optimisers["adam"])
+    restore_generators({"draws": work.generator}, state.generators)
+    work.step = state.step
+    work.average = {name: tensor.to(device) for name, tensor in state.average.items()}
+    work.best = dict(state.best)
+
+
+def rebuild(like: Papr, weights: Mapping[str, Tensor], step: int) -> Trained:
+    """Return networks like `like` and a cloud from named weights, copied and without gradients."""
+    papr = Papr(like.config).to(next(iter(weights.values())).device)
+    prefix = "papr."
+    papr.load_state_dict(
+        {name.removeprefix(prefix): t for name, t in weights.items() if name.startswith(prefix)}
+    )
+    cloud = PointCloud(**{name: weights[f"cloud.{name}"].detach().clone() for name in _CLOUD})
+    return Trained(papr=papr.requires_grad_(False).eval(), cloud=cloud, step=step)

@@ -1,0 +1,23 @@
+"""What training hands over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.papr import Papr
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trained:
+    """Networks and points, ready to render.
+
+    Attributes:
+        papr: the networks, without gradients.
+        cloud: the canonical points.
+        step: steps of the stage that made it.
+    """
+
+    papr: Papr
+    cloud: PointCloud
+    step: int
