@@ -9,7 +9,7 @@ import torch
 
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
-from pcore.geometry.orbit import orbit_cameras, orbit_like
+from pcore.geometry.orbit import fitting_distance, growth, orbit_cameras, orbit_like
 
 CENTER = torch.tensor([0.3, -0.2, 0.5])
 
@@ -60,7 +60,7 @@ def test_an_orbit_like_an_orbit_is_the_same() -> None:
     given = orbit(count=5)
     for a, b in zip(given, orbit_like(given, CENTER, 5), strict=True):
         torch.testing.assert_close(a.world_from_camera, b.world_from_camera, atol=1e-6, rtol=0)
-        assert a.fx == b.fx
+        assert a.fx == pytest.approx(b.fx)
 
 
 def test_an_orbit_like_cameras_has_their_mean_distance_and_elevation() -> None:
@@ -105,3 +105,30 @@ def test_an_orbit_needs_cameras_to_be_like() -> None:
     camera = Camera.from_fov(at_center, width=8, height=6, angle_x=0.7)
     with pytest.raises(InputError, match="a positive distance"):
         orbit_like([camera], CENTER, 3)
+
+
+def test_an_orbit_like_cameras_can_be_changed() -> None:
+    given = orbit(4)
+    made = orbit_like(given, CENTER, 4, elevation=0.1, scale=2.0, size=(16, 6))
+    assert float((made[2].center - CENTER).norm()) == pytest.approx(6.0, abs=1e-5)
+    assert math.asin(float(made[2].center[2] - CENTER[2]) / 6) == pytest.approx(0.1, abs=1e-5)
+    assert (made[2].width, made[2].height) == (16, 6)
+    assert made[2].fx == pytest.approx(2 * given[0].fx)
+
+
+def test_points_at_the_fitting_distance_are_in_the_picture() -> None:
+    points = torch.randn(200, 3) + CENTER
+    distance = fitting_distance(points, CENTER, 0.7)
+    for camera in orbit(5, distance=distance, width=20, height=20):
+        local = (points - camera.center) @ camera.world_from_camera[:3, :3]
+        pixels = 20 * 0.5 + camera.fx * local[:, :2] / -local[:, 2:]
+        assert float(pixels.min()) > 0
+        assert float(pixels.max()) < 20
+    assert fitting_distance(points, CENTER, 1.4) < distance
+
+
+def test_growth_is_how_much_farther_points_reach() -> None:
+    points = torch.randn(50, 3)
+    assert growth(points, CENTER + 3 * (points - CENTER), CENTER) == pytest.approx(3, abs=1e-5)
+    assert growth(points, CENTER + 0.3 * (points - CENTER), CENTER) == 1
+    assert growth(points[:1], points[:1], points[0]) == 1

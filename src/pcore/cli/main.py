@@ -44,6 +44,9 @@ class Verb:
 
 
 VERBS: tuple[Verb, ...] = (
+    Verb("train", "pcore.cli.train", "TrainCommand", "learn a scene from its photos"),
+    Verb("finetune", "pcore.cli.finetune", "FinetuneCommand", "make a run ready to be deformed"),
+    Verb("render", "pcore.cli.render", "RenderCommand", "take pictures of a run, also deformed"),
     Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),
     Verb("deform", "pcore.cli.deform", "DeformCommand", "apply an edit file to any points"),
     Verb(

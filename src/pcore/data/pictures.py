@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from PIL import Image
 from torch import Tensor
 
 from pcore.errors import InputError
+from pcore.geometry.camera import Camera
 
 # Lightness, chroma and hue (degrees) of the near and the far end in Oklab's polar form: the map
 # gets evenly darker and never as bright as the white that stands for "nothing there".
@@ -73,6 +74,23 @@ def depth_picture(depth: Tensor, alpha: Tensor, *, near: float, far: float) -> T
     colors = _depth_colors()[(share * (_COLORS - 1)).round().long()]
     opacity = torch.where(depth.isnan(), 0.0, alpha.clamp(0, 1)).unsqueeze(-1)
     return colors * opacity + (1 - opacity)
+
+
+def depth_range(points: Tensor, cameras: Sequence[Camera]) -> tuple[float, float]:
+    """Return near and far for `depth_picture`: one range for all pictures of these points.
+
+    Args:
+        points: (N, 3) world units; the outermost hundredth on either side is left out, because a
+            learned cloud has strays.
+        cameras: at least one.
+    """
+    shares = torch.tensor([0.01, 0.99])
+    positions = points.detach().cpu().float()
+    ends = torch.stack([torch.quantile(camera.depth(positions), shares) for camera in cameras])
+    near, far = float(ends[:, 0].min()), float(ends[:, 1].max())
+    # A single point, or a flat cloud seen from the front, has no range of its own.
+    slack = 0.0 if far > near else max(abs(near), 1.0) * 0.01
+    return near - slack, far + slack
 
 
 def normal_picture(normals: Tensor, world_from_camera: Tensor) -> Tensor:

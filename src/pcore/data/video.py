@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
@@ -33,53 +35,79 @@ def require_video() -> Any:
     return av
 
 
-def write_video(path: Path, frames: Iterable[Tensor], *, fps: int = 30) -> int:
-    """Write an MP4 (H.264, yuv420p, streamable) and return its number of frames.
+class VideoWriter:
+    """Writes an MP4 (H.264, yuv420p, streamable) frame by frame. Use it in a `with` statement.
 
-    Odd sides are made even by repeating the last row or column, as the format demands.
-
-    Args:
-        path: where to; replaced whole.
-        frames: colours (H, W, 3), all of one size, float in [0, 1] (clamped) or uint8.
-        fps: frames per second.
-
-    Raises:
-        DependencyError: the package `av` (extra `video`) is missing.
-        InputError: no frames, or frames of another size or shape.
-        OSError: the file cannot be written; an old one is untouched.
+    The file appears when the block ends without an error; until then an old one stays. Odd sides
+    are made even by repeating the last row or column, as the format demands.
     """
-    av = require_video()
-    check_count("video: fps", fps)
-    # Moving the index to the front reads the file again: it cannot be written to memory.
-    with replacing(path) as partial:
-        with av.open(partial, "w", format="mp4", options={"movflags": "faststart"}) as container:
-            return _encode(av, container, path, frames, fps)
 
+    def __init__(self, path: Path, *, fps: int = 30) -> None:
+        """Prepare a video of `fps` frames per second.
 
-def _encode(av: Any, container: Any, path: Path, frames: Iterable[Tensor], fps: int) -> int:
-    count, shape, stream = 0, None, None
-    for frame in frames:
-        if stream is None:
-            _check_shape(path, frame)
-            shape, stream = frame.shape, _stream(container, frame, fps)
-        if frame.shape != shape:
-            raise InputError(
-                f"{path}: expected frames of one size, got {tuple(frame.shape)} after "
-                f"{tuple(shape or ())}"
+        Raises:
+            DependencyError: the package `av` (extra `video`) is missing.
+        """
+        self._av = require_video()
+        self._path, self._fps = path, check_count("video: fps", fps)
+        self._shape: torch.Size | None = None
+        self._stream: Any | None = None
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            # Moving the index to the front reads the file again: memory alone would not do.
+            partial = stack.enter_context(replacing(self._path))
+            options = {"movflags": "faststart"}
+            self._container = stack.enter_context(
+                self._av.open(partial, "w", format="mp4", options=options)
             )
-        container.mux(stream.encode(av.VideoFrame.from_ndarray(_pixels(frame), format="rgb24")))
-        count += 1
-    if stream is None:
-        raise InputError(f"{path}: expected at least one frame for a video, got none")
-    container.mux(stream.encode(None))
+            self._stack = stack.pop_all()
+        return self
+
+    def add(self, frame: Tensor) -> None:
+        """Append colours (H, W, 3), float in [0, 1] (clamped) or uint8; InputError when misfit."""
+        stream = self._begin(frame) if self._stream is None else self._stream
+        if frame.shape != self._shape:
+            raise InputError(
+                f"{self._path}: expected frames of one size, got {tuple(frame.shape)} after "
+                f"{tuple(self._shape or ())}"
+            )
+        image = self._av.VideoFrame.from_ndarray(_pixels(frame), format="rgb24")
+        self._container.mux(stream.encode(image))
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is not None:
+            self._stack.__exit__(kind, error, trace)
+            return
+        with self._stack:
+            if self._stream is None:
+                raise InputError(f"{self._path}: expected at least one frame for a video, got none")
+            self._container.mux(self._stream.encode(None))
+
+    def _begin(self, frame: Tensor) -> Any:
+        if frame.ndim != 3 or frame.shape[2] != 3 or min(frame.shape) < 1:
+            raise InputError(f"{self._path}: expected frames (H, W, 3), got {tuple(frame.shape)}")
+        self._shape = frame.shape
+        stream = self._container.add_stream("libx264", rate=self._fps, options={"crf": _QUALITY})
+        stream.height, stream.width = _even(frame.shape[0]), _even(frame.shape[1])
+        stream.pix_fmt = "yuv420p"
+        self._stream = stream
+        return stream
+
+
+def write_video(path: Path, frames: Iterable[Tensor], *, fps: int = 30) -> int:
+    """Write frames (H, W, 3) as an MP4 and return their number; see `VideoWriter`."""
+    count = 0
+    with VideoWriter(path, fps=fps) as video:
+        for frame in frames:
+            video.add(frame)
+            count += 1
     return count
-
-
-def _stream(container: Any, frame: Tensor, fps: int) -> Any:
-    stream = container.add_stream("libx264", rate=fps, options={"crf": _QUALITY})
-    stream.height, stream.width = _even(frame.shape[0]), _even(frame.shape[1])
-    stream.pix_fmt = "yuv420p"
-    return stream
 
 
 def _pixels(frame: Tensor) -> Any:
@@ -94,8 +122,3 @@ def _pixels(frame: Tensor) -> Any:
 
 def _even(side: int) -> int:
     return side + side % 2
-
-
-def _check_shape(path: Path, frame: Tensor) -> None:
-    if frame.ndim != 3 or frame.shape[2] != 3 or min(frame.shape) < 1:
-        raise InputError(f"{path}: expected frames (H, W, 3), got {tuple(frame.shape)}")

@@ -1,0 +1,120 @@
+"""Which cameras a picture is taken from: those of a file, of a split, or an orbit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pcore.errors import InputError, SceneError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from pcore.data.scene import Scene
+    from pcore.geometry.camera import Camera
+
+Size = tuple[int, int]
+Named = list[tuple[str, "Camera"]]
+
+_FOV_DEGREES = 40.0
+_ELEVATION_DEGREES = 25.0
+_SIZE = (400, 400)
+_SAME_SHAPE = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrbitWish:
+    """What is asked of an orbit; None leaves it to the scene, or to a default without one."""
+
+    count: int
+    size: Size | None = None
+    fov_degrees: float | None = None
+    elevation_degrees: float | None = None
+
+
+def cameras_of_file(path: Path, size: Size | None) -> Named:
+    """Cameras of a transforms file, in its order; `size` wins over the size in the file."""
+    from pcore.data.load import load_cameras
+
+    width, height = size or (None, None)
+    try:
+        return load_cameras(path, width=width, height=height)
+    except SceneError as error:
+        if size is None and "says no image size" in str(error):
+            raise InputError(
+                f"{path}: says no image size; add 'w' and 'h' to it, or use --size W H"
+            ) from error
+        raise
+
+
+def cameras_of_split(scene: Scene, split: str, size: Size | None) -> Named:
+    """Cameras of a split of a scene, named like its views.
+
+    Raises:
+        InputError: a size of another shape than the images have.
+        SceneError: the scene has no such split.
+    """
+    return [(view.name, _resized(view.camera, size)) for view in scene.split(split)]
+
+
+def orbit_of_scene(scene: Scene, wish: OrbitWish, *, scale: float = 1.0) -> Named:
+    """Orbit that resembles the training cameras of a scene, `scale` times as far away."""
+    from pcore.geometry.orbit import orbit_like
+
+    split = "train" if "train" in scene.splits else scene.splits[0]
+    cameras = orbit_like(
+        [view.camera for view in scene.split(split)],
+        scene.center,
+        wish.count,
+        elevation=_radians(wish.elevation_degrees),
+        scale=scale,
+        size=wish.size,
+    )
+    return _numbered(cameras)
+
+
+def orbit_of_cloud(points: Tensor, wish: OrbitWish) -> Named:
+    """Orbit from which all of `points` (N, 3), world units, are in the picture."""
+    from pcore.geometry.orbit import fitting_distance, orbit_cameras
+
+    center = 0.5 * (points.amin(dim=0) + points.amax(dim=0))
+    width, height = wish.size or _SIZE
+    fov = math.radians(_FOV_DEGREES if wish.fov_degrees is None else wish.fov_degrees)
+    if not 0 < fov < math.pi:
+        raise InputError(f"--fov: expected degrees between 0 and 180, got {wish.fov_degrees}")
+    smaller = 2 * math.atan(math.tan(0.5 * fov) * min(1.0, height / width))
+    elevation = _ELEVATION_DEGREES if wish.elevation_degrees is None else wish.elevation_degrees
+    cameras = orbit_cameras(
+        center,
+        fitting_distance(points, center, smaller),
+        wish.count,
+        elevation=math.radians(elevation),
+        width=width,
+        height=height,
+        angle_x=fov,
+    )
+    return _numbered(cameras)
+
+
+def _numbered(cameras: list[Camera]) -> Named:
+    digits = max(3, len(str(len(cameras) - 1)))
+    return [(f"frame_{i:0{digits}}", camera) for i, camera in enumerate(cameras)]
+
+
+def _radians(degrees: float | None) -> float | None:
+    return None if degrees is None else math.radians(degrees)
+
+
+def _resized(camera: Camera, size: Size | None) -> Camera:
+    if size is None:
+        return camera
+    width, height = size
+    if min(size) < 1 or abs(width * camera.height / (height * camera.width) - 1) > _SAME_SHAPE:
+        raise InputError(
+            f"--size: expected the shape of the images, which are {camera.width} x "
+            f"{camera.height}, got {width} x {height}; use a multiple of it, or --cameras with a "
+            "file of your own"
+        )
+    return camera.resized(width, height)

@@ -1,0 +1,156 @@
+"""Rendering many views into files, with a bar."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from pcore.cli.cameras import Named
+    from pcore.data.video import VideoWriter
+    from pcore.geometry.camera import Camera
+    from pcore.geometry.point_cloud import PointCloud
+    from pcore.model.papr import Papr
+    from pcore.model.render import Picture
+
+FPS = 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """Which files are written; colours always are, as PNG or in the video."""
+
+    png: bool
+    """NAME.png of every view."""
+    video: bool
+    """All views as orbit.mp4."""
+    depth: bool = False
+    """NAME_depth.png and orbit_depth.mp4."""
+    normals: bool = False
+    """NAME_normals.png and orbit_normals.mp4."""
+    raw: bool = False
+    """NAME.npz of every view."""
+
+
+def draw(
+    papr: Papr, cloud: PointCloud, views: Named, output: Path, wanted: Wanted, console: Console
+) -> list[Path]:
+    """Render views and write them into the folder `output`.
+
+    Returns:
+        The files, videos first.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C; its message says what is complete.
+    """
+    from pcore.data.pictures import depth_range
+    from pcore.model.render import render
+
+    shades = depth_range(cloud.positions, [camera for _, camera in views])
+    files: list[Path] = []
+    try:
+        with ExitStack() as stack:
+            films = _Films(output, stack)
+            tell = stack.enter_context(_bar(console, len(views)))
+            for index, (name, camera) in enumerate(views):
+                picture = render(papr, cloud, camera, progress=lambda p, i=index: tell(i + p))
+                layers = _layers(picture, camera, wanted, shades)
+                if wanted.video:
+                    films.add(layers)
+                files += _write(output, name, picture, camera, layers, wanted)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"{len(files)} complete files are in {output}; no video was written. The same command "
+            "with --overwrite begins again"
+        ) from None
+    return [*films.paths, *files]
+
+
+def _layers(
+    picture: Picture, camera: Camera, wanted: Wanted, shades: tuple[float, float]
+) -> dict[str, Tensor]:
+    """Colours (H, W, 3) by the ending of their file's name."""
+    from pcore.data.pictures import depth_picture, normal_picture
+    from pcore.model.render import normals
+
+    layers = {"": picture.rgb}
+    if wanted.depth:
+        near, far = shades
+        layers["_depth"] = depth_picture(picture.depth, picture.alpha, near=near, far=far)
+    if wanted.normals:
+        layers["_normals"] = normal_picture(normals(picture, camera), camera.world_from_camera)
+    return layers
+
+
+def _write(
+    output: Path,
+    name: str,
+    picture: Picture,
+    camera: Camera,
+    layers: dict[str, Tensor],
+    wanted: Wanted,
+) -> list[Path]:
+    from pcore.data.pictures import write_png, write_raw
+    from pcore.model.render import normals
+
+    files: list[Path] = []
+    if wanted.png:
+        for ending, rgb in layers.items():
+            files.append(output / f"{name}{ending}.png")
+            write_png(files[-1], rgb)
+    if wanted.raw:
+        arrays = {
+            "rgb": picture.rgb,
+            "alpha": picture.alpha,
+            "depth": picture.depth,
+            "surface": picture.surface,
+        }
+        if wanted.normals:
+            arrays["normals"] = normals(picture, camera)
+        files.append(output / f"{name}.npz")
+        write_raw(files[-1], **arrays)
+    return files
+
+
+class _Films:
+    """One video per layer, begun with the first frame."""
+
+    def __init__(self, output: Path, stack: ExitStack) -> None:
+        self._output, self._stack = output, stack
+        self._writers: dict[str, VideoWriter] = {}
+
+    @property
+    def paths(self) -> list[Path]:
+        return [self._output / f"orbit{ending}.mp4" for ending in self._writers]
+
+    def add(self, layers: dict[str, Tensor]) -> None:
+        from pcore.data.video import VideoWriter
+
+        for ending, rgb in layers.items():
+            if ending not in self._writers:
+                path = self._output / f"orbit{ending}.mp4"
+                self._writers[ending] = self._stack.enter_context(VideoWriter(path, fps=FPS))
+            self._writers[ending].add(rgb)
+
+
+@contextmanager
+def _bar(console: Console, total: int) -> Generator[Callable[[float], None]]:
+    progress = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    )
+    task = progress.add_task("views", total=total)
+    with progress:
+        yield lambda done: progress.update(task, completed=done)

@@ -1,0 +1,163 @@
+"""`pcore finetune RUN`: make a pre-trained run ready to be deformed (P-CORE)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from rich.console import Console
+from tyro.conf import Positional, arg
+
+from pcore.cli.runtime import DeviceName
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.model.checkpoint import SavedModel
+    from pcore.training.config import FinetuneConfig
+    from pcore.training.output import RunFolder
+
+PresetName = Literal["tiny", "fast", "paper"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinetuneCommand:
+    """Fine-tune a run so that its surface follows any deformation; the run itself is not changed.
+
+    Only training views of the undeformed scene are used.
+    """
+
+    run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a pre-trained run, our own or imported."""
+
+    output: Annotated[Path | None, arg(aliases=["-o"], metavar="OUT")] = None
+    """Folder to make; new or empty, unless --resume. Default: RUN-pcore beside RUN."""
+
+    scene: Path | None = None
+    """Folder of the scene; default: the one the run was trained on."""
+
+    factor: int | None = None
+    """Down-scaling of the images; default: that of the training."""
+
+    preset: PresetName | None = None
+    """Settings; default: those of the preset the run was trained with, paper for imported runs."""
+
+    steps: int | None = None
+    """Optimiser steps; default: those of the preset."""
+
+    seed: int = 0
+    """Of every random draw."""
+
+    resume: bool = False
+    """Go on exactly where the run in the output folder was interrupted."""
+
+    tensorboard: bool = True
+    """Write OUT/tensorboard as well; needs the extra `log`."""
+
+    device: DeviceName = "auto"
+    """Where to train; auto takes a GPU where there is one."""
+
+    threads: int | None = None
+    """Threads of the CPU; default: all cores."""
+
+    def run(self) -> None:
+        """Fine-tune; raises PcoreError subclasses for what the user can mend."""
+        finetune_run(self, Console())
+
+
+def finetune_run(command: FinetuneCommand, console: Console) -> None:
+    """Fine-tune as the command says.
+
+    Raises:
+        CheckpointError: there is no run, or its model is missing or damaged.
+        SceneError: the scene cannot be read.
+        InputError: no scene on record, or an output folder in use.
+        WeightsError: the preset asks for LPIPS weights that are missing.
+        TrainingError: training diverged or cannot write.
+        KeyboardInterrupt: Ctrl-C, after saving.
+    """
+    from pcore.cli.runtime import pick_device, prepare_torch, recorded_factor
+    from pcore.cli.sessions import Session, disk_space, run_session, show_result
+    from pcore.cli.stages import relative
+    from pcore.cli.train import announce, check_weights
+    from pcore.data.load import load_scene
+    from pcore.model.checkpoint import load_model
+    from pcore.model.records import to_dict
+    from pcore.training.finetune import finetune
+    from pcore.training.output import RunFolder
+    from pcore.training.trained import Trained
+
+    prepare_torch(command.threads)
+    device = pick_device(command.device)
+    run, saved = RunFolder.open(command.run_folder), load_model(command.run_folder)
+    folder, output = _scene(command, run), _output(command)
+    factor = command.factor or recorded_factor(run)
+    scene = load_scene(folder, factor=factor)
+    name, config = _config(command, run, saved)
+    check_weights(config.lpips_weight, config.lpips_trunk)
+    announce(console, scene, f"{name}, {config.steps:,} steps on {device}")
+    base = Trained(papr=saved.papr(), cloud=saved.cloud, step=saved.provenance.step)
+    record = {
+        "base": relative(command.run_folder, output),
+        "preset": name,
+        "factor": factor,
+        "finetune": to_dict(config),
+    }
+    session = Session(
+        path=output,
+        stage="finetune",
+        scene=folder,
+        config=record,
+        resume=command.resume,
+        tensorboard=command.tensorboard,
+        needed=disk_space(saved.config, len(saved.cloud)),
+    )
+    run_session(
+        session,
+        lambda out, tell: finetune(scene, base, config, folder=out, listener=tell, device=device),
+        console,
+    )
+    show_result(console, output, next_command=f"pcore render {output} --edit edit.json")
+
+
+def _scene(command: FinetuneCommand, run: RunFolder) -> Path:
+    from pcore.cli.runtime import recorded_scene
+
+    folder = command.scene or recorded_scene(run)
+    if folder is None:
+        raise InputError(
+            f"{command.run_folder}: the scene it was trained on ({run.scene or 'not recorded'}) is "
+            "not a folder here; give the scene's folder with --scene"
+        )
+    return folder
+
+
+def _output(command: FinetuneCommand) -> Path:
+    """Folder for the result; never the run itself."""
+    run = command.run_folder.resolve()
+    if command.output is None:
+        # Typed paths stay as they are typed: they are shown to who typed them.
+        parent = command.run_folder.parent if command.run_folder.name else run.parent
+        return parent / f"{run.name}-pcore"
+    if command.output.resolve() == run:
+        raise InputError(
+            f"{command.output}: expected a folder other than that of the run it starts from, "
+            "which is left as it is; use another -o"
+        )
+    return command.output
+
+
+def _config(
+    command: FinetuneCommand, run: RunFolder, saved: SavedModel
+) -> tuple[PresetName, FinetuneConfig]:
+    """Name of the preset and its settings with what the command changes."""
+    from pcore.training.presets import finetune_preset
+
+    recorded = run.config.get("preset")
+    known: tuple[PresetName, ...] = ("tiny", "fast", "paper")
+    name: PresetName = command.preset or next((one for one in known if one == recorded), "paper")
+    black = saved.config.background == (0.0, 0.0, 0.0)
+    changes: dict[str, Any] = {"seed": command.seed, "background": "black" if black else "white"}
+    if command.steps is not None:
+        changes["steps"] = command.steps
+    return name, replace(finetune_preset(name), **changes)

@@ -1,0 +1,198 @@
+"""`pcore render RUN`: pictures and orbits of a run, as it is or deformed by an edit file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from rich.console import Console
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from pcore.cli.runtime import DeviceName
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.cli.cameras import Named
+    from pcore.geometry.point_cloud import PointCloud
+    from pcore.training.output import RunFolder
+
+_FRAMES = 60
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderCommand:
+    """Render a run: an orbit as video, the views of a split, or any cameras; deformed or not."""
+
+    run_or_file: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a run, or a model.safetensors."""
+
+    edit: Path | None = None
+    """Edit file (JSON) to deform the points with; bound to the canonical cloud."""
+
+    cameras: Path | None = None
+    """Take the cameras of this transforms file (NeRF-Synthetic form); no images are needed."""
+
+    split: Literal["train", "val", "test"] | None = None
+    """Take the cameras of this split of the scene."""
+
+    orbit: int | None = None
+    """Go once around the object in so many frames (the default: 60) and write an MP4."""
+
+    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """Folder for the pictures; default: one in RUN/renders, named after cameras and edit."""
+
+    raw: bool = False
+    """Also write an .npz per view: rgb (unclamped), alpha, depth, surface; float32, world units."""
+
+    depth: bool = False
+    """Also write depth as pictures, one range of colours for all views."""
+
+    normals: bool = False
+    """Also write normals of the surface as pictures; with --raw in world axes as well."""
+
+    frames: bool = False
+    """Write the frames of an orbit as PNG files too."""
+
+    size: tuple[int, int] | None = None
+    """Width and height of the pictures in pixels; default: that of the scene's images."""
+
+    scene: Path | None = None
+    """Folder of the scene for --split and --orbit; default: the one the run was trained on."""
+
+    factor: int | None = None
+    """Down-scaling of the scene's image size; default: that of the training."""
+
+    fov: float | None = None
+    """Horizontal field of view of an orbit in degrees; fits the orbit to the points."""
+
+    elevation: float | None = None
+    """Height of the orbit above the horizon in degrees; default: mean of the training cameras."""
+
+    overwrite: bool = False
+    """Write into a folder that holds files already, and replace those of the same name."""
+
+    device: DeviceName = "auto"
+    """Where to compute; auto takes a GPU where there is one."""
+
+    threads: int | None = None
+    """Threads of the CPU; default: all cores."""
+
+    def run(self) -> None:
+        """Render; raises PcoreError subclasses for what the user can mend."""
+        render_run(self, Console())
+
+
+def render_run(command: RenderCommand, console: Console) -> None:
+    """Render what the command asks for, write the files and say where they are.
+
+    Raises:
+        CheckpointError: no model there, or it is damaged.
+        EditError: the edit file is not valid or folds space.
+        SceneError: the cameras cannot be read.
+        InputError: contradicting options, or an output folder in use.
+        DependencyError: a video is asked for and its package is missing.
+    """
+    from pcore.cli.draw import Wanted, draw
+    from pcore.cli.runtime import open_model, pick_device, prepare_output, prepare_torch
+    from pcore.data.video import require_video
+
+    _check(command)
+    prepare_torch(command.threads)
+    device = pick_device(command.device)
+    saved, run = open_model(command.run_or_file)
+    cloud = _edited(saved.cloud, command.edit)
+    views = _views(command, run, saved.cloud, cloud, console)
+    if _films(command):
+        require_video()
+    output = command.output or _default_output(command)
+    prepare_output(output, overwrite=command.overwrite)
+    wanted = Wanted(
+        png=command.frames or not _films(command),
+        video=_films(command),
+        depth=command.depth,
+        normals=command.normals,
+        raw=command.raw,
+    )
+    files = draw(saved.papr().to(device), cloud, views, output, wanted, console)
+    _tell(console, views, output, files)
+
+
+def _check(command: RenderCommand) -> None:
+    given = [name for name in ("cameras", "split", "orbit") if getattr(command, name) is not None]
+    if len(given) > 1:
+        names = " and ".join(f"--{name}" for name in given)
+        raise InputError(f"expected one of --cameras, --split and --orbit, got {names}")
+    for name in ("fov", "elevation", "frames"):
+        if getattr(command, name) and not _films(command):
+            raise InputError(f"--{name} is for orbits: leave out --{given[0]}, or --{name}")
+
+
+def _films(command: RenderCommand) -> bool:
+    return command.cameras is None and command.split is None
+
+
+def _edited(cloud: PointCloud, edit: Path | None) -> PointCloud:
+    """Return the cloud deformed by an edit file, computed in double precision."""
+    if edit is None:
+        return cloud
+    from pcore.editing.script import load_edit
+
+    deformation = load_edit(edit).bind(cloud.positions)
+    return cloud.moved(deformation(cloud.positions.double()).float())
+
+
+def _views(
+    command: RenderCommand,
+    run: RunFolder | None,
+    canonical: PointCloud,
+    cloud: PointCloud,
+    console: Console,
+) -> Named:
+    from pcore.cli import cameras
+    from pcore.cli.runtime import recorded_factor, recorded_scene
+    from pcore.data.load import load_scene
+    from pcore.geometry.orbit import growth
+
+    if command.cameras is not None:
+        return cameras.cameras_of_file(command.cameras, command.size)
+    folder = command.scene or recorded_scene(run)
+    factor = command.factor or recorded_factor(run)
+    if command.split is not None:
+        if folder is None:
+            raise InputError(
+                f"{command.run_or_file}: the scene it was trained on "
+                f"({'not recorded' if run is None else run.scene}) is not a folder here; give it "
+                "with --scene, or use --cameras or --orbit"
+            )
+        scene = load_scene(folder, factor=factor)
+        return cameras.cameras_of_split(scene, command.split, command.size)
+    wish = cameras.OrbitWish(
+        count=_FRAMES if command.orbit is None else command.orbit,
+        size=command.size,
+        fov_degrees=command.fov,
+        elevation_degrees=command.elevation,
+    )
+    if folder is None or command.fov is not None:
+        if folder is None:
+            console.print("no scene at hand: the orbit is fitted to the points")
+        return cameras.orbit_of_cloud(cloud.positions, wish)
+    scene = load_scene(folder, factor=factor)
+    # An edit that makes the object larger moves the cameras back.
+    reach = growth(canonical.positions, cloud.positions, scene.center)
+    return cameras.orbit_of_scene(scene, wish, scale=reach)
+
+
+def _default_output(command: RenderCommand) -> Path:
+    path = command.run_or_file
+    renders = (path if path.is_dir() else path.parent) / "renders"
+    what = command.cameras.stem if command.cameras else command.split or "orbit"
+    return renders / (f"{what}-{command.edit.stem}" if command.edit else what)
+
+
+def _tell(console: Console, views: Named, output: Path, files: list[Path]) -> None:
+    camera = views[0][1]
+    names = ", ".join(file.name for file in files[:3]) + ", ..." * (len(files) > 3)
+    text = f"{len(views)} views of {camera.width} x {camera.height} pixels in {output}: {names}"
+    console.print(Text(text), soft_wrap=True)

@@ -1,0 +1,117 @@
+"""What the heavy verbs do before they begin: device, threads, memory, folder for the output."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from pcore.model.checkpoint import SavedModel
+    from pcore.training.output import RunFolder
+
+DeviceName = Literal["auto", "cpu", "cuda"]
+
+
+def prepare_torch(threads: int | None = None) -> None:
+    """Set this process up for heavy work; call it once, before large tensors are made.
+
+    Args:
+        threads: of torch and of the kernels; None leaves torch's choice.
+
+    Raises:
+        InputError: fewer than one thread.
+    """
+    import torch
+
+    from pcore.kernels.memory import keep_freed_memory
+    from pcore.validation import check_count
+
+    if threads is not None:
+        torch.set_num_threads(check_count("--threads", threads))
+    keep_freed_memory()
+    # Vanishing weights of the softmax and Adam's moments would be computed in slow motion.
+    torch.set_flush_denormal(True)
+
+
+def pick_device(name: DeviceName) -> str:
+    """Return the device to compute on: "cuda" or "cpu"; auto takes a GPU where there is one.
+
+    Raises:
+        InputError: a GPU was asked for and torch finds none.
+    """
+    import torch
+
+    from pcore.errors import InputError
+
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if name == "cuda" and not torch.cuda.is_available():
+        why = (
+            "this torch was built for the CPU only; install one with CUDA"
+            if torch.version.cuda is None
+            else "check the driver"
+        )
+        raise InputError(
+            f"--device cuda: expected a GPU that torch {torch.__version__} can use, found none: "
+            f"{why}, or use --device cpu"
+        )
+    return name
+
+
+def prepare_output(folder: Path, *, overwrite: bool) -> None:
+    """Make a folder for pictures; refuse one that holds other files.
+
+    Args:
+        folder: made with its parents.
+        overwrite: accept what is there; files of the same names are replaced, others stay.
+
+    Raises:
+        InputError: it is a file, a run, or holds files and `overwrite` is False.
+        OSError: it cannot be made.
+    """
+    from pcore.errors import InputError
+    from pcore.training.manifest import MANIFEST_FILE
+
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file: expected a folder for pictures; use another -o")
+    if (folder / MANIFEST_FILE).exists():
+        raise InputError(
+            f"{folder} holds a run: expected a folder for pictures only; use another -o, or none "
+            "for one inside the run"
+        )
+    there = sorted(item.name for item in folder.iterdir()) if folder.exists() else []
+    if there and not overwrite:
+        raise InputError(
+            f"{folder} holds files already ({', '.join(there[:3])}{', ...' * (len(there) > 3)}), "
+            "which are not overwritten: use another -o, or --overwrite to replace those of the "
+            "same name"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+def open_model(path: Path) -> tuple[SavedModel, RunFolder | None]:
+    """Read a model from a run folder or a bare model file; the run is None for a bare file.
+
+    Raises:
+        CheckpointError: there is neither, or it is damaged.
+    """
+    from pcore.model.checkpoint import load_model
+    from pcore.training.output import RunFolder
+
+    run = RunFolder.open(path) if path.is_dir() else None
+    return load_model(path), run
+
+
+def recorded_scene(run: RunFolder | None) -> Path | None:
+    """Folder of the scene that a run was trained on; None when it is not on this machine."""
+    if run is None or not run.scene:
+        return None
+    # Our own runs record it as seen from the run, so that both can move together.
+    candidates = (run.path / run.scene, Path(run.scene))
+    return next((folder for folder in candidates if folder.is_dir()), None)
+
+
+def recorded_factor(run: RunFolder | None) -> int:
+    """Down-scaling factor that a run was trained with; 1 when none is on record."""
+    found = None if run is None else run.config.get("factor")
+    return found if isinstance(found, int) and found > 0 else 1

@@ -1,0 +1,154 @@
+"""`pcore train SCENE -o RUN`: learn the points and networks of PAPR from photos."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from rich.console import Console
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from pcore.cli.runtime import DeviceName
+from pcore.errors import WeightsError
+
+if TYPE_CHECKING:
+    from pcore.data.scene import Scene
+    from pcore.training.config import PretrainConfig, TrunkName
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainCommand:
+    """Learn a scene from its training views; every tenth of them only validates.
+
+    Test views are never looked at.
+    """
+
+    scene: Annotated[Positional[Path], arg(metavar="SCENE")]
+    """Folder of the scene, in the NeRF-Synthetic or PAPR-in-Motion layout."""
+
+    output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
+    """Folder to make; new or empty, unless --resume."""
+
+    preset: Literal["tiny", "fast", "paper"] = "tiny"
+    """tiny: 2 CPU cores, minutes; fast: one GPU, minutes; paper: the original's sizes, hours."""
+
+    factor: int = 1
+    """Down-scale images by this whole number (area mean)."""
+
+    steps: int | None = None
+    """Optimiser steps; default: those of the preset."""
+
+    points: int | None = None
+    """Points at the start; default: those of the preset."""
+
+    seed: int = 0
+    """Of every random draw."""
+
+    init: str | None = None
+    """Where points start: hull (of the masks), grid (the original's), or a PLY or NPY file.
+    Default: hull, or grid when the images have no alpha."""
+
+    background: Literal["white", "black", "random"] | None = None
+    """Colour behind images with alpha; default: that of the preset (white)."""
+
+    resume: bool = False
+    """Go on exactly where the run in the output folder was interrupted."""
+
+    tensorboard: bool = True
+    """Write RUN/tensorboard as well; needs the extra `log`."""
+
+    device: DeviceName = "auto"
+    """Where to train; auto takes a GPU where there is one."""
+
+    threads: int | None = None
+    """Threads of the CPU; default: all cores."""
+
+    def run(self) -> None:
+        """Train; raises PcoreError subclasses for what the user can mend."""
+        train(self, Console())
+
+
+def train(command: TrainCommand, console: Console) -> None:
+    """Train as the command says.
+
+    Raises:
+        SceneError: the scene cannot be read.
+        InputError: options that do not fit the scene, or an output folder in use.
+        WeightsError: the preset asks for LPIPS weights that are missing.
+        TrainingError: training diverged or cannot write.
+        KeyboardInterrupt: Ctrl-C, after saving.
+    """
+    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.sessions import Session, disk_space, run_session, show_result
+    from pcore.data.load import load_scene
+    from pcore.model.records import to_dict
+    from pcore.training.pretrain import pretrain
+
+    prepare_torch(command.threads)
+    device = pick_device(command.device)
+    scene = load_scene(command.scene, factor=command.factor)
+    config = _config(command, scene, console)
+    check_weights(config.lpips_weight, config.lpips_trunk)
+    announce(console, scene, f"{command.preset}, {config.steps:,} steps on {device}")
+    limit = config.grow.limit if config.grow else config.points
+    session = Session(
+        path=command.output,
+        stage="pretrain",
+        scene=command.scene,
+        config={
+            "preset": command.preset,
+            "factor": command.factor,
+            "pretrain": to_dict(config),
+        },
+        resume=command.resume,
+        tensorboard=command.tensorboard,
+        needed=disk_space(config.model, max(limit, config.points)),
+    )
+    run_session(
+        session,
+        lambda run, tell: pretrain(scene, config, folder=run, listener=tell, device=device),
+        console,
+    )
+    show_result(console, command.output, next_command=f"pcore finetune {command.output}")
+
+
+def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainConfig:
+    """Return the preset with what the command changes."""
+    from pcore.training.presets import preset
+
+    changes: dict[str, Any] = {"seed": command.seed}
+    for name in ("steps", "points", "background"):
+        if getattr(command, name) is not None:
+            changes[name] = getattr(command, name)
+    if command.init in ("hull", "grid"):
+        changes["start"] = command.init
+    elif command.init is not None:
+        changes["start"] = str(Path(command.init).resolve())
+    elif not all(view.has_alpha for view in scene.split("train")):
+        console.print("images without alpha have no visual hull: points start on a grid")
+        changes["start"] = "grid"
+    return replace(preset(command.preset), **changes)
+
+
+def check_weights(weight: float, trunk: TrunkName) -> None:
+    """Raise WeightsError, naming files and places, when a wanted LPIPS loss cannot be computed."""
+    from pcore.training.perceptual import missing_weights
+
+    advice = missing_weights(trunk) if weight > 0 else None
+    if advice is not None:
+        raise WeightsError(advice)
+
+
+def announce(console: Console, scene: Scene, plan: str) -> None:
+    """Say in one line what is about to be trained."""
+    views = scene.split("train")
+    camera = views[0].camera
+    console.print(
+        Text(
+            f"{scene.name}: {len(views)} training views of {camera.width} x {camera.height} "
+            f"pixels; {plan}"
+        ),
+        soft_wrap=True,
+    )
