@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,8 +12,12 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.runtime import DeviceName
+
 if TYPE_CHECKING:
-    from pcore.evaluation.runner import Method, Taken
+    from pcore.cli.models import Run
+    from pcore.evaluation.protocol import Perceptual
+    from pcore.evaluation.runner import ImageRow, Method, Taken
 
 PICTURES = "pictures"
 
@@ -50,6 +54,12 @@ class EvalCommand:
     factor: int | None = None
     """Down-scaling of the true images; default: that of the training."""
 
+    device: DeviceName = "auto"
+    """Where to compute; auto takes a GPU where there is one."""
+
+    threads: int | None = None
+    """Threads of the CPU; default: all cores."""
+
     def run(self) -> None:
         """Evaluate; raises PcoreError subclasses for what the user can mend."""
         evaluate_run(self, Console())
@@ -64,23 +74,22 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         InputError: an unknown state, a factor that does not fit, or an output folder in use.
     """
     from pcore.cli.models import baseline_of, open_run, scene_of
-    from pcore.cli.results import counting, show_results
+    from pcore.cli.results import counting
+    from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
-    from pcore.evaluation.runner import Method, evaluate
+    from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states
-    from pcore.evaluation.summary import gains, state_means
-    from pcore.evaluation.tables import summary_record, write_tables
     from pcore.model.render import render
 
-    run = open_run(command.run_folder)
-    base = baseline_of(run, command.baseline)
+    prepare_torch(command.threads)
+    device = pick_device(command.device)
+    run = open_run(command.run_folder, device=device)
+    base = baseline_of(run, command.baseline, device=device)
     places = open_states(scene_of(run, command.scene), factor=command.factor or run.factor)
     states = places.select(command.state)
     output = command.output or command.run_folder / "eval"
     prepare_output(output, about=run.path)
-    first = [] if base is None else [Method(name=base.label, papr=base.papr, cloud=base.cloud)]
-    name = _unlike(run.label, [m.name for m in first], command.run_folder)
-    methods = [*first, Method(name=name, papr=run.papr, cloud=run.cloud)]
+    methods = _methods(run, base)
     chosen = PROTOCOLS.values() if command.protocol == "both" else [PROTOCOLS[command.protocol]]
     perceptual = load_perceptual()
     with counting(console, "pictures") as tell:
@@ -93,18 +102,37 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
             progress=tell,
             show=_sheet_writer(output / PICTURES, methods) if command.pictures else None,
         )
-    means = state_means(rows)
-    found = gains(means, methods[0].name) if base is not None else []
     about = {
         "run": str(run.path),
         "baseline": None if base is None else str(base.path),
         "scene": str(places.path),
         "factor": places.factor,
     }
-    record = summary_record(means, found, about=about, perceptual=perceptual)
-    write_tables(output, rows, record)
-    notes = [places.left_out] if places.left_out else []
-    show_results(console, means, found, perceptual=perceptual, notes=notes)
+    finish(console, output, rows, about=about, perceptual=perceptual, note=places.left_out)
+
+
+def finish(
+    console: Console,
+    output: Path,
+    rows: Sequence[ImageRow],
+    *,
+    about: Mapping[str, Any],
+    perceptual: Perceptual,
+    note: str | None = None,
+) -> None:
+    """Write rows and summary into `output` and print the table; the first method is the baseline.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    from pcore.cli.results import show_results
+    from pcore.evaluation.summary import gains, state_means
+    from pcore.evaluation.tables import summary_record, write_tables
+
+    means = state_means(rows)
+    found = gains(means, means[0].method)
+    write_tables(output, rows, summary_record(means, found, about=about, perceptual=perceptual))
+    show_results(console, means, found, perceptual=perceptual, notes=[note] if note else [])
     console.print(Text(f"written to {output}"), soft_wrap=True)
 
 
@@ -147,9 +175,20 @@ def _subject(path: Path) -> str | None:
         return None
 
 
-def _unlike(name: str, taken: Sequence[str], path: Path) -> str:
-    """Name a method differently from those that are there already."""
-    return name if name not in taken else f"{name} ({path.name})"
+def _methods(run: Run, base: Run | None) -> list[Method]:
+    """Baseline first; two methods of one name are told apart by the folders of their runs."""
+    from pcore.evaluation.runner import Method
+
+    runs = [run] if base is None else [base, run]
+    alike = base is not None and base.label == run.label
+    return [
+        Method(
+            name=f"{one.label} ({one.path.resolve().name})" if alike else one.label,
+            papr=one.papr,
+            cloud=one.cloud,
+        )
+        for one in runs
+    ]
 
 
 def _sheet_writer(folder: Path, methods: Sequence[Method]) -> Callable[[Taken], None]:

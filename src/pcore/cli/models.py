@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+from pcore.cli.runtime import recorded_factor, recorded_scene
 from pcore.errors import CheckpointError, InputError
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.checkpoint import load_model
 from pcore.model.papr import Papr
+from pcore.training.config import FinetuneConfig
 from pcore.training.output import RunFolder
 
 _WHITE = (1.0, 1.0, 1.0)
@@ -37,8 +38,7 @@ class Run:
     @property
     def factor(self) -> int:
         """Down-scaling factor that its training images had; 1 when none is on record."""
-        found = _find(self.manifest.config, "factor")
-        return found if isinstance(found, int) and found > 0 else 1
+        return recorded_factor(self.manifest)
 
     @property
     def base(self) -> Path | None:
@@ -75,15 +75,13 @@ def scene_of(run: Run, given: Path | None) -> Path:
     """
     if given is not None:
         return given
-    recorded = run.manifest.scene
-    # Relative paths were typed where training was started, or stand relative to the run.
-    for candidate in (Path(recorded), run.path / recorded):
-        if recorded and candidate.is_dir():
-            return candidate
-    raise InputError(
-        f"{run.path}: the scene it was trained on ({recorded or 'not recorded'}) is not a folder "
-        "here; give the scene's folder with --scene"
-    )
+    found = recorded_scene(run.manifest)
+    if found is None:
+        raise InputError(
+            f"{run.path}: the scene it was trained on ({run.manifest.scene or 'not recorded'}) is "
+            "not a folder here; give the scene's folder with --scene"
+        )
+    return found
 
 
 def baseline_of(run: Run, given: Path | None, *, device: str = "cpu") -> Run | None:
@@ -105,9 +103,9 @@ def baseline_of(run: Run, given: Path | None, *, device: str = "cpu") -> Run | N
         ) from error
 
 
-def _find(config: Any, key: str) -> Any:
-    """Value of a key at the top of a configuration or in its part about the scene."""
-    if key in config:
-        return config[key]
-    part = config.get("scene")
-    return part.get(key) if isinstance(part, dict) else None
+def finetune_config(run: Run) -> FinetuneConfig:
+    """Settings of P-CORE for a pre-trained run: those of the preset it was trained with."""
+    from pcore.training.presets import finetune_preset
+
+    name = run.manifest.config.get("preset")
+    return finetune_preset(name if name in ("tiny", "fast", "paper") else "tiny")

@@ -8,9 +8,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from pcore.data.pictures import depth_picture, to_bytes
 from pcore.errors import InputError
 from pcore.evaluation.geometry_metrics import COVERED_ALPHA
 from pcore.evaluation.image_metrics import Array, as_array, as_plane_or_image
@@ -20,20 +22,6 @@ Pixels = NDArray[np.uint8]
 """(H, W, 3) sRGB."""
 Range = tuple[float, float]
 
-# Near is light and warm, far is dark and cool; lightness falls evenly, so that the map also reads
-# in grey. Colours at equal steps of depth, in sRGB.
-_RAMP = np.array(
-    [
-        (253, 231, 170),
-        (250, 190, 120),
-        (236, 140, 105),
-        (202, 95, 110),
-        (150, 66, 118),
-        (95, 48, 112),
-        (46, 32, 80),
-    ],
-    dtype=np.float64,
-)
 _INK, _PAPER = (32, 33, 36), (255, 255, 255)
 
 
@@ -65,22 +53,20 @@ def depth_range(depths: Sequence[tuple[Array, Array]]) -> Range | None:
 
 
 def depth_pixels(alpha: Array, depth: Array, span: Range | None) -> Pixels:
-    """A depth map (H, W) in colours; white where `alpha` is under 0.5 or the depth not finite.
+    """A depth map (H, W) in colours that fade to white with the opacity.
 
     Args:
         alpha: (H, W) opacity.
-        depth: (H, W) camera z.
+        depth: (H, W) camera z; white where it is not finite.
         span: depths of the first and the last colour; None when nothing is covered anywhere.
     """
-    distance, opacity = _plane(depth), _plane(alpha)
-    result = np.full((*distance.shape, 3), 255.0)
-    covered = np.isfinite(distance) & (opacity >= COVERED_ALPHA)
-    if span is not None and covered.any():
-        low, high = span
-        place = np.clip((distance[covered] - low) / (high - low), 0, 1) * (len(_RAMP) - 1)
-        steps = np.arange(len(_RAMP))
-        result[covered] = np.stack([np.interp(place, steps, c) for c in _RAMP.T], axis=1)
-    return np.round(result).astype(np.uint8)
+    distance, opacity = (torch.from_numpy(_plane(one)).float() for one in (depth, alpha))
+    if span is None:
+        return np.full((*distance.shape, 3), 255, dtype=np.uint8)
+    # Infinity is how the truth says "nothing there"; a rendering says NaN.
+    distance = distance.masked_fill(~distance.isfinite(), torch.nan)
+    colors = depth_picture(distance, opacity, near=span[0], far=span[1])
+    return np.asarray(to_bytes(colors).numpy(), dtype=np.uint8)
 
 
 def sheet(

@@ -1,0 +1,186 @@
+"""`pcore ablate RUN`: the paper's ablation on one run, with its figure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rich.console import Console
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from pcore.cli.runtime import DeviceName
+
+if TYPE_CHECKING:
+    from pcore.cli.models import Run
+    from pcore.evaluation.ablation import AblationFigure
+    from pcore.evaluation.runner import Method
+    from pcore.evaluation.states import SceneStates
+    from pcore.training.config import FinetuneConfig
+
+FIGURE_FILE = "ablation.png"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AblateCommand:
+    """Fine-tune a run with parts left out, score every variant, and draw the paper's figure.
+
+    Every variant is a run of its own in the output folder. The same command goes on where an
+    interrupted one stopped and does not repeat what is finished.
+    """
+
+    run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a pre-trained run; it is left as it is."""
+
+    scene: Path | None = None
+    """Folder of the scene; default: the one the run was trained on."""
+
+    state: tuple[str, ...] = ("scale:2",)
+    """States to score on; the figure shows the first. `all` for every state of the scene."""
+
+    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    """Folder for the variants and results; default: RUN/ablation."""
+
+    steps: int | None = None
+    """Steps of every fine-tuning; default: those of the preset."""
+
+    view: int = 0
+    """Number of the test view in the figure, from 0."""
+
+    factor: int | None = None
+    """Down-scaling of the true images; default: that of the training."""
+
+    device: DeviceName = "auto"
+    """Where to compute; auto takes a GPU where there is one."""
+
+    threads: int | None = None
+    """Threads of the CPU; default: all cores."""
+
+    def run(self) -> None:
+        """Train, score, write and print; raises PcoreError subclasses."""
+        ablate(self, Console())
+
+
+def ablate(command: AblateCommand, console: Console) -> None:
+    """Do it; everything that can be known is checked before the first training.
+
+    Raises:
+        CheckpointError: the run cannot be read.
+        SceneError: its scene cannot be read or scored.
+        InputError: an unknown state or view, or an output folder in use.
+        TrainingError: a training diverged or cannot write.
+    """
+    from pcore.cli.eval import prepare_output
+    from pcore.cli.models import open_run, scene_of
+    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.errors import InputError
+    from pcore.evaluation.ablation import VARIANTS, AblationFigure
+    from pcore.evaluation.states import open_states
+
+    prepare_torch(command.threads)
+    device = pick_device(command.device)
+    run = open_run(command.run_folder, device=device)
+    places = open_states(scene_of(run, command.scene), factor=command.factor or run.factor)
+    states = places.select(command.state)
+    if len(states) < 2:
+        raise InputError(f"{places.path}: no deformed state to score; give --state scale:2")
+    if not 0 <= command.view < len(states[1].shots):
+        raise InputError(
+            f"--view: expected a number from 0 to {len(states[1].shots) - 1}, the test views of "
+            f"{states[1].name}, got {command.view}"
+        )
+    output = command.output or command.run_folder / "ablation"
+    prepare_output(output, about=run.path)
+    full = _full_config(run, command.steps)
+    for variant in VARIANTS:
+        path, config = output / variant.folder, variant.config(full)
+        _train(console, (run, places), path, config, device)
+    methods = _methods(run, output, device)
+    figure = AblationFigure(states[1].name, command.view)
+    _score(command, console, (run, places), methods, figure)
+
+
+def _full_config(run: Run, steps: int | None) -> FinetuneConfig:
+    """Settings of the whole method for this run."""
+    from pcore.cli.models import finetune_config
+
+    config = finetune_config(run)
+    return config if steps is None else replace(config, steps=steps)
+
+
+def _train(
+    console: Console,
+    source: tuple[Run, SceneStates],
+    path: Path,
+    config: FinetuneConfig,
+    device: str,
+) -> None:
+    from pcore.cli.console import ProgressDisplay
+    from pcore.cli.stages import finished, relative, run_stage
+    from pcore.model.records import to_dict
+    from pcore.training.finetune import finetune
+    from pcore.training.trained import Trained
+
+    run, places = source
+    done = finished(path)
+    console.print(Text(f"{path.name}: {'finished before' if done else f'{config.steps} steps'}"))
+    base = Trained(papr=run.papr, cloud=run.cloud, step=0)
+    record = {
+        "base": relative(run.path, path),
+        "factor": places.factor,
+        "finetune": to_dict(config),
+    }
+    with ProgressDisplay(console) as display:
+        run_stage(
+            path,
+            lambda folder, listener: finetune(
+                places.scene, base, config, folder=folder, listener=listener, device=device
+            ),
+            stage="finetune",
+            scene=places.path,
+            config=record,
+            listener=display,
+        )
+
+
+def _methods(run: Run, output: Path, device: str) -> list[Method]:
+    from pcore.cli.models import open_run
+    from pcore.evaluation.ablation import VANILLA, VARIANTS
+    from pcore.evaluation.runner import Method
+
+    tuned = [(v.title, open_run(output / v.folder, device=device)) for v in VARIANTS]
+    pairs = [(VANILLA, run), *tuned]
+    return [Method(name=name, papr=one.papr, cloud=one.cloud) for name, one in pairs]
+
+
+def _score(
+    command: AblateCommand,
+    console: Console,
+    source: tuple[Run, SceneStates],
+    methods: list[Method],
+    figure: AblationFigure,
+) -> None:
+    from pcore.cli.eval import finish
+    from pcore.cli.results import counting
+    from pcore.evaluation.figures import png_bytes
+    from pcore.evaluation.protocol import load_perceptual
+    from pcore.evaluation.runner import evaluate
+    from pcore.model.atomic import write_atomically
+    from pcore.model.render import render
+
+    run, places = source
+    output, perceptual = command.output or command.run_folder / "ablation", load_perceptual()
+    with counting(console, "pictures") as tell:
+        rows = evaluate(
+            methods,
+            places.select(command.state),
+            draw=render,
+            perceptual=perceptual,
+            progress=tell,
+            show=figure,
+        )
+    about = {"run": str(run.path), "scene": str(places.path), "factor": places.factor}
+    write_atomically(output / FIGURE_FILE, png_bytes(figure.pixels([m.name for m in methods])))
+    finish(console, output, rows, about=about, perceptual=perceptual)
+    console.print(Text(f"figure: {output / FIGURE_FILE}"), soft_wrap=True)
