@@ -68,7 +68,7 @@ def draw(
                 files += _write(output, name, picture, camera, layers, wanted)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f"{len(files)} complete files are in {output}; no video was written. The same command "
+            f"complete files: {len(files)}, in {output}; no video was written. The same command "
             "with --overwrite begins again"
         ) from None
     return [*films.paths, *files]

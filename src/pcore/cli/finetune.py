@@ -153,9 +153,8 @@ def _config(
     """Name of the preset and its settings with what the command changes."""
     from pcore.training.presets import finetune_preset
 
-    recorded = run.config.get("preset")
-    known: tuple[PresetName, ...] = ("tiny", "fast", "paper")
-    name: PresetName = command.preset or next((one for one in known if one == recorded), "paper")
+    known: dict[Any, PresetName] = {"tiny": "tiny", "fast": "fast"}
+    name = command.preset or known.get(run.config.get("preset"), "paper")
     black = saved.config.background == (0.0, 0.0, 0.0)
     changes: dict[str, Any] = {"seed": command.seed, "background": "black" if black else "white"}
     if command.steps is not None:

@@ -194,5 +194,6 @@ def _default_output(command: RenderCommand) -> Path:
 def _tell(console: Console, views: Named, output: Path, files: list[Path]) -> None:
     camera = views[0][1]
     names = ", ".join(file.name for file in files[:3]) + ", ..." * (len(files) > 3)
-    text = f"{len(views)} views of {camera.width} x {camera.height} pixels in {output}: {names}"
+    count = "1 view" if len(views) == 1 else f"{len(views)} views"
+    text = f"{count} of {camera.width} x {camera.height} pixels in {output}: {names}"
     console.print(Text(text), soft_wrap=True)
