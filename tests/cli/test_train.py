@@ -1,0 +1,221 @@
+"""`pcore train`: options, logs, resuming, and a folder left clean when nothing can begin."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from toys import write_scene
+
+from pcore.cli.main import main
+from pcore.data.points import save_points
+from pcore.model.checkpoint import load_model
+from pcore.training.output import RunFolder
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    return write_scene(tmp_path / "ball")
+
+
+def call(scene: Path, run: Path, *args: object, steps: int = 3) -> int:
+    options = ("--steps", steps, "--points", 60, "--device", "cpu", "--threads", 1)
+    return main(["train", str(scene), "-o", str(run), *map(str, options), *map(str, args)])
+
+
+def logged(run: Path, kind: str) -> list[int]:
+    lines = (run / "log.jsonl").read_text().splitlines()
+    return [one["step"] for one in map(json.loads, lines) if one["event"] == kind]
+
+
+def weights(run: Path) -> dict[str, torch.Tensor]:
+    model = load_model(run)
+    return {**model.papr_state, "positions": model.cloud.positions, "mu": model.cloud.features}
+
+
+def test_training_makes_a_run(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert call(scene, run, "--factor", 2, "--seed", 5) == 0
+    said = capsys.readouterr().out
+    assert "ball: 12 training views of 8 x 8 pixels; tiny, 3 steps on cpu" in said
+    assert "pretrain 3/3" in said
+    assert f"next: pcore finetune {run}" in said
+    assert "dB on held-out training views" in said
+    folder = RunFolder.open(run)
+    assert (folder.stage, folder.scene) == ("pretrain", "../ball")
+    assert (folder.config["preset"], folder.config["factor"]) == ("tiny", 2)
+    assert folder.config["pretrain"]["seed"] == 5
+    assert folder.notes["status"] == "finished"
+    assert load_model(run).cloud.positions.shape == (60, 3)
+    assert logged(run, "step")[-1] == 3
+    assert any((run / "tensorboard").iterdir())
+
+
+def test_options_change_the_preset(scene: Path, tmp_path: Path) -> None:
+    start = torch.randn(9, 3) * 0.3
+    save_points(tmp_path / "start.npy", start)
+    run = tmp_path / "run"
+    options = ("--init", tmp_path / "start.npy", "--background", "black", "--no-tensorboard")
+    assert call(scene, run, *options, steps=1) == 0
+    model = load_model(run)
+    assert model.config.background == (0, 0, 0)
+    assert model.cloud.positions.shape == (9, 3)
+    assert float((model.cloud.positions - start).abs().max()) < 0.01
+    assert not (run / "tensorboard").exists()
+
+
+def test_photos_without_alpha_start_on_a_grid(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = write_scene(tmp_path / "photos", alpha=False)
+    assert call(scene, tmp_path / "run", steps=1) == 0
+    assert "points start on a grid" in capsys.readouterr().out
+    assert RunFolder.open(tmp_path / "run").config["pretrain"]["start"] == "grid"
+
+
+def test_training_goes_on_without_the_tensorboard_package(
+    scene: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard.writer", None)
+    assert call(scene, tmp_path / "run", steps=1) == 0
+    assert "pip install 'pcore-edit[log]'" in capsys.readouterr().out
+
+
+# --- interruption and resuming -------------------------------------------------------------
+
+
+@pytest.fixture
+def ctrl_c_at(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Press Ctrl-C when so many steps are done."""
+    import signal
+
+    from pcore.training import pretrain
+
+    def arm(step: int) -> None:
+        original, count = pretrain.draw_patch, [0]
+
+        def draw(*args: object, **options: object) -> object:
+            count[0] += 1
+            if count[0] == step:
+                signal.raise_signal(signal.SIGINT)
+            return original(*args, **options)  # pyright: ignore[reportArgumentType]
+
+        monkeypatch.setattr(pretrain, "draw_patch", draw)
+
+    return arm
+
+
+def test_a_resumed_run_equals_one_that_was_never_interrupted(
+    scene: Path,
+    tmp_path: Path,
+    ctrl_c_at: Callable[[int], None],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert call(scene, whole, steps=6) == 0
+    ctrl_c_at(3)
+    assert call(scene, broken, steps=6) == 130
+    said = capsys.readouterr()
+    assert f"step 3 is saved in {broken}" in said.err
+    assert "same command and --resume" in said.err
+    assert RunFolder.open(broken).notes["status"] == "stopped"
+    assert call(scene, broken, "--resume", steps=6) == 0
+    assert "goes on from step 3" in capsys.readouterr().out
+    assert logged(broken, "step")[-1] == 6
+    expected = weights(whole)
+    for name, value in weights(broken).items():
+        assert torch.equal(value, expected[name]), name
+
+
+def test_resuming_what_is_finished_changes_nothing(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert call(scene, run) == 0
+    before = (run / "model.safetensors").stat().st_mtime_ns
+    assert call(scene, run, "--resume") == 0
+    assert "finished already" in capsys.readouterr().out
+    assert (run / "model.safetensors").stat().st_mtime_ns == before
+    assert call(scene, run, "--resume", "--seed", 1) == 2
+    assert "pretrain.seed: 0 -> 1" in capsys.readouterr().err
+
+
+def test_another_run_is_not_overwritten(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert call(scene, run, steps=1) == 0
+    assert call(scene, run, steps=1) == 2
+    assert f"{run} holds a run already" in capsys.readouterr().err
+    assert call(scene, tmp_path / "new", "--resume") == 2
+    assert "nothing to resume" in capsys.readouterr().err
+    assert call(scene, scene) == 2
+    assert f"{scene} holds other files" in capsys.readouterr().err
+
+
+# --- errors before anything is written -----------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--factor", "3"), "16 x 16 images cannot be divided by 3"),
+        (("--points", "0"), "expected points >= 1, got 0"),
+        (("--init", "absent.ply"), "absent.ply: no such file"),
+        (("--init", "hul"), "expected a file of points that ends in .npy or .ply"),
+        (("--preset", "paper"), "LPIPS"),
+    ],
+)
+def test_what_cannot_begin_leaves_no_run(
+    scene: Path,
+    tmp_path: Path,
+    options: tuple[str, ...],
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in ("PCORE_LPIPS_DIR", "XDG_CACHE_HOME", "TORCH_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / "empty"))
+    run = tmp_path / "run"
+    assert call(scene, run, *options) == 2
+    assert message in capsys.readouterr().err
+    assert not (run / "run.json").exists()
+    assert not (run / "log.jsonl").exists()
+    assert call(scene, run, steps=1) == 0
+
+
+def test_no_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(tmp_path / "absent", tmp_path / "run") == 2
+    assert "absent: no such folder" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_full_disk_in_the_middle_keeps_what_was_saved(
+    scene: Path,
+    tmp_path: Path,
+    ctrl_c_at: Callable[[int], None],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run = tmp_path / "run"
+    ctrl_c_at(2)
+    assert call(scene, run, steps=4) == 130
+    before = (run / "state.pt").read_bytes()
+
+    def full(*args: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pcore.training.state.write_atomically", full)
+    assert call(scene, run, "--resume", steps=4) == 2
+    assert "space" in capsys.readouterr().err.lower()
+    assert (run / "state.pt").read_bytes() == before
+    assert RunFolder.open(run).saved_step() == 2
