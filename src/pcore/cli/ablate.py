@@ -116,32 +116,36 @@ def _train(
     config: FinetuneConfig,
     device: str,
 ) -> None:
-    from pcore.cli.console import ProgressDisplay
-    from pcore.cli.stages import finished, relative, run_stage
+    from pcore.cli.sessions import Session, disk_space, run_session
+    from pcore.cli.stages import begun, relative
     from pcore.model.records import to_dict
     from pcore.training.finetune import finetune
     from pcore.training.trained import Trained
 
     run, places = source
-    done = finished(path)
-    console.print(Text(f"{path.name}: {'finished before' if done else f'{config.steps} steps'}"))
-    base = Trained(papr=run.papr, cloud=run.cloud, step=0)
-    record = {
-        "base": relative(run.path, path),
-        "factor": places.factor,
-        "finetune": to_dict(config),
-    }
-    with ProgressDisplay(console) as display:
-        run_stage(
-            path,
-            lambda folder, listener: finetune(
-                places.scene, base, config, folder=folder, listener=listener, device=device
-            ),
-            stage="finetune",
-            scene=places.path,
-            config=record,
-            listener=display,
-        )
+    saved = run.saved
+    base = Trained(papr=saved.papr(), cloud=saved.cloud, step=saved.provenance.step)
+    console.print(Text(f"{path.name}: {config.steps:,} steps"))
+    session = Session(
+        path=path,
+        stage="finetune",
+        scene=places.path,
+        config={
+            "base": relative(run.path, path),
+            "factor": places.factor,
+            "finetune": to_dict(config),
+        },
+        resume=begun(path),
+        tensorboard=False,
+        needed=disk_space(saved.config, len(saved.cloud)),
+    )
+    run_session(
+        session,
+        lambda folder, tell: finetune(
+            places.scene, base, config, folder=folder, listener=tell, device=device
+        ),
+        console,
+    )
 
 
 def _methods(run: Run, output: Path, device: str) -> list[Method]:

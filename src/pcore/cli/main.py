@@ -44,10 +44,12 @@ class Verb:
 
 
 VERBS: tuple[Verb, ...] = (
+    Verb("demo", "pcore.cli.demo", "DemoCommand", "the whole story on a sample, with a report"),
     Verb("train", "pcore.cli.train", "TrainCommand", "learn a scene from its photos"),
     Verb("finetune", "pcore.cli.finetune", "FinetuneCommand", "make a run ready to be deformed"),
     Verb("render", "pcore.cli.render", "RenderCommand", "take pictures of a run, also deformed"),
     Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),
+    Verb("ablate", "pcore.cli.ablate", "AblateCommand", "fine-tune with parts left out, compare"),
     Verb("deform", "pcore.cli.deform", "DeformCommand", "apply an edit file to any points"),
     Verb(
         "import papr",

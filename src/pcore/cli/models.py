@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from pcore.cli.runtime import recorded_factor, recorded_scene
 from pcore.errors import CheckpointError, InputError
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.checkpoint import load_model
+from pcore.model.checkpoint import SavedModel, load_model
 from pcore.model.papr import Papr
-from pcore.training.config import FinetuneConfig
+from pcore.training.config import FinetuneConfig, PresetName
 from pcore.training.output import RunFolder
 
 _WHITE = (1.0, 1.0, 1.0)
@@ -27,6 +28,7 @@ class Run:
         cloud: canonical points, world units.
         label: what made it: `PAPR`, or `P-CORE` after fine-tuning.
         manifest: what `run.json` says.
+        saved: the model as it is in the file, with its own background.
     """
 
     path: Path
@@ -34,6 +36,7 @@ class Run:
     cloud: PointCloud
     label: str
     manifest: RunFolder
+    saved: SavedModel
 
     @property
     def factor(self) -> int:
@@ -64,6 +67,7 @@ def open_run(path: Path, *, device: str = "cpu") -> Run:
         cloud=saved.cloud,
         label=_NAMES.get(saved.provenance.stage, "PAPR"),
         manifest=manifest,
+        saved=saved,
     )
 
 
@@ -104,8 +108,10 @@ def baseline_of(run: Run, given: Path | None, *, device: str = "cpu") -> Run | N
 
 
 def finetune_config(run: Run) -> FinetuneConfig:
-    """Settings of P-CORE for a pre-trained run: those of the preset it was trained with."""
+    """Settings of P-CORE for a pre-trained run, as `pcore finetune` chooses them."""
     from pcore.training.presets import finetune_preset
 
-    name = run.manifest.config.get("preset")
-    return finetune_preset(name if name in ("tiny", "fast", "paper") else "tiny")
+    known: dict[Any, PresetName] = {"tiny": "tiny", "fast": "fast"}
+    name = known.get(run.manifest.config.get("preset"), "paper")
+    black = run.saved.config.background == (0.0, 0.0, 0.0)
+    return replace(finetune_preset(name), background="black" if black else "white")

@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
+from pcore.errors import InputError
 from pcore.evaluation.protocol import PROTOCOLS, Perceptual
 from pcore.evaluation.runner import ImageRow, Value
 from pcore.evaluation.summary import Gain, StateMean
@@ -96,6 +97,24 @@ def jsonable(value: Any) -> Any:
     return value
 
 
+def read_summary(path: Path) -> tuple[list[StateMean], list[Gain]]:
+    """Read means and gains of a `summary.json` back.
+
+    Raises:
+        InputError: the file is missing, damaged or not a summary of ours.
+    """
+    try:
+        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        means = [_mean(one) for one in record["means"]]
+        gains = [_gain(one) for one in record["gains"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path}: expected a summary that `pcore eval` wrote, could not read it ({error}); "
+            "evaluate again"
+        ) from error
+    return means, gains
+
+
 def shown(value: Value, digits: int = 2, *, percent: bool = False) -> str:
     """A figure for people: a dash when it is not known, a true minus sign, no "-0.00"."""
     if value is None or math.isnan(value):
@@ -112,3 +131,18 @@ def _field(value: Value) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     return repr(value)
+
+
+def _mean(record: dict[str, Any]) -> StateMean:
+    entries: dict[str, Any] = {**record, "scores": _numbers(record["scores"])}
+    return StateMean(**entries)
+
+
+def _gain(record: dict[str, Any]) -> Gain:
+    entries: dict[str, Any] = {**_numbers(record), "states": tuple(record["states"])}
+    return Gain(**entries)
+
+
+def _numbers(record: dict[str, Any]) -> dict[str, Any]:
+    """Undo how infinity is written in JSON."""
+    return {k: float(v) if v in ("inf", "-inf") else v for k, v in record.items()}

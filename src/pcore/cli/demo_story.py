@@ -1,0 +1,143 @@
+"""The demo's comparison: figures, pictures and videos of PAPR and P-CORE on the sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from rich.console import Console
+from torch import Tensor
+
+from pcore.cli.demo_folder import DemoFolder, stamp_of
+from pcore.cli.models import Run, open_run
+from pcore.cli.results import counting
+from pcore.data.pictures import to_bytes
+from pcore.data.video import write_video
+from pcore.evaluation.figures import png_bytes
+from pcore.evaluation.panels import depth_maps, renderings
+from pcore.evaluation.protocol import load_perceptual
+from pcore.evaluation.runner import Method, Taken, evaluate
+from pcore.evaluation.states import ALL, SceneStates, State, open_states
+from pcore.evaluation.summary import gains, state_means
+from pcore.evaluation.tables import SUMMARY_FILE, read_summary, summary_record, write_tables
+from pcore.geometry.orbit import growth, orbit_like
+from pcore.model.atomic import write_atomically
+from pcore.model.checkpoint import MODEL_FILE
+from pcore.model.render import render
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pcore.cli.demo import DemoSettings
+    from pcore.geometry.camera import Camera
+
+BASELINE, METHOD = "PAPR", "P-CORE"
+CANONICAL_VIDEO, DEFORMED_VIDEO = "canonical.mp4", "deformed.mp4"
+_FPS = 16
+
+
+def models_of(folder: DemoFolder, device: str) -> dict[str, Run]:
+    """Open both runs: before and after fine-tuning."""
+    return {
+        BASELINE: open_run(folder.path / "papr", device=device),
+        METHOD: open_run(folder.path / "pcore", device=device),
+    }
+
+
+def evaluate_demo(
+    folder: DemoFolder, settings: DemoSettings, models: dict[str, Run], console: Console
+) -> None:
+    """Score both models on all states and keep the pictures that the report shows."""
+    stamp = _stamp(folder, list(settings.shown))
+    output = folder.path / "eval"
+    if folder.done("evaluation", stamp) and (output / SUMMARY_FILE).is_file():
+        return
+    (output / "panels").mkdir(parents=True, exist_ok=True)
+    states, perceptual = _states(folder), load_perceptual()
+    methods = [Method(name=n, papr=run.papr, cloud=run.cloud) for n, run in models.items()]
+    with folder.timed("evaluation", stamp), counting(console, "pictures") as tell:
+        rows = evaluate(
+            methods,
+            states.select([ALL]),
+            draw=render,
+            perceptual=perceptual,
+            progress=tell,
+            show=lambda taken: _keep(taken, settings.shown, output / "panels"),
+        )
+        means = state_means(rows)
+        about = {"run": "pcore", "baseline": "papr", "scene": "sample", "factor": 1}
+        found = gains(means, BASELINE)
+        write_tables(output, rows, summary_record(means, found, about=about, perceptual=perceptual))
+
+
+def panel(output: Path, state: str, view: int, number: int) -> Path:
+    """File of a picture: colours of truth, PAPR, P-CORE (0, 1, 2), then their depth maps."""
+    return output / f"{state}-{view}-{number}.png"
+
+
+def film_demo(
+    folder: DemoFolder, settings: DemoSettings, models: dict[str, Run], console: Console
+) -> None:
+    """Write two videos: P-CORE canonical; PAPR beside P-CORE in the state that differs most."""
+    stamp = _stamp(folder, settings.frames)
+    videos = [folder.path / name for name in (CANONICAL_VIDEO, DEFORMED_VIDEO)]
+    if folder.done("videos", stamp) and all(video.is_file() for video in videos):
+        return
+    states = _states(folder)
+    canonical, deformed = states.select([filmed_state(folder.path / "eval")])
+    stories = [(canonical, [models[METHOD]]), (deformed, [models[BASELINE], models[METHOD]])]
+    total = len(stories) * settings.frames
+    with folder.timed("videos", stamp), counting(console, "frames") as tell:
+        for number, (video, (state, runs)) in enumerate(zip(videos, stories, strict=True)):
+            cameras = _orbit(states, state, runs[-1], settings.frames)
+            first = number * settings.frames
+            frames = _frames(state, runs, cameras, lambda i, n=first: tell(n + i, total))
+            write_video(video, frames, fps=_FPS)
+
+
+def filmed_state(output: Path) -> str:
+    """Deformed state in which P-CORE closes most holes, by the summary in `output`."""
+    means, _ = read_summary(output / SUMMARY_FILE)
+    holes = {(one.state, one.method): one.scores.get("hole_rate") or 0.0 for one in means}
+    states = dict.fromkeys(one.state for one in means if one.kind != "canonical")
+    return max(states, key=lambda name: holes[name, BASELINE] - holes[name, METHOD])
+
+
+def _states(folder: DemoFolder) -> SceneStates:
+    return open_states(folder.path / "sample")
+
+
+def _stamp(folder: DemoFolder, *settings: object) -> str:
+    models = [folder.path / name / MODEL_FILE for name in ("papr", "pcore")]
+    return stamp_of(*models, *settings)
+
+
+def _keep(taken: Taken, shown: tuple[int, ...], output: Path) -> None:
+    if taken.index not in shown:
+        return
+    names = [BASELINE, METHOD]
+    for number, pixels in enumerate([*renderings(taken, names), *depth_maps(taken, names)]):
+        if pixels is not None:
+            path = panel(output, taken.state, taken.index, number)
+            write_atomically(path, png_bytes(pixels))
+
+
+def _orbit(states: SceneStates, state: State, run: Run, count: int) -> list[Camera]:
+    cameras = [view.camera for view in states.scene.split("train")]
+    center, before = states.scene.center, run.cloud.positions.cpu()
+    reach = growth(before, state.move(before), center)
+    return orbit_like(cameras, center, count, scale=reach)
+
+
+def _frames(
+    state: State, runs: list[Run], cameras: list[Camera], tell: Callable[[int], None]
+) -> Iterator[Tensor]:
+    clouds = [run.cloud.moved(state.move(run.cloud.positions.cpu())) for run in runs]
+    for index, camera in enumerate(cameras):
+        pictures = [
+            render(run.papr, cloud, camera).rgb for run, cloud in zip(runs, clouds, strict=True)
+        ]
+        yield to_bytes(torch.cat(pictures, dim=1))
+        tell(index + 1)
