@@ -1,0 +1,143 @@
+"""`pcore finetune`: a new run beside the old one, its settings, its scene, resuming."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from toys import CONFIG, write_run, write_scene
+
+from pcore.cli.main import main
+from pcore.model.checkpoint import load_model
+from pcore.training import finetune
+from pcore.training.output import RunFolder
+
+
+@pytest.fixture
+def base(tmp_path: Path) -> Path:
+    """A pre-trained run, as far as it says itself."""
+    write_scene(tmp_path / "ball")
+    write_run(tmp_path / "run", scene="../ball", preset="tiny", factor=2)
+    return tmp_path / "run"
+
+
+def call(run: Path, *args: object, steps: int = 2) -> int:
+    options = ("--steps", steps, "--device", "cpu", "--threads", 1)
+    return main(["finetune", str(run), *map(str, options), *map(str, args)])
+
+
+def test_the_result_lies_beside_the_run_which_stays_as_it_is(
+    base: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {item.name: item.read_bytes() for item in base.iterdir() if item.is_file()}
+    assert call(base) == 0
+    said = capsys.readouterr().out
+    out = base.parent / "run-pcore"
+    assert "ball: 12 training views of 8 x 8 pixels; tiny, 2 steps on cpu" in said
+    assert f"next: pcore render {out} --edit edit.json" in said
+    made = RunFolder.open(out)
+    assert (made.stage, made.scene) == ("finetune", "../ball")
+    assert (made.config["base"], made.config["factor"]) == ("../run", 2)
+    assert made.config["finetune"]["steps"] == 2
+    assert made.notes["status"] == "finished"
+    assert {item.name: item.read_bytes() for item in base.iterdir() if item.is_file()} == before
+    tuned, vanilla = load_model(out), load_model(base)
+    assert (tuned.provenance.stage, tuned.provenance.step) == ("finetune", 2)
+    changed = [n for n, v in vanilla.papr_state.items() if not torch.equal(tuned.papr_state[n], v)]
+    assert changed
+
+
+def test_settings_of_an_imported_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It has no scene on record, and the preset of the paper."""
+    write_run(tmp_path / "run", scene="chair", config=replace(CONFIG, background=(0.0, 0.0, 0.0)))
+    assert call(tmp_path / "run") == 2
+    said = capsys.readouterr().err
+    assert "the scene it was trained on (chair) is not a folder here" in said
+    assert "--scene" in said
+    scene, out = write_scene(tmp_path / "ball"), tmp_path / "out"
+    options = ("--scene", scene, "--preset", "tiny", "--seed", 3, "-o", out)
+    assert call(tmp_path / "run", *options, steps=1) == 0
+    config = RunFolder.open(out).config
+    assert (config["preset"], config["factor"]) == ("tiny", 1)
+    assert (config["finetune"]["seed"], config["finetune"]["background"]) == (3, "black")
+
+
+def test_the_preset_of_a_run_without_one_is_the_papers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_scene(tmp_path / "ball")
+    write_run(tmp_path / "run", scene="../ball")
+    seen: list[object] = []
+
+    def note(*args: object, **options: object) -> None:
+        seen.append(args)
+
+    monkeypatch.setattr("pcore.cli.sessions.run_session", note)
+    monkeypatch.setattr("pcore.cli.sessions.show_result", note)
+    monkeypatch.setattr("pcore.cli.train.check_weights", note)
+    assert call(tmp_path / "run") == 0
+    assert "; paper, 2 steps" in capsys.readouterr().out
+
+
+def test_resuming_equals_never_stopping(
+    base: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    assert call(base, "-o", whole, steps=4) == 0
+    original, count = finetune.draw_patch, [0]
+
+    def draw(*args: object, **options: object) -> object:
+        count[0] += 1
+        if count[0] == 2:
+            signal.raise_signal(signal.SIGINT)
+        return original(*args, **options)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(finetune, "draw_patch", draw)
+    assert call(base, "-o", broken, steps=4) == 130
+    assert f"is saved in {broken}" in capsys.readouterr().err
+    assert call(base, "-o", broken, "--resume", steps=4) == 0
+    expected = load_model(whole).papr_state
+    for name, value in load_model(broken).papr_state.items():
+        assert torch.equal(value, expected[name]), name
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("-o", "."), "a folder other than that of the run it starts from"),
+        (("--scene", "absent"), "absent: no such folder"),
+        (("--factor", "3"), "16 x 16 images cannot be divided by 3"),
+        (("--resume",), "nothing to resume"),
+        (("--steps", "0"), "expected steps >= 1, got 0"),
+    ],
+)
+def test_bad_options(
+    base: Path,
+    options: tuple[str, ...],
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(base)
+    assert call(Path(), *options) == 2
+    assert message in capsys.readouterr().err
+    assert not (base.parent / "run-pcore" / "run.json").exists()
+
+
+def test_a_run_given_as_a_dot(base: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(base)
+    assert call(Path(), steps=1) == 0
+    assert RunFolder.open(base.parent / "run-pcore").config["base"] == "../run"
+
+
+def test_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(tmp_path) == 2
+    assert f"no run at {tmp_path}" in capsys.readouterr().err
