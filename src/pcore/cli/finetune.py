@@ -91,7 +91,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     device = pick_device(command.device)
     run, saved = RunFolder.open(command.run_folder), load_model(command.run_folder)
     folder, output = _scene(command, run), _output(command)
-    factor = command.factor or recorded_factor(run)
+    factor = recorded_factor(run) if command.factor is None else command.factor
     scene = load_scene(folder, factor=factor)
     name, config = _config(command, run, saved)
     check_weights(config.lpips_weight, config.lpips_trunk)

@@ -158,7 +158,7 @@ def _views(
     if command.cameras is not None:
         return cameras.cameras_of_file(command.cameras, command.size)
     folder = command.scene or recorded_scene(run)
-    factor = command.factor or recorded_factor(run)
+    factor = recorded_factor(run) if command.factor is None else command.factor
     if command.split is not None:
         if folder is None:
             raise InputError(

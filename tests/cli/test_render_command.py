@@ -231,6 +231,7 @@ def test_stopping_leaves_whole_files(
         (("--orbit", "2", "--size", "3", "9"), "at least 4 x 4 pixels, got 3 x 9"),
         (("--cameras", "absent.json"), "absent.json: no such file"),
         (("--edit", "absent.json"), "absent.json: edit file not found"),
+        (("--factor", "0"), "factor: expected a whole number of at least 1, got 0"),
         (("--factor", "3"), "16 x 16 images cannot be divided by 3"),
     ],
 )
