@@ -16,10 +16,10 @@ from pcore.cli.results import counting
 from pcore.data.pictures import to_bytes
 from pcore.data.video import write_video
 from pcore.evaluation.figures import png_bytes
-from pcore.evaluation.panels import depth_maps, renderings
+from pcore.evaluation.panels import depth_maps, object_window, renderings
 from pcore.evaluation.protocol import load_perceptual
 from pcore.evaluation.runner import Method, Taken, evaluate
-from pcore.evaluation.states import ALL, SceneStates, State, open_states
+from pcore.evaluation.states import SceneStates, State, open_states
 from pcore.evaluation.summary import gains, state_means
 from pcore.evaluation.tables import SUMMARY_FILE, read_summary, summary_record, write_tables
 from pcore.geometry.orbit import growth, orbit_like
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from pcore.geometry.camera import Camera
 
 BASELINE, METHOD = "PAPR", "P-CORE"
+STATES = ("twist60", "bend60", "stretch", "scale2x")
 CANONICAL_VIDEO, DEFORMED_VIDEO = "canonical.mp4", "deformed.mp4"
 _FPS = 16
 
@@ -60,7 +61,7 @@ def evaluate_demo(
     with folder.timed("evaluation", stamp), counting(console, "pictures") as tell:
         rows = evaluate(
             methods,
-            states.select([ALL]),
+            states.select(STATES),
             draw=render,
             perceptual=perceptual,
             progress=tell,
@@ -117,11 +118,11 @@ def _stamp(folder: DemoFolder, *settings: object) -> str:
 def _keep(taken: Taken, shown: tuple[int, ...], output: Path) -> None:
     if taken.index not in shown:
         return
-    names = [BASELINE, METHOD]
+    names, window = [BASELINE, METHOD], object_window(taken)
     for number, pixels in enumerate([*renderings(taken, names), *depth_maps(taken, names)]):
         if pixels is not None:
             path = panel(output, taken.state, taken.index, number)
-            write_atomically(path, png_bytes(pixels))
+            write_atomically(path, png_bytes(pixels[window]))
 
 
 def _orbit(states: SceneStates, state: State, run: Run, count: int) -> list[Camera]:

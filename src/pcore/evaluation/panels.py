@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from pcore.evaluation.figures import (
     Pixels,
     Range,
@@ -16,6 +18,7 @@ from pcore.evaluation.figures import (
 from pcore.evaluation.runner import Taken
 
 TRUTH = "truth"
+Window = tuple[slice, slice]
 
 
 def shared_range(taken: Taken, names: Sequence[str]) -> Range | None:
@@ -43,3 +46,24 @@ def comparison_sheet(taken: Taken, names: Sequence[str], *, cell: int = 220) -> 
     """One sheet: truth and methods in columns, colours above depth maps."""
     rows = [("rendering", renderings(taken, names)), ("depth", depth_maps(taken, names))]
     return sheet([TRUTH, *names], rows, cell=cell)
+
+
+def object_window(taken: Taken, *, margin: float = 0.12) -> Window:
+    """Rows and columns of a square around the true object, as large as the image at most.
+
+    Args:
+        taken: the pictures of a shot.
+        margin: room on every side, as a fraction of the object's longer side.
+    """
+    solid = taken.rgba[..., 3].numpy() > 0
+    size = solid.shape
+    spans = [np.flatnonzero(solid.any(axis=axis)) for axis in (1, 0)]
+    if not spans[0].size:
+        return slice(0, size[0]), slice(0, size[1])
+    longest = max(int(span[-1] - span[0]) + 1 for span in spans)
+    side = min(round(longest * (1 + 2 * margin)), *size)
+    starts = [
+        min(max(0, (int(span[0] + span[-1]) + 1 - side) // 2), length - side)
+        for span, length in zip(spans, size, strict=True)
+    ]
+    return slice(starts[0], starts[0] + side), slice(starts[1], starts[1] + side)

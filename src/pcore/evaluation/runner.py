@@ -13,7 +13,7 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.evaluation.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
-from pcore.evaluation.states import Kind, Shot, State
+from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
@@ -135,39 +135,56 @@ def evaluate(
     done = 0
     for state in states:
         clouds = {m.name: _carry(m.cloud, state) for m in methods}
-        for index, shot in enumerate(state.shots):
-            rgba = shot.view.rgba()
-            depth = None if shot.depth is None else shot.depth()
-            photos: dict[str, Photo] = {}
-            for method in methods:
-                photo = _take(draw, method.papr, clouds[method.name], shot.camera)
-                photos[method.name] = photo
-                geometry = _geometry(photo, shot, rgba, depth, state.object_size)
-                for protocol in protocols:
-                    images = measure(protocol, photo.rgb, rgba, perceptual).row()
-                    rows.append(
-                        ImageRow(
-                            method=method.name,
-                            state=state.name,
-                            kind=state.kind,
-                            protocol=protocol.name,
-                            view=shot.view.name,
-                            scores={**images, **geometry},
-                        )
-                    )
-                done += 1
-                if progress is not None:
-                    progress(done, total)
+        for index in range(len(state.shots)):
+            taken = _take(methods, clouds, state, index, draw)
+            rows += _score(taken, state, protocols, perceptual)
+            done += len(methods)
+            if progress is not None:
+                progress(done, total)
             if show is not None:
-                taken = Taken(
-                    state=state.name,
-                    view=shot.view.name,
-                    index=index,
-                    rgba=rgba,
-                    depth=depth,
-                    photos=photos,
-                )
                 show(taken)
+    return rows
+
+
+def _take(
+    methods: Sequence[Method],
+    clouds: Mapping[str, PointCloud],
+    state: State,
+    index: int,
+    draw: Draw,
+) -> Taken:
+    """Render one shot with every method."""
+    shot = state.shots[index]
+    with torch.no_grad():
+        photos = {m.name: draw(m.papr, clouds[m.name], shot.camera) for m in methods}
+    return Taken(
+        state=state.name,
+        view=shot.view.name,
+        index=index,
+        rgba=shot.view.rgba(),
+        depth=None if shot.depth is None else shot.depth(),
+        photos=photos,
+    )
+
+
+def _score(
+    taken: Taken, state: State, protocols: Sequence[Protocol], perceptual: Perceptual | None
+) -> list[ImageRow]:
+    """One row per method and protocol."""
+    rows: list[ImageRow] = []
+    for name, photo in taken.photos.items():
+        geometry = _geometry(photo, taken, state)
+        for protocol in protocols:
+            images = measure(protocol, photo.rgb, taken.rgba, perceptual).row()
+            row = ImageRow(
+                method=name,
+                state=taken.state,
+                kind=state.kind,
+                protocol=protocol.name,
+                view=taken.view,
+                scores={**images, **geometry},
+            )
+            rows.append(row)
     return rows
 
 
@@ -185,20 +202,13 @@ def _carry(cloud: PointCloud, state: State) -> PointCloud:
     return cloud.detached().moved(state.move(positions.cpu()).to(positions))
 
 
-def _take(draw: Draw, papr: Papr, cloud: PointCloud, camera: Camera) -> Photo:
-    with torch.no_grad():
-        return draw(papr, cloud, camera)
-
-
-def _geometry(
-    photo: Photo, shot: Shot, rgba: Tensor, depth: Tensor | None, size: float | None
-) -> Mapping[str, Value]:
+def _geometry(photo: Photo, taken: Taken, state: State) -> Mapping[str, Value]:
     """Geometry metrics; without a true shape only those that need the opacity alone."""
-    alpha = rgba[..., 3]
-    if depth is not None and size is not None:
-        truth = TrueGeometry(alpha=alpha, depth=depth, object_size=size)
+    alpha, size = taken.rgba[..., 3], state.object_size
+    if taken.depth is not None and size is not None:
+        truth = TrueGeometry(alpha=alpha, depth=taken.depth, object_size=size)
         return measure_geometry(photo.alpha, photo.depth, truth).row()
-    if not shot.view.has_alpha:
+    if not state.shots[taken.index].view.has_alpha:
         return _NO_GEOMETRY
     # No pixel has a true depth: only coverage is judged, and nothing may claim more than that.
     unknown = torch.full_like(alpha, torch.inf)

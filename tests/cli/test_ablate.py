@@ -1,0 +1,89 @@
+"""`pcore ablate` on a box with a training of a few steps."""
+
+import json
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+import tiny_scene
+from pcore.cli.main import main
+from pcore.training import presets
+from pcore.training.config import FinetuneConfig, PatchConfig, Rates
+from pcore.training.schedule import Schedule
+
+RATE = Schedule(base=1e-3)
+SHORT = FinetuneConfig(
+    steps=2,
+    patch=PatchConfig(side=8),
+    rates=Rates(points=RATE, attention=RATE, features=RATE, influence=RATE, unet=RATE),
+)
+FOLDERS = ("full", "without-points", "without-rays", "without-texture")
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny_scene.write_scene(tmp_path_factory.mktemp("scenes") / "box")
+
+
+@pytest.fixture
+def run(tmp_path: Path, scene: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(presets, "finetune_preset", lambda name: SHORT, raising=False)
+    return tiny_scene.write_run(tmp_path / "run", scene, preset="tiny")
+
+
+def test_all_variants_are_trained_scored_and_drawn(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (run / "model.safetensors").read_bytes()
+    assert main(["ablate", str(run)]) == 0
+    output = run / "ablation"
+    assert "w/o R&P against PAPR" in capsys.readouterr().out
+    settings = {
+        name: json.loads((output / name / "run.json").read_text())["config"] for name in FOLDERS
+    }
+    tuning = {name: config["finetune"] for name, config in settings.items()}
+    assert [tuning[name]["rays_and_points"] for name in FOLDERS] == [True, True, False, True]
+    assert [tuning[name]["points_only"] for name in FOLDERS] == [True, False, True, True]
+    assert tuning["without-texture"]["texture_weight"] == 0
+    assert tuning["full"]["texture_weight"] > 0
+    assert settings["full"]["base"] == "../.."
+    record = json.loads((output / "summary.json").read_text())
+    methods = list(dict.fromkeys(mean["method"] for mean in record["means"]))
+    assert methods == ["PAPR", "w/o R&P", "w/o Pt-Only", "w/o L_tex", "Full"]
+    assert {mean["state"] for mean in record["means"]} == {"canonical", "scale:2"}
+    with Image.open(output / "ablation.png") as figure:
+        assert figure.width > 6 * 200
+        assert figure.height > 2 * 200
+    assert (run / "model.safetensors").read_bytes() == before
+
+
+def test_finished_variants_are_not_trained_again(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["ablate", str(run), "--state", "walk"]
+    assert main(words) == 0
+    models = {name: (run / "ablation" / name / "model.safetensors") for name in FOLDERS}
+    before = {name: path.stat().st_mtime_ns for name, path in models.items()}
+    capsys.readouterr()
+    assert main(words) == 0
+    assert capsys.readouterr().out.count("finished already") == 4
+    assert {name: path.stat().st_mtime_ns for name, path in models.items()} == before
+    assert main([*words, "--steps", "3"]) == 2
+    assert "finetune.steps: 2 -> 3" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--state", "twist"], "no state 'twist'; expected one of"),
+        (["--state", "canonical"], "no deformed state to score; give --state scale:2"),
+        (["--view", "2"], "--view: expected a number from 0 to 1"),
+    ],
+)
+def test_bad_input_is_found_before_any_training(
+    run: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["ablate", str(run), *words]) == 2
+    assert message in capsys.readouterr().err
+    assert not (run / "ablation").exists()

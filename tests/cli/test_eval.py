@@ -1,0 +1,154 @@
+"""`pcore eval` on a box: files, table, baseline, and every way to ask for the wrong thing."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+import tiny_scene
+from pcore.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny_scene.write_scene(tmp_path_factory.mktemp("scenes") / "box")
+
+
+@pytest.fixture
+def run(tmp_path: Path, scene: Path) -> Path:
+    return tiny_scene.write_run(tmp_path / "run", scene)
+
+
+@pytest.fixture
+def tuned(tmp_path: Path, scene: Path, run: Path) -> Path:
+    return tiny_scene.write_run(
+        tmp_path / "run-pcore", scene, stage="finetune", base=f"../{run.name}", factor=2
+    )
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    with (folder / "images.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_tuned_run_is_compared_with_its_base(
+    tuned: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["eval", str(tuned), "--pictures"]) == 0
+    out = capsys.readouterr().out
+    assert "protocol papr" in out
+    assert "protocol standard" in out
+    assert "P-CORE against PAPR, mean of the analytic states (grown):" in out
+    assert "mean of the skeletal states (walk):" in out
+    rows = rows_of(tuned / "eval")
+    assert len(rows) == 3 * 2 * 2 * 2  # states, views, methods, protocols
+    assert {row["method"] for row in rows} == {"PAPR", "P-CORE"}
+    record = json.loads((tuned / "eval" / "summary.json").read_text())
+    assert record["about"]["factor"] == 2  # of the training
+    assert [gain["group"] for gain in record["gains"]] == ["analytic", "skeletal"] * 2
+    pictures = sorted(path.name for path in (tuned / "eval" / "pictures").iterdir())
+    assert pictures == [
+        f"{state}-r_{view}.png" for state in ("canonical", "grown", "walk") for view in (0, 1)
+    ]
+
+
+def test_a_pretrained_run_alone(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--state", "scale:2", "--protocol", "standard", "--factor", "2"]
+    assert main(["eval", str(run), *words]) == 0
+    out = capsys.readouterr().out
+    assert "8-bit images" in out
+    assert "protocol papr" not in out
+    assert "against" not in out
+    rows = rows_of(run / "eval")
+    assert {row["state"] for row in rows} == {"canonical", "scale:2"}
+    assert {row["method"] for row in rows} == {"PAPR"}
+
+
+def test_why_lpips_is_missing(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("PCORE_LPIPS_DIR", "XDG_CACHE_HOME", "TORCH_HOME", "HOME"):
+        monkeypatch.setenv(name, str(tmp_path / "nowhere"))
+    assert main(["eval", str(run), "--state", "canonical", "--protocol", "papr"]) == 0
+    out = capsys.readouterr().out
+    assert "no LPIPS with alex, vgg: weights are missing; `pcore doctor`" in out
+    notes = json.loads((run / "eval" / "summary.json").read_text())["notes"]
+    assert "lin_alex.pth" in notes[0]
+
+
+def test_two_runs_of_one_kind_are_told_apart(run: Path, scene: Path, tmp_path: Path) -> None:
+    other = tiny_scene.write_run(tmp_path / "other", scene)
+    words = ["--baseline", str(other), "--state", "grown", "-o", str(tmp_path / "out")]
+    assert main(["eval", str(run), *words]) == 0
+    methods = {row["method"] for row in rows_of(tmp_path / "out")}
+    assert methods == {"PAPR (run)", "PAPR (other)"}
+
+
+def test_results_are_replaced_by_the_same_run_only(
+    run: Path, tuned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--state", "canonical", "-o", str(tmp_path / "out")]
+    assert main(["eval", str(run), *words]) == 0
+    assert main(["eval", str(run), *words]) == 0
+    before = (tmp_path / "out" / "images.csv").read_bytes()
+    capsys.readouterr()
+    assert main(["eval", str(tuned), *words]) == 2
+    said = capsys.readouterr().err
+    assert f"holds the results of {run}, which are not overwritten by those of {tuned}" in said
+    assert (tmp_path / "out" / "images.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--state", "twist"], "no state 'twist'; expected one of canonical, grown, walk, scale:S"),
+        (["--state", "scale:-1"], "expected scale:S with a factor S > 0, got '-1'"),
+        (["--factor", "5"], "factor"),
+        (["--scene", "nowhere"], "scene nowhere: no such folder"),
+        (["--baseline", "nowhere"], "no run at nowhere"),
+    ],
+)
+def test_bad_input(
+    run: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["eval", str(run), *words]) == 2
+    assert message in capsys.readouterr().err
+    assert not (run / "eval").exists()
+
+
+def test_a_run_whose_scene_is_gone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = tiny_scene.write_run(tmp_path / "run", Path("gone"))
+    assert main(["eval", str(run)]) == 2
+    said = capsys.readouterr().err
+    assert "the scene it was trained on (gone) is not a folder here" in said
+    assert "--scene" in said
+
+
+def test_a_scene_without_meshes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = tiny_scene.write_scene(tmp_path / "plain", meshes=False)
+    run = tiny_scene.write_run(tmp_path / "run", scene)
+    assert main(["eval", str(run), "--state", "walk"]) == 2
+    assert "'walk' has true images but no mesh in meshes.npz" in capsys.readouterr().err
+    assert main(["eval", str(run)]) == 0
+    assert "left out: grown, walk" in capsys.readouterr().out
+
+
+def test_a_base_that_is_gone(
+    tmp_path: Path, scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tuned = tiny_scene.write_run(tmp_path / "tuned", scene, stage="finetune", base="../gone")
+    assert main(["eval", str(tuned)]) == 2
+    said = capsys.readouterr().err
+    assert "was fine-tuned from" in said
+    assert "give that run with --baseline" in said
+
+
+@pytest.mark.parametrize("kind", ["run", "file"])
+def test_an_output_that_is_something_else(
+    run: Path, tuned: Path, tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    target = tuned if kind == "run" else tmp_path / "file"
+    assert main(["eval", str(run), "-o", str(target)]) == 2
+    assert ("holds a run" if kind == "run" else "is a file") in capsys.readouterr().err

@@ -1,0 +1,183 @@
+"""States of a scene, and scoring of methods on them with a renderer that is perfect."""
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+import tiny_scene
+from pcore.errors import InputError, SceneError
+from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual
+from pcore.evaluation.runner import ImageRow, Method, Taken, evaluate
+from pcore.evaluation.states import SceneStates, open_states
+from pcore.geometry.camera import Camera
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.papr import Papr
+from pcore.model.render import Picture
+from tiny_scene import draw_box
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny_scene.write_scene(tmp_path_factory.mktemp("scenes") / "box")
+
+
+@pytest.fixture
+def states(scene: Path) -> SceneStates:
+    return open_states(scene)
+
+
+@pytest.fixture
+def perfect() -> Method:
+    return Method(name="true", papr=Papr(tiny_scene.CONFIG), cloud=tiny_scene.corner_cloud())
+
+
+def test_a_perfect_renderer_is_perfect_in_every_state(states: SceneStates, perfect: Method) -> None:
+    rows = evaluate([perfect], states.select(["all", "scale:2", "scale:0.5"]), draw=draw_box)
+    kinds = {row.state: row.kind for row in rows}
+    assert kinds == {
+        "canonical": "canonical",
+        "grown": "analytic",
+        "walk": "skeletal",
+        "scale:2": "analytic",
+        "scale:0.5": "analytic",
+    }
+    assert len(rows) == 5 * 2 * 2  # states, views, protocols
+    for row in rows:
+        psnr = row.scores["psnr"]
+        assert psnr is not None
+        assert psnr > 120  # the protocol `papr` compares floats, which round
+        assert row.scores["hole_rate"] == 0
+        assert row.scores["spill"] == 0
+        error = row.scores["depth_error"]
+        assert error is not None
+        assert error < 1e-5
+
+
+def test_points_are_carried_and_cameras_scaled(states: SceneStates, perfect: Method) -> None:
+    seen: list[tuple[PointCloud, Camera]] = []
+
+    def draw(papr: Papr, cloud: PointCloud, camera: Camera) -> Picture:
+        seen.append((cloud, camera))
+        return draw_box(papr, cloud, camera)
+
+    canonical, grown, scaled = states.select(["grown", "scale:2"])
+    evaluate([perfect], [canonical, grown, scaled], draw=draw, protocols=[PAPR])
+    start = perfect.cloud.positions
+    torch.testing.assert_close(seen[0][0].positions, start)
+    torch.testing.assert_close(seen[2][0].positions, 1.5 * start)
+    torch.testing.assert_close(seen[4][0].positions, 2 * start)
+    torch.testing.assert_close(seen[4][1].center, 2 * seen[0][1].center)
+    torch.testing.assert_close(seen[2][1].center, seen[0][1].center)
+
+
+def test_holes_show_in_both_kinds_of_figures(states: SceneStates, perfect: Method) -> None:
+    def torn(papr: Papr, cloud: PointCloud, camera: Camera) -> Picture:
+        whole = draw_box(papr, cloud, camera)
+        alpha = whole.alpha.clone()
+        alpha[:, : alpha.shape[1] // 2] = 0
+        white = torch.ones_like(whole.rgb)
+        rgb = torch.where(alpha[..., None] > 0, whole.rgb, white)
+        return Picture(rgb=rgb, alpha=alpha, depth=whole.depth, surface=whole.surface)
+
+    (row,) = evaluate([perfect], states.select([])[:1], draw=torn, protocols=[PAPR])[:1]
+    hole, psnr = row.scores["hole_rate"], row.scores["foreground_psnr"]
+    assert hole is not None
+    assert psnr is not None
+    assert 0.3 < hole < 0.7
+    assert psnr < 15
+
+
+def test_without_a_mesh_only_opacity_is_judged(tmp_path: Path, perfect: Method) -> None:
+    plain = open_states(tiny_scene.write_scene(tmp_path / "plain", meshes=False, states=False))
+    rows = evaluate([perfect], plain.select(["scale:2"]), draw=draw_box, protocols=[STANDARD])
+    assert {row.state for row in rows} == {"canonical", "scale:2"}
+    for row in rows:
+        assert row.scores["psnr"] == math.inf
+        assert row.scores["hole_rate"] is None
+        assert row.scores["depth_error"] is None
+        assert row.scores["see_through_rate"] == 0
+        assert row.scores["spill_to_object"] == 0
+
+
+def test_shows_pictures_and_counts(states: SceneStates, perfect: Method) -> None:
+    shown: list[Taken] = []
+    counted: list[tuple[int, int]] = []
+    other = Method(name="other", papr=perfect.papr, cloud=perfect.cloud)
+    rows = evaluate(
+        [perfect, other],
+        states.select(["walk"]),
+        draw=draw_box,
+        protocols=[PAPR],
+        perceptual=Perceptual(missing={"vgg": "no weights"}),
+        progress=lambda done, total: counted.append((done, total)),
+        show=shown.append,
+    )
+    assert counted == [(i, 8) for i in range(1, 9)]
+    assert [(t.state, t.index) for t in shown] == [
+        ("canonical", 0),
+        ("canonical", 1),
+        ("walk", 0),
+        ("walk", 1),
+    ]
+    assert set(shown[0].photos) == {"true", "other"}
+    assert all(row.scores["lpips_vgg"] is None for row in rows)
+
+
+def test_one_row_per_picture_in_a_fixed_order(states: SceneStates, perfect: Method) -> None:
+    rows: list[ImageRow] = evaluate([perfect], states.select(["walk"]), draw=draw_box)
+    keys = [(row.state, row.view, row.protocol) for row in rows]
+    assert keys == [
+        (state, view, protocol)
+        for state in ("canonical", "walk")
+        for view in ("r_0", "r_1")
+        for protocol in ("papr", "standard")
+    ]
+
+
+def test_the_factor_scales_truth_and_cameras(scene: Path, perfect: Method) -> None:
+    (shot, *_) = open_states(scene, factor=2).select([])[0].shots
+    assert (shot.camera.width, shot.camera.height) == (12, 12)
+    assert tuple(shot.view.rgba().shape) == (12, 12, 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("wlak", "no state 'wlak'; expected one of canonical, grown, walk, scale:S"),
+        ("scale:0", "state 'scale:0': expected scale:S with a factor S > 0, got '0'"),
+        ("scale:two", "expected scale:S with a factor S > 0, got 'two'"),
+        ("scale:inf", "expected scale:S with a factor S > 0, got 'inf'"),
+    ],
+)
+def test_an_unknown_state(states: SceneStates, name: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        states.select([name])
+    assert message in str(caught.value)
+
+
+def test_a_state_without_a_mesh_is_refused_and_left_out_of_all(tmp_path: Path) -> None:
+    states = open_states(tiny_scene.write_scene(tmp_path / "box", meshes=False))
+    assert states.names == ()
+    assert [state.name for state in states.select(["all"])] == ["canonical"]
+    assert states.left_out is not None
+    assert "left out: grown, walk" in states.left_out
+    with pytest.raises(SceneError, match=r"'walk' has true images but no mesh in meshes\.npz"):
+        states.select(["walk"])
+
+
+def test_a_pair_of_papr_in_motion_has_no_mesh(tmp_path: Path) -> None:
+    for side in ("start", "end"):
+        tiny_scene.write_scene(tmp_path / "pair" / side, meshes=False, states=False)
+    states = open_states(tmp_path / "pair")
+    with pytest.raises(SceneError, match="'end' has true images but no mesh"):
+        states.select(["end"])
+    assert len(states.select([])[0].shots) == 2
+
+
+def test_methods_need_different_names(states: SceneStates, perfect: Method) -> None:
+    with pytest.raises(InputError, match="no name twice, got true, true"):
+        evaluate([perfect, perfect], states.select([]), draw=draw_box)
+    with pytest.raises(InputError, match="at least one and no name twice, got none"):
+        evaluate([], states.select([]), draw=draw_box)
