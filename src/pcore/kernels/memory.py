@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 
-_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
+_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -2, -3, -8
 _LARGEST_MMAP_THRESHOLD = 32 * 2**20
 
 
@@ -23,6 +23,8 @@ def keep_freed_memory() -> bool:
     except (AttributeError, OSError, TypeError):
         return False
     taken = [
+        # One arena: the others live in heaps of 64 MiB that are trimmed whatever we ask.
+        mallopt(_M_ARENA_MAX, 1),
         mallopt(_M_MMAP_THRESHOLD, _LARGEST_MMAP_THRESHOLD),
         mallopt(_M_TRIM_THRESHOLD, 2**31 - 1),
         mallopt(_M_TOP_PAD, 64 * 2**20),

@@ -78,6 +78,8 @@ def run_loop(
         KeyboardInterrupt: after Ctrl-C, with everything saved.
     """
     _resume(work, folder)
+    if work.best.get("stopped"):
+        return _result(work)
     clock = _Clock(work.step, plan.steps)
     with _deferred_interrupt() as interrupted:
         while work.step < plan.steps:
@@ -88,6 +90,8 @@ def run_loop(
             go_on = True
             if work.step % plan.validate_every == 0 or work.step == plan.steps:
                 go_on = _validate(work, plan, accept, listener)
+            if not go_on:
+                work.best["stopped"] = True
             last = work.step == plan.steps or not go_on or bool(interrupted)
             if last or work.step % plan.save_every == 0:
                 _save(work, plan, folder, listener, finished=last and not interrupted)

@@ -73,7 +73,7 @@ FAST = PretrainConfig(
 TINY = PretrainConfig(
     model=_small_model(neighbours=8, width=64, unet=24),
     rates=_SMALL_RATES,
-    steps=4500,
+    steps=3600,
     patch=PatchConfig(side=100),
     points=6000,
     influence_start=1.0,
@@ -101,3 +101,41 @@ def preset(name: PresetName) -> PretrainConfig:
 def demo_pretrain() -> PretrainConfig:
     """Return `tiny`, shortened for the embedded sample."""
     return replace(TINY, steps=1200, points=4000, validate_every=300, save_every=300)
+
+
+def _scaled(rates: Rates, factor: float) -> Rates:
+    """Return constant schedules of `factor` times the base rates that fade out by a cosine."""
+    named = {name: Schedule(base=factor * one.base, warmup=20) for name, one in rates.named().items()}
+    return Rates(**named)
+
+
+_SMALL_FINETUNE = FinetuneConfig(
+    rates=_scaled(_SMALL_RATES, 0.5),
+    patch=PatchConfig(side=100),
+    opacity_weight=0.1,
+)
+_FINETUNE: dict[PresetName, FinetuneConfig] = {
+    "tiny": _SMALL_FINETUNE,
+    "fast": replace(_SMALL_FINETUNE, patch=PatchConfig(), mixed_precision=True),
+    "paper": FinetuneConfig(
+        rates=_scaled(_PAPER_RATES, 1.0),
+        lpips_weight=0.01,
+        mixed_precision=True,
+    ),
+}
+
+
+def finetune_preset(name: PresetName) -> FinetuneConfig:
+    """Return the fine-tuning settings that go with a pre-training preset.
+
+    Raises:
+        InputError: there is no such preset.
+    """
+    if name not in _FINETUNE:
+        raise InputError(f"preset: expected one of {', '.join(get_args(PresetName))}, got {name!r}")
+    return _FINETUNE[name]
+
+
+def demo_finetune() -> FinetuneConfig:
+    """Return the fine-tuning of `tiny`, shortened for the embedded sample."""
+    return replace(_FINETUNE["tiny"], steps=200)

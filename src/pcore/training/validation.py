@@ -8,21 +8,17 @@ import torch
 
 from pcore.data.images import background_color, composite
 from pcore.data.scene import View
-from pcore.geometry.rays import RayBundle
+from pcore.model.render import render
 from pcore.training.config import Background
 from pcore.training.trained import Trained
 
 
-@torch.no_grad()
 def validate(model: Trained, views: Sequence[View], background: Background) -> dict[str, float]:
     """Mean PSNR over the views, and of foreground pixels (alpha > 0.5) where there is alpha, dB."""
     color = background_color("white" if background == "random" else background)
-    device = model.cloud.positions.device
     found: dict[str, list[float]] = {"psnr": [], "foreground_psnr": []}
     for view in views:
-        rays = view.camera.rays()
-        rays = RayBundle(origins=rays.origins.to(device), directions=rays.directions.to(device))
-        rgb = model.papr(model.cloud, rays, color.to(device)).rgb.clamp(0, 1).cpu()
+        rgb = render(model.papr, model.cloud, view.camera).rgb.clamp(0, 1)
         rgba = view.rgba()
         error = (rgb - composite(rgba, color)).square().mean(dim=-1)
         found["psnr"].append(_decibels(error.mean()))
