@@ -1,0 +1,120 @@
+"""What the documentation says exists: commands parse, links lead somewhere, names are found."""
+
+import ast
+import re
+import shlex
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tyro
+
+import pcore
+from pcore.cli.main import VERBS
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+COMMAND = re.compile(r"(?:/usr/bin/time -v )?(pcore [^`]*)")
+LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
+REPOSITORY_PATH = re.compile(r"`((?:tests|docs|scripts|examples|src)/[\w./-]*)`")
+NAME = re.compile(r"`(pcore(?:\.\w+)+)`")
+
+
+def pages_with(pattern: re.Pattern[str]) -> list[Any]:
+    return [
+        pytest.param(page, id=str(page.relative_to(ROOT)))
+        for page in PAGES
+        if pattern.search(page.read_text(encoding="utf-8"))
+    ]
+
+
+def code_blocks(page: Path, language: str) -> list[str]:
+    """Fenced blocks of a language."""
+    text = page.read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def commands(page: Path) -> list[str]:
+    """Command lines of pcore in fenced and indented blocks; those with "..." are sketches."""
+    indented = re.findall(r"^ {4}.*$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    lines = [line.strip() for block in code_blocks(page, "bash") for line in block.splitlines()]
+    found = [COMMAND.fullmatch(line.strip()) for line in [*lines, *indented]]
+    return [match[1] for match in found if match and "..." not in match[1]]
+
+
+def parse(words: list[str]) -> Any:
+    """Options of a command, without running it."""
+    verb = next(v for v in VERBS if words[1 : 1 + len(v.name.split())] == v.name.split())
+    kind = getattr(import_module(verb.module), verb.command)
+    options = words[1 + len(verb.name.split()) :]
+    return tyro.cli(kind, args=options, config=(tyro.conf.FlagCreatePairsOff,))
+
+
+def resolve(name: str) -> Any:
+    """The object of a dotted name; AttributeError when there is none."""
+    words = name.split(".")
+    modules = [".".join(words[:n]) for n in range(1, len(words) + 1)]
+    module = [one for one in modules if import_spec(one)][-1]
+    found: Any = import_module(module)
+    for word in words[module.count(".") + 1 :]:
+        found = getattr(found, word)
+    return found
+
+
+def import_spec(name: str) -> bool:
+    try:
+        return find_spec(name) is not None
+    except ModuleNotFoundError:  # Its parent is no package.
+        return False
+
+
+def test_there_are_commands_to_check() -> None:
+    verbs = {
+        verb.name
+        for verb in VERBS
+        for command in commands(ROOT / "README.md")
+        if command.startswith(f"pcore {verb.name}")
+    }
+    assert verbs == {verb.name for verb in VERBS} - {"doctor"}
+    assert "`pcore doctor`" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("page", [p for p in pages_with(COMMAND) if commands(p.values[0])])
+def test_every_command_parses(page: Path) -> None:
+    for command in commands(page):
+        words = shlex.split(command, comments=True)
+        try:
+            assert parse(words) is not None
+        except (SystemExit, StopIteration) as end:
+            pytest.fail(f"{page.name}: `{command}` does not parse ({end!r})")
+
+
+@pytest.mark.parametrize("page", pages_with(LINK))
+def test_every_link_leads_somewhere(page: Path) -> None:
+    targets = LINK.findall(page.read_text(encoding="utf-8"))
+    assert [one for one in targets if not (page.parent / one).exists()] == []
+
+
+@pytest.mark.parametrize("page", pages_with(REPOSITORY_PATH))
+def test_every_file_that_is_named_is_there(page: Path) -> None:
+    named = REPOSITORY_PATH.findall(page.read_text(encoding="utf-8"))
+    assert [one for one in named if not (ROOT / one).exists()] == []
+
+
+@pytest.mark.parametrize("page", pages_with(NAME))
+def test_every_name_is_in_the_code(page: Path) -> None:
+    for name in NAME.findall(page.read_text(encoding="utf-8")):
+        assert resolve(name) is not None, name
+
+
+@pytest.mark.parametrize("page", [p for p in pages_with(re.compile("```python"))])
+def test_python_blocks_import_what_is_there(page: Path) -> None:
+    for block in code_blocks(page, "python"):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pcore"):
+                for alias in node.names:
+                    resolve(f"{node.module}.{alias.name}")
+            elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == "pcore":
+                assert node.attr in pcore.__all__ or import_spec(f"pcore.{node.attr}"), node.attr
