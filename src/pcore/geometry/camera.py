@@ -54,7 +54,8 @@ class Camera:
         """Camera with square pixels from the horizontal field of view in radians."""
         if not 0 < angle_x < math.pi:
             raise InputError(
-                f"camera: expected a horizontal field of view between 0 and pi radians, got {angle_x}"
+                "camera: expected a horizontal field of view between 0 and pi radians, "
+                f"got {angle_x}"
             )
         focal = 0.5 * width / math.tan(0.5 * angle_x)
         return cls(

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 import torch
 from numba import prange
+from numba.core import config as numba_config
 from torch import Tensor
 
 from pcore.kernels.reference import LENGTH_GUARD
@@ -25,7 +26,9 @@ def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int)
 
 
 def _use_torch_threads() -> None:
-    numba.set_num_threads(min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS))
+    # numba fills its config in at import, where type checkers do not see it.
+    most: int = numba_config.NUMBA_NUM_THREADS  # pyright: ignore[reportAttributeAccessIssue]
+    numba.set_num_threads(min(torch.get_num_threads(), most))
 
 
 def _as_numpy(tensor: Tensor) -> np.ndarray:
@@ -171,7 +174,7 @@ def _encode_forward(
     origins: np.ndarray,
     directions: np.ndarray,
     neighbours: np.ndarray,
-    scale: float,
+    scale: np.float32,
     frequencies: int,
     table: np.ndarray,
     squared: np.ndarray,
@@ -223,7 +226,7 @@ def _encode_backward(
     table: np.ndarray,
     directions: np.ndarray,
     k: int,
-    scale: float,
+    scale: np.float32,
     frequencies: int,
     to_position: np.ndarray,
 ) -> None:

@@ -62,9 +62,9 @@ def encode_pairs(
 ) -> tuple[Tensor, Tensor]:
     """What PAPR's embedding networks see of every ray-point pair.
 
-    With h the part of (point - origin) along the ray and t the rest (paper, Preliminaries), a row is
-    [gamma(scale p), gamma(scale h), gamma(scale t), mu]: the key reads the first three blocks, the
-    value the last three. No gradient flows through gamma(scale p), as in the original.
+    With h the part of (point - origin) along the ray and t the rest (paper, Preliminaries), a row
+    is [gamma(scale p), gamma(scale h), gamma(scale t), mu]: the key reads the first three blocks,
+    the value the last three. No gradient flows through gamma(scale p), as in the original.
 
     Args:
         positions: (N, 3).

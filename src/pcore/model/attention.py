@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -125,7 +126,7 @@ class ProximityAttention(nn.Module):
         hidden = self.value.hidden(table[:, vector:]).unflatten(0, (rays_count, k))
         positions = cloud.positions.index_select(0, rows).view(rays_count, k, 3)
         # The last linear layer commutes with the weighted sum: once per ray, not once per pair.
-        last = self.value.layers[-1]
+        last = cast("nn.Linear", self.value.layers[-1])
         pooled = torch.bmm(weights.unsqueeze(1), hidden).squeeze(1)
         features = F.linear(pooled, last.weight) + weights.sum(dim=-1, keepdim=True) * last.bias
         surface = torch.bmm(weights.unsqueeze(1), positions).squeeze(1)

@@ -18,7 +18,8 @@ class Normalisation(nn.Module):
     """a (x - mean) / std + b over the last axis, with the UNBIASED standard deviation.
 
     The original adds 1e-6 to the standard deviation. We reach the same by torch's fused layer norm
-    (biased variance, a vanishing eps) times sqrt((n - 1) / n); the two differ by 1e-6 / std relative.
+    (biased variance, a vanishing eps) times sqrt((n - 1) / n); the two differ by 1e-6 / std,
+    relative.
     """
 
     def __init__(self, size: int) -> None:

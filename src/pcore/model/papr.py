@@ -88,7 +88,7 @@ class Papr(nn.Module):
 
     def shade(self, features: Tensor, alpha: Tensor, background: Tensor | None = None) -> Tensor:
         """Colours (H, W, 3) of a feature map (H, W, C) over a background (3,)."""
-        colours = self.unet(features.permute(2, 0, 1).unsqueeze(0))[0].permute(1, 2, 0)
+        colours: Tensor = self.unet(features.permute(2, 0, 1).unsqueeze(0))[0].permute(1, 2, 0)
         if background is None:
             background = colours.new_tensor(self.config.background)
         opacity = alpha.unsqueeze(-1)

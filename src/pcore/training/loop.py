@@ -243,4 +243,6 @@ def _deferred_interrupt() -> Generator[list[int]]:
 
 def autocast(device: torch.device, *, enabled: bool) -> torch.autocast:
     """Half precision on a GPU (bfloat16 needs no loss scaling); never on the CPU."""
-    return torch.autocast(device.type, dtype=torch.bfloat16, enabled=enabled and device.type != "cpu")
+    return torch.autocast(
+        device.type, dtype=torch.bfloat16, enabled=enabled and device.type != "cpu"
+    )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pcore.model.papr import Papr, Rendering
+from pcore.model.papr import Rendering
 from pcore.training.config import TrunkName
 from pcore.training.patches import Patch
 from pcore.training.perceptual import load_lpips
@@ -61,11 +61,6 @@ def photometric(
     if opacity_weight > 0 and patch.alpha is not None:
         terms["opacity"] = opacity_weight * (rendering.alpha - patch.alpha).square().mean()
     return Losses(terms=terms, squared_error=error.detach())
-
-
-def background_of(papr: Papr, patch: Patch) -> Tensor:
-    """Colour (3,) behind the object in this patch."""
-    return patch.background.to(papr.unet.outc.weight)
 
 
 def _as_lpips(image: Tensor) -> Tensor:

@@ -50,12 +50,14 @@ def draw_patch(
     camera = view.camera
     height, width = min(config.side, camera.height), min(config.side, camera.width)
     rgba = view.rgba()
+    top = left = 0
     for _ in range(_TRIES):
         top = _draw(camera.height - height + 1, generator)
         left = _draw(camera.width - width + 1, generator)
-        crop = rgba[top : top + height, left : left + width]
-        if not view.has_alpha or float(crop[..., 3].mean()) > _LEAST_COVERAGE:
+        coverage = rgba[top : top + height, left : left + width, 3].mean()
+        if not view.has_alpha or float(coverage) > _LEAST_COVERAGE:
             break
+    crop = rgba[top : top + height, left : left + width]
     color = background_color(background, generator)
     rays = camera.rays(top, left, height, width)
     return Patch(

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor, nn
 
 from pcore.errors import InputError, TrainingError
@@ -170,7 +170,7 @@ def growth_sites(positions: Tensor, count: int) -> Tensor:
             f"growing: expected more than {_NEIGHBOURS_OF_SPREAD} points, got {len(positions)}"
         )
     array = positions.detach().cpu().numpy()
-    distance, _ = cKDTree(array).query(array, k=_NEIGHBOURS_OF_SPREAD + 1)
+    distance, _ = KDTree(array).query(array, k=_NEIGHBOURS_OF_SPREAD + 1)
     spread = torch.from_numpy(distance[:, 1:].std(axis=1))
     order = torch.argsort(spread, descending=True, stable=True)
     return order[torch.arange(count) % len(order)].to(positions.device)
@@ -190,7 +190,7 @@ def growth_mixture(
         parents (A, 3) indices and weights (A, 3) that sum to one.
     """
     array = positions.detach().cpu().numpy()
-    _, nearest = cKDTree(array).query(array[sites.cpu().numpy()], k=_PARENTS + 1)
-    parents = torch.from_numpy(nearest[:, 1:]).to(positions.device)
+    _, nearest = KDTree(array).query(array[sites.cpu().numpy()], k=_PARENTS + 1)
+    parents = torch.from_numpy(np.asarray(nearest)[:, 1:]).to(positions.device)
     weights = torch.rand(parents.shape, generator=generator).to(positions)
     return parents, weights / weights.sum(dim=-1, keepdim=True)

@@ -13,6 +13,7 @@ from pcore.data.points import load_points
 from pcore.data.scene import Scene, View, hold_out
 from pcore.errors import InputError, TrainingError
 from pcore.geometry.point_cloud import PointCloud
+from pcore.model.config import PaprConfig
 from pcore.model.papr import Papr
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
@@ -108,7 +109,8 @@ def mean_of(losses: Sequence[Losses]) -> Losses:
     count = len(losses)
     return Losses(
         terms={
-            name: torch.stack([one.terms[name] for one in losses if name in one.terms]).sum() / count
+            name: torch.stack([one.terms[name] for one in losses if name in one.terms]).sum()
+            / count
             for name in dict.fromkeys(name for one in losses for name in one.terms)
         },
         squared_error=torch.stack([one.squared_error for one in losses]).mean(),
@@ -133,7 +135,7 @@ def _begin(
     return trainable("pretrain", papr.to(device), cloud, seed=config.seed + 1)
 
 
-def _model_config(config: PretrainConfig):  # noqa: ANN202
+def _model_config(config: PretrainConfig) -> PaprConfig:
     color = (0.0, 0.0, 0.0) if config.background == "black" else (1.0, 1.0, 1.0)
     return dataclasses.replace(config.model, background=color)
 

@@ -51,7 +51,9 @@ class Trainable:
 
     def set_rates(self, rates: Rates, steps: int) -> None:
         """Set the learning rate of every group for the coming step."""
-        for group, schedule in zip(self.optimizer.param_groups, rates.named().values(), strict=True):
+        for group, schedule in zip(
+            self.optimizer.param_groups, rates.named().values(), strict=True
+        ):
             group["lr"] = schedule.at(self.step, steps)
         # The points' rate is in scaled units, the points themselves are in world units.
         self.optimizer.param_groups[0]["lr"] /= self.papr.config.coord_scale
