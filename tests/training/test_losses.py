@@ -1,0 +1,130 @@
+"""The photometric loss: its terms, their weights, and LPIPS weights that are missing."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+import torch
+from small_training import Heard, box_model, finetune_config, pretrain_config
+from torch import Tensor
+
+import pcore.data.images
+from pcore.data.scene import Scene
+from pcore.errors import WeightsError
+from pcore.geometry.rays import RayBundle
+from pcore.model.papr import Rendering
+from pcore.training.finetune import finetune
+from pcore.training.losses import Losses, perceptual_loss, photometric
+from pcore.training.patches import Patch
+from pcore.training.pretrain import mean_of, pretrain
+
+RGB, ALPHA = torch.rand(4, 5, 3), torch.rand(4, 5)
+TRUTH, COVERAGE = torch.rand(4, 5, 3), torch.rand(4, 5)
+
+
+def rendering(rgb: Tensor = RGB, alpha: Tensor = ALPHA) -> Rendering:
+    # Whatever else a rendering says does not matter here.
+    others = {field.name: torch.zeros(4, 5, 3) for field in fields(Rendering)}
+    return Rendering(**{**others, "rgb": rgb, "alpha": alpha})
+
+
+def patch(alpha: Tensor | None = COVERAGE) -> Patch:
+    rays = RayBundle(origins=torch.zeros(4, 5, 3), directions=torch.ones(4, 5, 3))
+    return Patch(rays=rays, rgb=TRUTH, alpha=alpha, background=torch.ones(3))
+
+
+def test_squared_error_alone() -> None:
+    rgb = RGB.clone().requires_grad_()
+    found = photometric(
+        rendering(rgb), patch(), opacity_weight=0.0, lpips_weight=0.0, perceptual=None
+    )
+    assert list(found.terms) == ["rgb"]
+    expected = (RGB - TRUTH).square().mean()
+    assert torch.equal(found.squared_error, expected)
+    assert not found.squared_error.requires_grad
+    found.total.backward()
+    assert rgb.grad is not None
+    assert torch.allclose(rgb.grad, 2 * (RGB - TRUTH) / RGB.numel())
+
+
+def test_opacity_and_lpips_enter_with_their_weights() -> None:
+    seen: list[tuple[Tensor, Tensor]] = []
+
+    def perceptual(first: Tensor, second: Tensor) -> Tensor:
+        seen.append((first, second))
+        return torch.tensor([0.5])
+
+    found = photometric(
+        rendering(), patch(), opacity_weight=0.3, lpips_weight=0.01, perceptual=perceptual
+    )
+    assert float(found.terms["opacity"]) == pytest.approx(
+        0.3 * float((ALPHA - COVERAGE).square().mean())
+    )
+    assert float(found.terms["lpips"]) == pytest.approx(0.005)
+    assert float(found.total) == pytest.approx(sum(float(term) for term in found.terms.values()))
+    ((first, second),) = seen
+    # LPIPS as published: (B, 3, H, W) in [-1, 1].
+    assert torch.equal(first, 2 * RGB.permute(2, 0, 1)[None] - 1)
+    assert torch.equal(second, 2 * TRUTH.permute(2, 0, 1)[None] - 1)
+
+
+def test_photos_without_alpha_have_no_opacity_loss() -> None:
+    found = photometric(
+        rendering(), patch(None), opacity_weight=0.3, lpips_weight=0.0, perceptual=None
+    )
+    assert list(found.terms) == ["rgb"]
+
+
+def test_mean_over_patches() -> None:
+    def one(rgb: float, **others: float) -> Losses:
+        terms = {"rgb": rgb, **others}
+        return Losses(
+            terms={name: torch.tensor(value) for name, value in terms.items()},
+            squared_error=torch.tensor(rgb),
+        )
+
+    mean = mean_of([one(1.0, opacity=4.0), one(3.0)])
+    assert {name: float(term) for name, term in mean.terms.items()} == {"rgb": 2.0, "opacity": 2.0}
+    assert float(mean.squared_error) == 2.0
+
+
+# --- missing weights --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def no_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name in ("PCORE_LPIPS_DIR", "XDG_CACHE_HOME", "TORCH_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / "empty"))
+    return tmp_path / "empty"
+
+
+@pytest.fixture
+def no_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, **options: object) -> Tensor:
+        raise AssertionError(f"{path} was decoded")
+
+    monkeypatch.setattr(pcore.data.images, "read_rgba", refuse)
+
+
+def test_no_lpips_needs_no_weights(no_weights: Path) -> None:
+    assert perceptual_loss(0.0, "vgg", torch.device("cpu")) is None
+
+
+@pytest.mark.usefixtures("no_image")
+def test_pretraining_asks_for_weights_before_anything_else(box: Scene, no_weights: Path) -> None:
+    heard = Heard()
+    with pytest.raises(WeightsError, match=r"AlexNet.*alexnet") as error:
+        pretrain(box, pretrain_config(lpips_weight=0.1, lpips_trunk="alex"), listener=heard)
+    assert str(no_weights) in str(error.value)
+    assert heard == []
+
+
+@pytest.mark.usefixtures("no_image")
+def test_finetuning_asks_for_weights_before_anything_else(box: Scene, no_weights: Path) -> None:
+    heard = Heard()
+    with pytest.raises(WeightsError, match="vgg16") as error:
+        finetune(box, box_model(), finetune_config(lpips_weight=0.1), listener=heard)
+    assert str(no_weights) in str(error.value)
+    assert heard == []

@@ -1,0 +1,116 @@
+"""Random patches: the right rays, the right pixels, draws from the generator alone."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from small_training import FakeView
+from torch import Tensor
+
+from pcore.geometry.camera import Camera
+from pcore.geometry.orbit import orbit_cameras
+from pcore.training.config import PatchConfig
+from pcore.training.patches import Patch, draw_patch
+
+CPU = torch.device("cpu")
+
+
+def views(*, has_alpha: bool = True, covered: float = 1.0) -> list[FakeView]:
+    """Four views of 20 x 14 pixels of noise."""
+    cameras = orbit_cameras(torch.zeros(3), 4.0, 4, elevation=0.3, width=20, height=14, angle_x=0.7)
+    return [FakeView(camera, covered * torch.rand(14, 20, 4), has_alpha) for camera in cameras]
+
+
+def draw(
+    candidates: list[FakeView], *, side: int = 8, background: str = "white", seed: int = 0
+) -> Patch:
+    generator = torch.Generator().manual_seed(seed)
+    return draw_patch(candidates, PatchConfig(side=side), background, generator, CPU)  # pyright: ignore
+
+
+def place(patch: Patch, candidates: list[FakeView]) -> tuple[FakeView, int, int]:
+    """The view and the corner that the patch's rays come from."""
+    for view in candidates:
+        rays = view.camera.rays()
+        if torch.equal(rays.origins[0, 0], patch.rays.origins[0, 0]):
+            same = (rays.directions == patch.rays.directions[0, 0]).all(dim=-1)
+            ((top, left),) = torch.nonzero(same).tolist()
+            return view, top, left
+    raise AssertionError("the rays are those of no view")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_patch_is_a_crop_of_the_composited_image(seed: int) -> None:
+    candidates = views()
+    patch = draw(candidates, background="black", seed=seed)
+    view, top, left = place(patch, candidates)
+    rows, columns = slice(top, top + 8), slice(left, left + 8)
+    assert torch.equal(patch.rays.directions, view.camera.rays().directions[rows, columns])
+    assert torch.equal(patch.rgb, view.rgb(torch.zeros(3))[rows, columns])
+    assert patch.alpha is not None
+    assert torch.equal(patch.alpha, view.alpha()[rows, columns])
+    assert torch.equal(patch.background, torch.zeros(3))
+
+
+def test_every_view_and_every_place_comes_up() -> None:
+    candidates = views()
+    found = [place(draw(candidates, seed=seed), candidates) for seed in range(300)]
+    assert {id(view) for view, _, _ in found} == {id(view) for view in candidates}
+    assert {top for _, top, _ in found} == set(range(14 - 8 + 1))
+    assert {left for _, _, left in found} == set(range(20 - 8 + 1))
+
+
+def test_draws_come_from_the_generator_alone() -> None:
+    candidates = views()
+    first = draw(candidates, background="random", seed=4)
+    torch.manual_seed(99)
+    state = torch.get_rng_state()
+    second = draw(candidates, background="random", seed=4)
+    assert torch.equal(torch.get_rng_state(), state)
+    assert torch.equal(first.rgb, second.rgb)
+    assert torch.equal(first.rays.directions, second.rays.directions)
+    assert torch.equal(first.background, second.background)
+
+
+@pytest.mark.parametrize(("side", "size"), [(100, (14, 20)), (16, (14, 16)), (14, (14, 14))])
+def test_images_smaller_than_the_patch_are_taken_whole(side: int, size: tuple[int, int]) -> None:
+    patch = draw(views(), side=side)
+    assert patch.rays.shape == patch.rgb.shape[:2] == size
+
+
+def test_a_random_background_is_another_one_every_time() -> None:
+    candidates = views()
+    patches = [draw(candidates, background="random", seed=seed) for seed in range(3)]
+    colors = torch.stack([patch.background for patch in patches])
+    assert len(colors.unique(dim=0)) == 3
+    for patch in patches:
+        view, top, left = place(patch, candidates)
+        expected = view.rgb(patch.background)[top : top + 8, left : left + 8]
+        assert torch.equal(patch.rgb, expected)
+
+
+def test_photos_without_alpha_have_no_opacity_to_learn() -> None:
+    patch = draw(views(has_alpha=False))
+    assert patch.alpha is None
+
+
+def _corner(camera: Camera) -> Tensor:
+    pixels = torch.zeros(camera.height, camera.width, 4)
+    pixels[:4, :4] = 1.0
+    return pixels
+
+
+def test_patches_that_miss_the_object_are_drawn_again() -> None:
+    candidates = [FakeView(view.camera, _corner(view.camera)) for view in views()]
+    hits = 0
+    for seed in range(40):
+        alpha = draw(candidates, seed=seed).alpha
+        assert alpha is not None
+        hits += bool(alpha.sum() > 0)
+    # One place in five shows the object: twenty tries find it in 99 of 100 cases.
+    assert hits >= 38
+
+
+def test_an_empty_image_ends_the_search() -> None:
+    patch = draw([FakeView(view.camera, torch.zeros(14, 20, 4)) for view in views()])
+    assert torch.equal(patch.rgb, torch.ones(8, 8, 3))
