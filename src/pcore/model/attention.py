@@ -28,12 +28,15 @@ class Attended:
         weights: (R, k) weights of the points, renormalised to sum to one (zero where no point
             is within the cut-off).
         surface: (R, 3) weighted positions, world units (paper: s_j = sum w p).
+        spread: (R,) weighted mean squared distance of the points from the surface point: large
+            where front and back of the object are blended. No gradient to the positions.
     """
 
     features: Tensor
     background: Tensor
     weights: Tensor
     surface: Tensor
+    spread: Tensor
 
 
 class Mlp(nn.Module):
@@ -130,7 +133,14 @@ class ProximityAttention(nn.Module):
         pooled = torch.bmm(weights.unsqueeze(1), hidden).squeeze(1)
         features = F.linear(pooled, last.weight) + weights.sum(dim=-1, keepdim=True) * last.bias
         surface = torch.bmm(weights.unsqueeze(1), positions).squeeze(1)
-        return Attended(features=features, background=background, weights=weights, surface=surface)
+        apart = (positions - surface.unsqueeze(1)).detach().square().sum(dim=-1)
+        return Attended(
+            features=features,
+            background=background,
+            weights=weights,
+            surface=surface,
+            spread=(weights * apart).sum(dim=-1),
+        )
 
     def _scores(self, key_input: Tensor, directions: Tensor, k: int) -> Tensor:
         """relu(<W_q q, W_k k> / sqrt(width)), (R, k); W_k is folded into the query."""

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
-from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.config import PaprConfig
 from pcore.training.schedule import Schedule
 
 PresetName = Literal["tiny", "fast", "paper"]
@@ -102,6 +102,8 @@ class PretrainConfig:
     """Network of the LPIPS loss."""
     opacity_weight: float = 0.0
     """Weight of the squared error of the opacity against the alpha channel, where there is one."""
+    spread_weight: float = 0.0
+    """Weight of the spread of the attended points (world units squared): decide for one surface."""
     background: Background = "white"
     """Behind images with alpha; "random" draws another colour every step and renders on white."""
     prune: PruneConfig | None = None
@@ -153,6 +155,9 @@ class FinetuneConfig:
     origin_distance: float = 0.5
     """Rays-and-points mode: how far before the surface the moved origins lie, as a fraction of the
     distance between camera and surface."""
+    keep_distance: bool = False
+    """Rays-and-points mode: slide the deformed origins back along their rays to the distance that
+    the camera had, so that the network sees no distance it was not trained on."""
     background_rays: bool = True
     """Deform rays of the background as well and ask them to stay background; otherwise only rays
     of the foreground enter L_tex."""
@@ -168,6 +173,8 @@ class FinetuneConfig:
     """Rays whose canonical opacity is above this are foreground."""
     opacity_weight: float = 0.0
     """Weight of the squared error of the canonical opacity against the alpha channel."""
+    spread_weight: float = 0.0
+    """Weight of the spread of the attended points (world units squared): decide for one surface."""
     lpips_weight: float = 0.0
     """Weight of LPIPS in the canonical photometric loss."""
     lpips_trunk: TrunkName = "vgg"

@@ -10,7 +10,7 @@ from torch import Tensor
 from pcore.deform.base import Deformation
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Papr, Rendering
+from pcore.model.papr import Rendering
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +20,6 @@ class Canonical:
     Attributes:
         surface: (H, W, 3) surface points s.
         foreground: (H, W) whether a ray meets the object.
-        near: (H, W) whether a ray has any point within the cut-off (all, without one).
         ends: (H, W, 3) where on each ray it ends: beside s for the foreground, beside the nearest
             point for the background.
         rgb: (H, W, 3) the rendering, or the photo, that the deformed rendering should repeat.
@@ -28,7 +27,6 @@ class Canonical:
 
     surface: Tensor
     foreground: Tensor
-    near: Tensor
     ends: Tensor
     rgb: Tensor
 
@@ -49,7 +47,6 @@ def canonical_of(
     return Canonical(
         surface=surface,
         foreground=foreground,
-        near=rendering.weights.detach().sum(dim=-1) > 0,
         ends=rays.origins + along * rays.directions,
         rgb=rgb.detach(),
     )
@@ -61,7 +58,12 @@ def points_only_rays(rays: RayBundle, canonical: Canonical, deformation: Deforma
 
 
 def rays_and_points_rays(
-    rays: RayBundle, canonical: Canonical, deformation: Deformation, origin_distance: float
+    rays: RayBundle,
+    canonical: Canonical,
+    deformation: Deformation,
+    origin_distance: float,
+    *,
+    keep_distance: bool = False,
 ) -> RayBundle:
     """Rays from deformed origins near the surface to the deformed ends ("Rays-and-points mode").
 
@@ -71,9 +73,16 @@ def rays_and_points_rays(
         deformation: the field D.
         origin_distance: how far before the end the origin is put, as a fraction of the distance
             between camera and end.
+        keep_distance: then slide the deformed origin along its ray until it is as far from the end
+            as the camera was. The line stays the same; the network sees distances it knows.
     """
     origins = canonical.ends + origin_distance * (rays.origins - canonical.ends)
-    return _towards(deformation(origins), deformation(canonical.ends))
+    ends = deformation(canonical.ends)
+    moved = _towards(deformation(origins), ends)
+    if not keep_distance:
+        return moved
+    distance = (rays.origins - canonical.ends).norm(dim=-1, keepdim=True)
+    return RayBundle(origins=ends - distance * moved.directions, directions=moved.directions)
 
 
 def _towards(origins: Tensor, ends: Tensor) -> RayBundle:
@@ -98,36 +107,30 @@ class Consistency:
 
 
 def consistency(
-    papr: Papr,
-    deformed: PointCloud,
-    rays: RayBundle,
+    rendering: Rendering,
     canonical: Canonical,
     deformation: Deformation,
     *,
     unit: float,
-    background: Tensor,
     background_rays: bool,
 ) -> Consistency:
-    """Render the deformed cloud along deformed rays and compare with what was deformed.
+    """Compare the deformed rendering with what the deformation makes of the canonical one.
 
     Args:
-        papr: the networks that are tuned.
-        deformed: D(P).
-        rays: (H, W) deformed rays.
+        rendering: (H, W) of the deformed cloud D(P) along deformed rays.
         canonical: what the canonical state says.
         deformation: the field D.
         unit: length in which L_geo is measured, world units.
-        background: (3,) colour behind the object.
         background_rays: whether rays of the background enter L_tex.
 
     Returns:
         Both losses; zero where the patch has no foreground.
     """
-    rendering = papr(deformed, rays, background)
     foreground = canonical.foreground
     offset = rendering.surface - deformation(canonical.surface)
-    seen = foreground & (rendering.weights.detach().sum(dim=-1) > 0)
-    geometry = (offset / unit).square().sum(dim=-1)[seen].sum() / foreground.sum().clamp_min(1)
+    # Rays that left the cut-off have no surface point; L_tex sees them as holes.
+    met = foreground & (rendering.weights.detach().sum(dim=-1) > 0)
+    geometry = (offset / unit).square().sum(dim=-1)[met].sum() / foreground.sum().clamp_min(1)
     difference = (rendering.rgb - canonical.rgb).square().mean(dim=-1)
     chosen = torch.ones_like(foreground) if background_rays else foreground
     texture = (difference * chosen).sum() / difference.numel()

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Sequence
 
 import torch
-from torch import Tensor
 
-from pcore.data.scene import Scene, hold_out
+from pcore.data.scene import Scene, View, hold_out
 from pcore.deform.base import Deformation
 from pcore.deform.sampler import sample_deformation
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Rendering
 from pcore.training.config import FinetuneConfig
 from pcore.training.consistency import (
     Canonical,
-    Consistency,
     canonical_of,
     consistency,
     points_only_rays,
@@ -72,14 +72,14 @@ def finetune(
     )
     if config.largest_loss is not None:
         work.best = {"weights": work.weights()}
-    steps = _Steps(config, work, anchor, perceptual)
+    objective = _Objective(config, work, anchor, perceptual)
 
     def losses() -> Losses:
         found: list[Losses] = []
         for _ in range(config.patch.views):
             patch = draw_patch(views, config.patch, config.background, work.generator, where)
             with autocast(where, enabled=config.mixed_precision):
-                found.append(steps.losses(patch))
+                found.append(objective(patch))
         return mean_of(found)
 
     return run_loop(
@@ -114,14 +114,17 @@ def _moved(base: Trained, device: torch.device) -> Trained:
     )
 
 
-def _guard(anchor: Trained, validation: object, config: FinetuneConfig):  # noqa: ANN202
+def _guard(
+    anchor: Trained, validation: Sequence[View], config: FinetuneConfig
+) -> Callable[[float], bool]:
+    """Say whether a validation's PSNR is near enough to that before fine-tuning to go on."""
     if config.largest_loss is None:
         return lambda psnr: True
-    start = validate(anchor, validation, config.background)["psnr"]  # type: ignore[arg-type]
-    return lambda psnr: psnr >= start - config.largest_loss
+    least = validate(anchor, validation, config.background)["psnr"] - config.largest_loss
+    return lambda psnr: psnr >= least
 
 
-class _Steps:
+class _Objective:
     """The losses of one patch: canonical pass, random field, both modes."""
 
     def __init__(
@@ -138,27 +141,35 @@ class _Steps:
         self._points = anchor.cloud.positions.cpu()
         self._unit = float((upper - lower).norm())
 
-    def losses(self, patch: Patch) -> Losses:
+    def __call__(self, patch: Patch) -> Losses:
         """L_rgb + lambda_geo L_geo + lambda_tex L_tex of a patch (paper, "Joint Loss")."""
         config, work = self._config, self._work
         rendering = work.papr(work.cloud, patch.rays, patch.background)
-        canonical_loss = photometric(
+        photo = photometric(
             rendering,
             patch,
             opacity_weight=config.opacity_weight,
             lpips_weight=config.lpips_weight,
             perceptual=self._perceptual,
+            spread_weight=config.spread_weight,
         )
         canonical = self._canonical(rendering, patch)
         deformation = sample_deformation(
             work.generator, self._lower, self._upper, self._points, config.ranges
         )
-        terms = dict(canonical_loss.terms)
-        for name, rays in self._modes(patch, canonical, deformation).items():
-            found = self._consistency(rays, canonical, deformation, patch.background)
+        deformed = work.cloud.moved(deformation(work.cloud.positions))
+        terms = dict(photo.terms)
+        for name, rays in self._modes(patch.rays, canonical, deformation).items():
+            found = consistency(
+                work.papr(deformed, rays, patch.background),
+                canonical,
+                deformation,
+                unit=self._unit,
+                background_rays=config.background_rays,
+            )
             terms[f"geo_{name}"] = config.geometry_weight * found.geometry
             terms[f"tex_{name}"] = config.texture_weight * found.texture
-        return Losses(terms=terms, squared_error=canonical_loss.squared_error)
+        return Losses(terms=terms, squared_error=photo.squared_error)
 
     def _canonical(self, rendering: Rendering, patch: Patch) -> Canonical:
         config = self._config
@@ -166,34 +177,24 @@ class _Steps:
             with torch.no_grad():
                 rendering = self._anchor.papr(self._anchor.cloud, patch.rays, patch.background)
         rgb = patch.rgb if config.texture_target == "photo" else rendering.rgb
-        return canonical_of(
-            rendering, self._work.cloud, patch.rays, rgb, config.foreground_alpha
-        )
+        return canonical_of(rendering, self._work.cloud, patch.rays, rgb, config.foreground_alpha)
 
-    def _modes(self, patch: Patch, canonical: Canonical, deformation: Deformation):  # noqa: ANN202
+    def _modes(
+        self, rays: RayBundle, canonical: Canonical, deformation: Deformation
+    ) -> dict[str, RayBundle]:
+        """Deformed rays of the modes that this step uses, by name."""
         config = self._config
         both = config.points_only and config.rays_and_points
         turn = self._work.step % 2 if config.alternate and both else None
-        modes = {}
+        modes: dict[str, RayBundle] = {}
         if config.points_only and turn != 1:
-            modes["points"] = points_only_rays(patch.rays, canonical, deformation)
+            modes["points"] = points_only_rays(rays, canonical, deformation)
         if config.rays_and_points and turn != 0:
             modes["rays"] = rays_and_points_rays(
-                patch.rays, canonical, deformation, config.origin_distance
+                rays,
+                canonical,
+                deformation,
+                config.origin_distance,
+                keep_distance=config.keep_distance,
             )
         return modes
-
-    def _consistency(
-        self, rays, canonical: Canonical, deformation: Deformation, background: Tensor  # noqa: ANN001
-    ) -> Consistency:
-        work = self._work
-        return consistency(
-            work.papr,
-            work.cloud.moved(deformation(work.cloud.positions)),
-            rays,
-            canonical,
-            deformation,
-            unit=self._unit,
-            background=background,
-            background_rays=self._config.background_rays,
-        )

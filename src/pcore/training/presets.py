@@ -1,4 +1,4 @@
-"""Named settings: `paper` (the original), `fast` (one GPU, minutes), `tiny` (2 CPU cores, minutes)."""
+"""Named settings: `paper` (the original), `fast` (one GPU), `tiny` (2 CPU cores, minutes)."""
 
 from __future__ import annotations
 
@@ -105,7 +105,9 @@ def demo_pretrain() -> PretrainConfig:
 
 def _scaled(rates: Rates, factor: float) -> Rates:
     """Return constant schedules of `factor` times the base rates that fade out by a cosine."""
-    named = {name: Schedule(base=factor * one.base, warmup=20) for name, one in rates.named().items()}
+    named = {
+        name: Schedule(base=factor * one.base, warmup=20) for name, one in rates.named().items()
+    }
     return Rates(**named)
 
 

@@ -81,6 +81,7 @@ def pretrain(
                     opacity_weight=config.opacity_weight,
                     lpips_weight=config.lpips_weight,
                     perceptual=perceptual,
+                    spread_weight=config.spread_weight,
                 )
             )
         return mean_of(found)
