@@ -109,6 +109,15 @@ def test_views_do_not_carve_what_they_do_not_see() -> None:
     assert torch.equal(hull(with_blind, 100), hull(views, 100))
 
 
+@pytest.mark.xfail(strict=True, reason="population._inside: what no view sees counts as inside")
+def test_what_no_view_sees_is_no_object() -> None:
+    """Corners of the searched box that lie outside of all pictures."""
+    far = torch.full((3,), 3.5)
+    generator = torch.Generator().manual_seed(0)
+    points = hull_points(500, around()[::4], -far, far, generator=generator, resolution=64)
+    assert (points - CENTER).norm(dim=1).max() < 2 * RADIUS
+
+
 def test_silhouettes_without_a_common_inside() -> None:
     views = around()[::4] + around(-3 * CENTER)[::4]
     with pytest.raises(TrainingError, match=r"masks have no common inside.*start from a grid"):
