@@ -28,15 +28,15 @@ class Attended:
         weights: (R, k) weights of the points, renormalised to sum to one (zero where no point
             is within the cut-off).
         surface: (R, 3) weighted positions, world units (paper: s_j = sum w p).
-        spread: (R,) weighted mean squared distance of the points from the surface point: large
-            where front and back of the object are blended. No gradient to the positions.
+        behind: (R,) weighted mean squared distance along the ray from the first of the points:
+            large where the back of the object shows through. No gradient to the positions.
     """
 
     features: Tensor
     background: Tensor
     weights: Tensor
     surface: Tensor
-    spread: Tensor
+    behind: Tensor
 
 
 class Mlp(nn.Module):
@@ -133,13 +133,14 @@ class ProximityAttention(nn.Module):
         pooled = torch.bmm(weights.unsqueeze(1), hidden).squeeze(1)
         features = F.linear(pooled, last.weight) + weights.sum(dim=-1, keepdim=True) * last.bias
         surface = torch.bmm(weights.unsqueeze(1), positions).squeeze(1)
-        apart = (positions - surface.unsqueeze(1)).detach().square().sum(dim=-1)
+        along = torch.bmm(positions.detach(), rays.directions.unsqueeze(-1)).squeeze(-1)
+        past_first = along - along.amin(dim=-1, keepdim=True)
         return Attended(
             features=features,
             background=background,
             weights=weights,
             surface=surface,
-            spread=(weights * apart).sum(dim=-1),
+            behind=(weights * past_first.square()).sum(dim=-1),
         )
 
     def _scores(self, key_input: Tensor, directions: Tensor, k: int) -> Tensor:

@@ -26,7 +26,7 @@ class Rendering:
         weights: (H, W, k) weights of the neighbours, zero where none is within the cut-off.
         neighbours: (H, W, k) indices into the cloud.
         features: (H, W, C) input of the renderer network.
-        spread: (H, W) weighted mean squared distance of the points from the surface point.
+        behind: (H, W) weighted mean squared distance of the points behind the first of them.
     """
 
     rgb: Tensor
@@ -35,7 +35,7 @@ class Rendering:
     weights: Tensor
     neighbours: Tensor
     features: Tensor
-    spread: Tensor
+    behind: Tensor
 
 
 class Papr(nn.Module):
@@ -71,7 +71,7 @@ class Papr(nn.Module):
             weights=attended.weights.reshape(height, width, -1),
             neighbours=neighbours.reshape(height, width, -1),
             features=features,
-            spread=attended.spread.reshape(height, width),
+            behind=attended.behind.reshape(height, width),
         )
 
     def attend(self, cloud: PointCloud, rays: RayBundle) -> tuple[Attended, Tensor]:
@@ -120,5 +120,5 @@ def _scatter(part: Attended, rows: Tensor, shape: torch.Size) -> Attended:
         background=spread(part.background, 1.0),
         weights=spread(part.weights, 0.0),
         surface=spread(part.surface, 0.0),
-        spread=spread(part.spread, 0.0),
+        behind=spread(part.behind, 0.0),
     )

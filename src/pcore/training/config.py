@@ -102,8 +102,8 @@ class PretrainConfig:
     """Network of the LPIPS loss."""
     opacity_weight: float = 0.0
     """Weight of the squared error of the opacity against the alpha channel, where there is one."""
-    spread_weight: float = 0.0
-    """Weight of the spread of the attended points (world units squared): decide for one surface."""
+    front_weight: float = 0.0
+    """Weight of attention behind the first point of a ray (world units squared)."""
     background: Background = "white"
     """Behind images with alpha; "random" draws another colour every step and renders on white."""
     prune: PruneConfig | None = None
@@ -173,8 +173,8 @@ class FinetuneConfig:
     """Rays whose canonical opacity is above this are foreground."""
     opacity_weight: float = 0.0
     """Weight of the squared error of the canonical opacity against the alpha channel."""
-    spread_weight: float = 0.0
-    """Weight of the spread of the attended points (world units squared): decide for one surface."""
+    front_weight: float = 0.0
+    """Weight of attention behind the first point of a ray (world units squared)."""
     lpips_weight: float = 0.0
     """Weight of LPIPS in the canonical photometric loss."""
     lpips_trunk: TrunkName = "vgg"

@@ -151,7 +151,7 @@ class _Objective:
             opacity_weight=config.opacity_weight,
             lpips_weight=config.lpips_weight,
             perceptual=self._perceptual,
-            spread_weight=config.spread_weight,
+            front_weight=config.front_weight,
         )
         canonical = self._canonical(rendering, patch)
         deformation = sample_deformation(

@@ -51,13 +51,13 @@ def photometric(
     opacity_weight: float,
     lpips_weight: float,
     perceptual: Perceptual | None,
-    spread_weight: float = 0.0,
+    front_weight: float = 0.0,
 ) -> Losses:
     """L_rgb: squared error, LPIPS and opacity against the alpha channel (paper: "as in PAPR").
 
-    Our addition, off by default: the spread of the attended points, in world units squared,
-    weighted by the opacity. Colours alone leave PAPR free to blend front and back of the object;
-    this asks it to decide for one surface.
+    Our addition: attention to points behind the first of a ray's neighbours costs their squared
+    distance from it, weighted by the opacity. Colours alone leave PAPR free to blend the back of
+    the object into its front, and then its surface points lie between the two.
     """
     error = (rendering.rgb - patch.rgb).square().mean()
     terms = {"rgb": error}
@@ -66,8 +66,8 @@ def photometric(
         terms["lpips"] = lpips_weight * perceptual(*images).mean()
     if opacity_weight > 0 and patch.alpha is not None:
         terms["opacity"] = opacity_weight * (rendering.alpha - patch.alpha).square().mean()
-    if spread_weight > 0:
-        terms["spread"] = spread_weight * (rendering.alpha.detach() * rendering.spread).mean()
+    if front_weight > 0:
+        terms["front"] = front_weight * (rendering.alpha.detach() * rendering.behind).mean()
     return Losses(terms=terms, squared_error=error.detach())
 
 

@@ -64,6 +64,7 @@ FAST = PretrainConfig(
     influence_start=1.0,
     feature_spread=0.5,
     opacity_weight=0.1,
+    front_weight=0.03,
     mixed_precision=True,
     validate_every=2000,
     save_every=2000,
@@ -73,12 +74,13 @@ FAST = PretrainConfig(
 TINY = PretrainConfig(
     model=_small_model(neighbours=8, width=64, unet=24),
     rates=_SMALL_RATES,
-    steps=3600,
+    steps=3000,
     patch=PatchConfig(side=100),
     points=6000,
     influence_start=1.0,
     feature_spread=0.5,
     opacity_weight=0.1,
+    front_weight=0.03,
     validate_every=500,
     save_every=500,
 )
@@ -114,7 +116,14 @@ def _scaled(rates: Rates, factor: float) -> Rates:
 _SMALL_FINETUNE = FinetuneConfig(
     rates=_scaled(_SMALL_RATES, 0.5),
     patch=PatchConfig(side=100),
+    alternate=True,
+    geometry_weight=0.1,
+    texture_target="photo",
+    origin_distance=0.1,
+    keep_distance=True,
     opacity_weight=0.1,
+    front_weight=0.03,
+    largest_loss=0.5,
 )
 _FINETUNE: dict[PresetName, FinetuneConfig] = {
     "tiny": _SMALL_FINETUNE,

@@ -81,7 +81,7 @@ def pretrain(
                     opacity_weight=config.opacity_weight,
                     lpips_weight=config.lpips_weight,
                     perceptual=perceptual,
-                    spread_weight=config.spread_weight,
+                    front_weight=config.front_weight,
                 )
             )
         return mean_of(found)
