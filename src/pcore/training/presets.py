@@ -102,7 +102,7 @@ def preset(name: PresetName) -> PretrainConfig:
 
 def demo_pretrain() -> PretrainConfig:
     """Return `tiny`, shortened for the embedded sample."""
-    return replace(TINY, steps=1200, points=4000, validate_every=300, save_every=300)
+    return replace(TINY, steps=1400, points=4000, validate_every=350, save_every=350)
 
 
 def _scaled(rates: Rates, factor: float) -> Rates:
@@ -130,6 +130,9 @@ _FINETUNE: dict[PresetName, FinetuneConfig] = {
     "fast": replace(_SMALL_FINETUNE, patch=PatchConfig(), mixed_precision=True),
     "paper": FinetuneConfig(
         rates=_scaled(_PAPER_RATES, 1.0),
+        geometry_weight=0.1,
+        origin_distance=0.1,
+        keep_distance=True,
         lpips_weight=0.01,
         mixed_precision=True,
     ),
@@ -149,4 +152,4 @@ def finetune_preset(name: PresetName) -> FinetuneConfig:
 
 def demo_finetune() -> FinetuneConfig:
     """Return the fine-tuning of `tiny`, shortened for the embedded sample."""
-    return replace(_FINETUNE["tiny"], steps=200)
+    return replace(_FINETUNE["tiny"], steps=400)
