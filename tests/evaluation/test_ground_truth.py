@@ -211,7 +211,7 @@ def test_depth_agrees_with_blenders_silhouette(shared_data):
 
 
 def test_object_size_is_the_canonical_diagonal(folder):
-    assert load_truth(folder).object_size == pytest.approx(2 * np.sqrt(3), rel=0.02)
+    assert load_truth(folder).object_size() == pytest.approx(2 * np.sqrt(3), rel=0.02)
 
 
 def test_missing_embree(monkeypatch, ball):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -13,8 +13,9 @@ from torch import Tensor
 import pcore.data.images
 from pcore.data.scene import Scene
 from pcore.errors import WeightsError
+from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Rendering
+from pcore.model.papr import Papr, Rendering
 from pcore.training.finetune import finetune
 from pcore.training.losses import Losses, perceptual_loss, photometric
 from pcore.training.patches import Patch
@@ -75,6 +76,41 @@ def test_photos_without_alpha_have_no_opacity_loss() -> None:
         rendering(), patch(None), opacity_weight=0.3, lpips_weight=0.0, perceptual=None
     )
     assert list(found.terms) == ["rgb"]
+
+
+def test_attention_behind_the_first_point_costs_where_the_object_is() -> None:
+    behind = torch.rand(4, 5)
+    alpha = ALPHA.clone().requires_grad_()
+    found = photometric(
+        replace(rendering(alpha=alpha), behind=behind.requires_grad_()),
+        patch(),
+        opacity_weight=0.0,
+        lpips_weight=0.0,
+        perceptual=None,
+        front_weight=0.2,
+    )
+    term = found.terms["front"]
+    assert term.item() == pytest.approx(0.2 * float((ALPHA * behind.detach()).mean()))
+    term.backward()
+    # Otherwise turning transparent would be a way out.
+    assert alpha.grad is None
+    assert behind.grad is not None
+
+
+@pytest.mark.xfail(strict=True, reason="attention.py: amin over points that get no attention")
+def test_points_beyond_the_cut_off_are_not_the_first() -> None:
+    base = box_model()
+    papr = Papr(replace(base.papr.config, neighbours=2, cutoff=0.2))
+    papr.load_state_dict(base.papr.state_dict())
+    cloud = PointCloud(
+        positions=torch.tensor([[0.0, 0.0, 3.0], [0.5, 0.0, 1.0]]),
+        features=torch.zeros(2, papr.config.feature_size),
+        influence=torch.ones(2),
+    )
+    ray = RayBundle(origins=torch.zeros(1, 3), directions=torch.tensor([[0.0, 0.0, 1.0]]))
+    attended, _ = papr.attend(cloud, ray)
+    assert attended.weights.tolist() == [[1.0, 0.0]]
+    assert attended.behind.item() == 0.0
 
 
 def test_mean_over_patches() -> None:

@@ -38,7 +38,7 @@ class TrueGeometry:
         alpha: (H, W) true opacity in [0, 1].
         depth: (H, W) true camera z in world units; NaN or infinity where the true surface is
             not hit.
-        object_size: diagonal of the bounding box of the canonical mesh, world units.
+        object_size: diagonal of the bounding box of the mesh in its state, world units.
     """
 
     alpha: Array

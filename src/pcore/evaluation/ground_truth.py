@@ -64,10 +64,9 @@ class DeformedTruth:
     faces: IntArray
     states: Mapping[str, FloatArray]
 
-    @cached_property
-    def object_size(self) -> float:
-        """Diagonal of the canonical bounding box: the object's size in every geometry metric."""
-        return float(np.linalg.norm(np.ptp(self.canonical, axis=0)))
+    def object_size(self, state: str | None = None) -> float:
+        """Diagonal of the bounding box of a state (None: canonical), world units."""
+        return float(np.linalg.norm(np.ptp(self.vertices(state), axis=0)))
 
     def vertices(self, state: str | None) -> FloatArray:
         """(V, 3) vertices of a state, of the canonical mesh when None.

@@ -57,7 +57,7 @@ class State:
         kind: what sort of deformation it is.
         shots: the pictures to take, at least one.
         move: carries canonical points (N, 3) to the state, world units.
-        object_size: diagonal of the canonical bounding box, world units; None without a mesh.
+        object_size: diagonal of the bounding box in this state, world units; None without a mesh.
     """
 
     name: str
@@ -147,7 +147,7 @@ class SceneStates:
             kind="analytic" if analytic else "skeletal",
             shots=tuple(self._shot(view, name) for view in scene.split("test")),
             move=lambda points: self._carrier(points, name),
-            object_size=self._size,
+            object_size=truth.object_size(name),
         )
 
     def _scaled(self, name: str) -> State:
@@ -163,7 +163,7 @@ class SceneStates:
             kind="analytic",
             shots=tuple(shots),
             move=lambda points: points * scale,
-            object_size=self._size,
+            object_size=None if self._size is None else scale * self._size,
         )
 
     def _shot(self, view: View, state: str | None) -> Shot:
@@ -177,7 +177,7 @@ class SceneStates:
 
     @property
     def _size(self) -> float | None:
-        return None if self.truth is None else self.truth.object_size
+        return None if self.truth is None else self.truth.object_size()
 
     @cached_property
     def _pictured(self) -> tuple[str, ...]:

@@ -184,8 +184,8 @@ class FinetuneConfig:
     average: float = 0.0
     """Decay of the running average of weights that becomes the result; 0 keeps the last weights."""
     largest_loss: float | None = None
-    """Stop early when the held-out canonical PSNR is this many dB under its start, and keep the
-    last weights that were not; None never stops."""
+    """Weights whose held-out canonical PSNR is more than this many dB under its start do not become
+    the result; the last that were better do. None takes the last weights whatever they cost."""
     background: Background = "white"
     """Behind images with alpha."""
     hold_out: int = 10

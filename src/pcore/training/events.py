@@ -84,7 +84,7 @@ class Stopped:
 
     stage: str
     step: int
-    reason: Literal["finished", "interrupted", "early"]
+    reason: Literal["finished", "interrupted"]
     message: str = ""
     """For people: why, and how to go on."""
 

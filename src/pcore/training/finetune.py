@@ -71,7 +71,7 @@ def finetune(
         train_points=config.train_points,
     )
     if config.largest_loss is not None:
-        work.best = {"weights": work.weights()}
+        work.best = {"weights": {name: t.clone() for name, t in work.weights().items()}}
     objective = _Objective(config, work, anchor, perceptual)
 
     def losses() -> Losses:
@@ -117,7 +117,7 @@ def _moved(base: Trained, device: torch.device) -> Trained:
 def _guard(
     anchor: Trained, validation: Sequence[View], config: FinetuneConfig
 ) -> Callable[[float], bool]:
-    """Say whether a validation's PSNR is near enough to that before fine-tuning to go on."""
+    """Say whether a validation's PSNR is near enough to that before fine-tuning."""
     if config.largest_loss is None:
         return lambda psnr: True
     least = validate(anchor, validation, config.background)["psnr"] - config.largest_loss

@@ -62,14 +62,15 @@ def run_loop(
     folder: RunFolder | None = None,
     listener: Listener,
 ) -> Trained:
-    """Train to the last step, or to the first validation that `accept` refuses.
+    """Train to the last step; the result is the last weights that `accept` did not refuse.
 
     Args:
         work: what is trained; continued from the folder's state when it holds one.
         plan: steps, rates, validation, saving.
         losses: draws a batch and computes the terms of the coming step, with gradients.
         after_step: changes the population.
-        accept: whether to go on after a validation of this PSNR.
+        accept: whether weights with this validation PSNR may become the result, where
+            `work.best` keeps weights.
         folder: where to save; None keeps everything in memory.
         listener: told everything.
 
@@ -78,8 +79,6 @@ def run_loop(
         KeyboardInterrupt: after Ctrl-C, with everything saved.
     """
     _resume(work, folder)
-    if work.best.get("stopped"):
-        return _result(work)
     clock = _Clock(work.step, plan.steps)
     with _deferred_interrupt() as interrupted:
         while work.step < plan.steps:
@@ -87,19 +86,13 @@ def run_loop(
             after_step(listener)
             if work.step % _REPORT_EVERY == 0 or work.step == plan.steps:
                 listener(_report(work, plan, found, clock))
-            go_on = True
             if work.step % plan.validate_every == 0 or work.step == plan.steps:
-                go_on = _validate(work, plan, accept, listener)
-            if not go_on:
-                work.best["stopped"] = True
-            last = work.step == plan.steps or not go_on or bool(interrupted)
+                _validate(work, plan, accept, listener)
+            last = work.step == plan.steps or bool(interrupted)
             if last or work.step % plan.save_every == 0:
                 _save(work, plan, folder, listener, finished=last and not interrupted)
             if interrupted:
                 _stop(work, folder, listener)
-            if not go_on:
-                listener(Stopped(stage=work.stage, step=work.step, reason="early"))
-                return _result(work)
     listener(Stopped(stage=work.stage, step=work.step, reason="finished"))
     return _result(work)
 
@@ -139,16 +132,15 @@ def _report(work: Trainable, plan: Plan, found: Losses, clock: _Clock) -> StepRe
 
 def _validate(
     work: Trainable, plan: Plan, accept: Callable[[float], bool], listener: Listener
-) -> bool:
+) -> None:
     if not plan.validation:
-        return True
+        return
     scores = validate(work.result(), plan.validation, plan.background)
     psnr = scores["psnr"]
-    go_on = accept(psnr)
     best = psnr > work.best.get("psnr", -math.inf)
     if best:
         work.best = {**work.best, "psnr": psnr, "step": work.step}
-    if go_on and "weights" in work.best:
+    if "weights" in work.best and accept(psnr):
         work.best["weights"] = {k: t.clone() for k, t in (work.average or work.weights()).items()}
     listener(
         ValidationReport(
@@ -160,7 +152,6 @@ def _validate(
             best=best,
         )
     )
-    return go_on
 
 
 def _result(work: Trainable) -> Trained:

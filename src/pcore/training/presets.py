@@ -114,6 +114,7 @@ def _scaled(rates: Rates, factor: float) -> Rates:
 
 
 _SMALL_FINETUNE = FinetuneConfig(
+    steps=800,
     rates=_scaled(_SMALL_RATES, 0.5),
     patch=PatchConfig(side=100),
     alternate=True,
@@ -127,7 +128,7 @@ _SMALL_FINETUNE = FinetuneConfig(
 )
 _FINETUNE: dict[PresetName, FinetuneConfig] = {
     "tiny": _SMALL_FINETUNE,
-    "fast": replace(_SMALL_FINETUNE, patch=PatchConfig(), mixed_precision=True),
+    "fast": replace(_SMALL_FINETUNE, steps=1000, patch=PatchConfig(), mixed_precision=True),
     "paper": FinetuneConfig(
         rates=_scaled(_PAPER_RATES, 1.0),
         geometry_weight=0.1,
@@ -152,4 +153,4 @@ def finetune_preset(name: PresetName) -> FinetuneConfig:
 
 def demo_finetune() -> FinetuneConfig:
     """Return the fine-tuning of `tiny`, shortened for the embedded sample."""
-    return replace(_FINETUNE["tiny"], steps=400)
+    return replace(_FINETUNE["tiny"], steps=500)
