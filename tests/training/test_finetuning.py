@@ -265,9 +265,6 @@ def test_no_limit_no_stop(box: Scene, falling: Callable[..., list[Trained]]) -> 
     assert finetune(box, box_model(), finetune_config(largest_loss=None)).step == 6
 
 
-@pytest.mark.xfail(
-    strict=True, raises=KeyError, reason="finetune._guard: no figures without held-out views"
-)
 def test_too_few_views_to_hold_one_out(box: Scene) -> None:
     config = finetune_config(largest_loss=0.5, hold_out=100)
     heard = Heard()

@@ -267,7 +267,6 @@ def test_a_loss_that_is_not_finite_is_an_error(folder: RunFolder) -> None:
     assert heard.of(Stopped) == []
 
 
-@pytest.mark.xfail(strict=True, reason="loop.py saves the state before it looks at the weights")
 @pytest.mark.parametrize("ruin", [spoiled, ruined])
 def test_weights_that_are_not_finite_are_never_saved(
     ruin: Callable[[Trainable, int], Callable[[], Losses]], folder: RunFolder
@@ -349,11 +348,6 @@ class Killed(BaseException):
     """Stands for SIGKILL: nobody catches it."""
 
 
-_LOST = pytest.mark.xfail(
-    strict=True, reason="loop.py does not complete the files of a state that has no step left"
-)
-
-
 @pytest.mark.parametrize(
     ("save", "doomed"),
     [
@@ -361,8 +355,8 @@ _LOST = pytest.mark.xfail(
         (1, "save_model"),
         (1, "update"),
         (2, "save_state"),
-        pytest.param(2, "save_model", marks=_LOST),
-        pytest.param(2, "update", marks=_LOST),
+        (2, "save_model"),
+        (2, "update"),
     ],
 )
 def test_killed_between_the_files_of_a_save(

@@ -97,7 +97,6 @@ def test_attention_behind_the_first_point_costs_where_the_object_is() -> None:
     assert behind.grad is not None
 
 
-@pytest.mark.xfail(strict=True, reason="attention.py: amin over points that get no attention")
 def test_points_beyond_the_cut_off_are_not_the_first() -> None:
     base = box_model()
     papr = Papr(replace(base.papr.config, neighbours=2, cutoff=0.2))

@@ -109,7 +109,6 @@ def test_views_do_not_carve_what_they_do_not_see() -> None:
     assert torch.equal(hull(with_blind, 100), hull(views, 100))
 
 
-@pytest.mark.xfail(strict=True, reason="population._inside: what no view sees counts as inside")
 def test_what_no_view_sees_is_no_object() -> None:
     """Corners of the searched box that lie outside of all pictures."""
     far = torch.full((3,), 3.5)

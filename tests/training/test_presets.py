@@ -63,7 +63,6 @@ def test_rates_of_the_original() -> None:
         assert rates[name].at(steps, steps) == pytest.approx(base / 2), name
 
 
-@pytest.mark.xfail(strict=True, reason="presets.py: final=0.5 should be part=0.5")
 def test_the_cosine_of_the_original_is_twice_as_long_as_the_training() -> None:
     schedule, steps = preset("paper").rates.attention, 250_000
     # Half of the way after the warm-up: (1 + cos(pi / 4)) / 2 of the base.

@@ -53,7 +53,7 @@ def test_the_loss_decreases(box: Scene) -> None:
     config = pretrain_config(
         model=LEARNER,
         rates=QUICK,
-        steps=100,
+        steps=250,
         patch=PatchConfig(side=24),
         points=300,
         influence_start=2.0,
@@ -66,7 +66,7 @@ def test_the_loss_decreases(box: Scene) -> None:
     validations = heard.of(ValidationReport)
     assert validations[-1].psnr > validations[0].psnr + 1.5
     assert validations[-1].views == 1
-    assert (model.step, len(model.cloud)) == (100, 300)
+    assert (model.step, len(model.cloud)) == (250, 300)
     assert not any(parameter.requires_grad for parameter in model.papr.parameters())
     assert heard.of(StepReport)[0].losses.keys() == {"rgb", "opacity"}
 
@@ -143,7 +143,6 @@ def test_the_seed_decides_everything(box: Scene) -> None:
         assert not torch.equal(other[name], weights_of(first)[name]), name
 
 
-@pytest.mark.xfail(strict=True, reason="trainable.rebuild initialises networks it then overwrites")
 def test_the_global_generator_is_left_alone(box: Scene) -> None:
     state = torch.get_rng_state()
     pretrain(box, pretrain_config())

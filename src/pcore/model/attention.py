@@ -134,7 +134,9 @@ class ProximityAttention(nn.Module):
         features = F.linear(pooled, last.weight) + weights.sum(dim=-1, keepdim=True) * last.bias
         surface = torch.bmm(weights.unsqueeze(1), positions).squeeze(1)
         along = torch.bmm(positions.detach(), rays.directions.unsqueeze(-1)).squeeze(-1)
-        past_first = along - along.amin(dim=-1, keepdim=True)
+        answering = ~torch.isneginf(scores.detach())
+        first = along.masked_fill(~answering, math.inf).amin(dim=-1, keepdim=True)
+        past_first = torch.where(answering, along - first, 0.0)
         return Attended(
             features=features,
             background=background,

@@ -70,7 +70,7 @@ def finetune(
         seed=config.seed,
         train_points=config.train_points,
     )
-    if config.largest_loss is not None:
+    if config.largest_loss is not None and validation:
         work.best = {"weights": {name: t.clone() for name, t in work.weights().items()}}
     objective = _Objective(config, work, anchor, perceptual)
 
@@ -118,7 +118,7 @@ def _guard(
     anchor: Trained, validation: Sequence[View], config: FinetuneConfig
 ) -> Callable[[float], bool]:
     """Say whether a validation's PSNR is near enough to that before fine-tuning."""
-    if config.largest_loss is None:
+    if config.largest_loss is None or not validation:
         return lambda psnr: True
     least = validate(anchor, validation, config.background)["psnr"] - config.largest_loss
     return lambda psnr: psnr >= least

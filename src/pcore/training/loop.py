@@ -79,6 +79,9 @@ def run_loop(
         KeyboardInterrupt: after Ctrl-C, with everything saved.
     """
     _resume(work, folder)
+    if work.step >= plan.steps:
+        # Killed between the files of the last save: complete them.
+        _save(work, plan, folder, listener, finished=True)
     clock = _Clock(work.step, plan.steps)
     with _deferred_interrupt() as interrupted:
         while work.step < plan.steps:
@@ -168,6 +171,7 @@ def _resume(work: Trainable, folder: RunFolder | None) -> None:
 def _save(
     work: Trainable, plan: Plan, folder: RunFolder | None, listener: Listener, *, finished: bool
 ) -> None:
+    _check_finite(work)
     if folder is None:
         return
     folder.save_state(work.state())
@@ -189,6 +193,16 @@ def _save(
     listener(Saved(stage=work.stage, step=work.step, path=str(folder.model)))
     best = {key: value for key, value in work.best.items() if isinstance(value, int | float)}
     folder.update(status="finished" if finished else "stopped", step=work.step, validation=best)
+
+
+def _check_finite(work: Trainable) -> None:
+    """Raise TrainingError before weights that are not finite replace good ones on the disk."""
+    bad = [name for name, t in work.weights().items() if not bool(torch.isfinite(t).all())]
+    if bad:
+        raise TrainingError(
+            f"{work.stage}: weights are not finite at step {work.step} ({', '.join(bad[:3])}); "
+            "what was saved before is untouched. Lower the learning rates, or check the poses"
+        )
 
 
 def _stop(work: Trainable, folder: RunFolder | None, listener: Listener) -> None:

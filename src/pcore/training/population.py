@@ -101,27 +101,32 @@ def _voxels(lower: Tensor, upper: Tensor, resolution: int) -> tuple[Tensor, floa
 
 
 def _inside_all(voxels: Tensor, masks: Sequence[tuple[Camera, Tensor]]) -> Tensor:
-    """Which voxel centres (..., 3) no view sees outside its mask."""
+    """Which voxel centres (..., 3) most views see and no view sees outside its mask."""
     flat = voxels.reshape(-1, 3)
     alive = torch.arange(len(flat))
+    seen = torch.zeros(len(flat), dtype=torch.int64)
     for camera, mask in masks:
-        alive = alive[_inside(flat[alive], camera, mask)]
+        in_view, in_mask = _look_up(flat[alive], camera, mask)
+        seen[alive[in_view]] += 1
+        # What a view does not see, it cannot carve.
+        alive = alive[in_mask | ~in_view]
     inside = torch.zeros(len(flat), dtype=torch.bool)
-    inside[alive] = True
+    # A corner that few views see is hardly carved, but it is no object either.
+    inside[alive] = 2 * seen[alive] >= len(masks)
     return inside.reshape(voxels.shape[:-1])
 
 
-def _inside(points: Tensor, camera: Camera, mask: Tensor) -> Tensor:
+def _look_up(points: Tensor, camera: Camera, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Which points (P, 3) lie in the picture, and which of them in its mask."""
     pose = camera.world_from_camera
     local = (points - camera.center) @ pose[:3, :3]
     depth = -local[:, 2]
     column = (local[:, 0] / depth * camera.fx + camera.cx).floor().long()
     row = (-local[:, 1] / depth * camera.fy + camera.cy).floor().long()
-    seen = (depth > 0) & (column >= 0) & (column < camera.width)
-    seen &= (row >= 0) & (row < camera.height)
+    in_view = (depth > 0) & (column >= 0) & (column < camera.width)
+    in_view &= (row >= 0) & (row < camera.height)
     value = mask[row.clamp(0, camera.height - 1), column.clamp(0, camera.width - 1)]
-    # What a view does not see, it cannot carve.
-    return value | ~seen
+    return in_view, value & in_view
 
 
 def _surface_voxels(voxels: Tensor, inside: Tensor, size: float) -> Tensor:

@@ -20,10 +20,10 @@ from pcore.training.schedule import Schedule
 
 _PAPER_RATES = Rates(
     points=Schedule(base=2e-3),
-    attention=Schedule(base=3e-4, warmup=10_000, final=0.5),
-    features=Schedule(base=1e-3, warmup=10_000, final=0.5),
-    influence=Schedule(base=1e-3, warmup=10_000, final=0.5),
-    unet=Schedule(base=1e-4, warmup=10_000, final=0.5),
+    attention=Schedule(base=3e-4, warmup=10_000, part=0.5),
+    features=Schedule(base=1e-3, warmup=10_000, part=0.5),
+    influence=Schedule(base=1e-3, warmup=10_000, part=0.5),
+    unet=Schedule(base=1e-4, warmup=10_000, part=0.5),
 )
 _SMALL_RATES = Rates(
     points=Schedule(base=2e-3, warmup=100, final=0.02),

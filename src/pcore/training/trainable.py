@@ -147,7 +147,8 @@ def restore(work: Trainable, state: TrainingState) -> None:
 
 def rebuild(like: Papr, weights: Mapping[str, Tensor], step: int) -> Trained:
     """Return networks like `like` and a cloud from named weights, copied and without gradients."""
-    papr = Papr(like.config).to(next(iter(weights.values())).device)
+    with torch.random.fork_rng(devices=[]):  # Its initial weights are drawn and overwritten.
+        papr = Papr(like.config).to(next(iter(weights.values())).device)
     prefix = "papr."
     papr.load_state_dict(
         {name.removeprefix(prefix): t for name, t in weights.items() if name.startswith(prefix)}
