@@ -22,7 +22,7 @@ from pcore.evaluation.runner import Method, Taken, evaluate
 from pcore.evaluation.states import SceneStates, State, open_states
 from pcore.evaluation.summary import gains, state_means
 from pcore.evaluation.tables import SUMMARY_FILE, read_summary, summary_record, write_tables
-from pcore.geometry.orbit import growth, orbit_like
+from pcore.geometry.orbit import orbit_like
 from pcore.model.atomic import write_atomically
 from pcore.model.checkpoint import MODEL_FILE
 from pcore.model.render import render
@@ -92,7 +92,7 @@ def film_demo(
     total = len(stories) * settings.frames
     with folder.timed("videos", stamp), counting(console, "frames") as tell:
         for number, (video, (state, runs)) in enumerate(zip(videos, stories, strict=True)):
-            cameras = _orbit(states, state, runs[-1], settings.frames)
+            cameras = _orbit(states, state, settings.frames)
             first = number * settings.frames
             frames = _frames(state, runs, cameras, lambda i, n=first: tell(n + i, total))
             write_video(video, frames, fps=_FPS)
@@ -125,11 +125,10 @@ def _keep(taken: Taken, shown: tuple[int, ...], output: Path) -> None:
             write_atomically(path, png_bytes(pixels[window]))
 
 
-def _orbit(states: SceneStates, state: State, run: Run, count: int) -> list[Camera]:
-    cameras = [view.camera for view in states.scene.split("train")]
-    center, before = states.scene.center, run.cloud.positions.cpu()
-    reach = growth(before, state.move(before), center)
-    return orbit_like(cameras, center, count, scale=reach)
+def _orbit(states: SceneStates, state: State, count: int) -> list[Camera]:
+    """Cameras like the state's own: a larger object gets a wider view, not a farther camera."""
+    cameras = [shot.camera for shot in state.shots]
+    return orbit_like(cameras, states.scene.center, count)
 
 
 def _frames(

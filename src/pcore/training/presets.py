@@ -102,7 +102,9 @@ def preset(name: PresetName) -> PretrainConfig:
 
 def demo_pretrain() -> PretrainConfig:
     """Return `tiny`, shortened for the embedded sample."""
-    return replace(TINY, steps=1400, points=4000, validate_every=350, save_every=350)
+    return replace(
+        TINY, steps=1400, points=4000, front_weight=0.3, validate_every=350, save_every=350
+    )
 
 
 def _scaled(rates: Rates, factor: float) -> Rates:
@@ -153,4 +155,4 @@ def finetune_preset(name: PresetName) -> FinetuneConfig:
 
 def demo_finetune() -> FinetuneConfig:
     """Return the fine-tuning of `tiny`, shortened for the embedded sample."""
-    return replace(_FINETUNE["tiny"], steps=500)
+    return replace(_FINETUNE["tiny"], steps=500, front_weight=0.3)
