@@ -81,6 +81,11 @@ def ablate(command: AblateCommand, console: Console) -> None:
     prepare_torch(command.threads)
     device = pick_device(command.device)
     run = open_run(command.run_folder, device=device)
+    if run.base is not None:
+        raise InputError(
+            f"{run.path} is fine-tuned already: expected a pre-trained run, whose variants are "
+            f"compared with it; ablate the run that it was tuned from, {run.base}"
+        )
     places = open_states(scene_of(run, command.scene), factor=command.factor or run.factor)
     states = places.select(command.state)
     if len(states) < 2:

@@ -34,8 +34,11 @@ class OrbitWish:
     elevation_degrees: float | None = None
 
 
-def cameras_of_file(path: Path, size: Size | None) -> Named:
-    """Cameras of a transforms file, in its order; `size` wins over the size in the file."""
+def cameras_of_file(path: Path, size: Size | None, fallback: Size | None = None) -> Named:
+    """Cameras of a transforms file, in its order.
+
+    `size` wins over the size in the file; `fallback` serves where the file has none.
+    """
     from pcore.data.load import load_cameras
 
     width, height = size or (None, None)
@@ -43,6 +46,8 @@ def cameras_of_file(path: Path, size: Size | None) -> Named:
         return load_cameras(path, width=width, height=height)
     except SceneError as error:
         if size is None and "says no image size" in str(error):
+            if fallback is not None:
+                return load_cameras(path, width=fallback[0], height=fallback[1])
             raise InputError(
                 f"{path}: says no image size; add 'w' and 'h' to it, or use --size W H"
             ) from error

@@ -23,7 +23,9 @@ EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 _LINE_SECONDS = 15.0
 # Errors of the machine, not of pcore: a traceback would not help anybody.
-_ENVIRONMENT = {errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EPERM, errno.EDQUOT, errno.EIO}
+_DISK = {errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EPERM, errno.EDQUOT, errno.EIO}
+_PLACE = {errno.ENOTDIR, errno.ENOENT, errno.ENAMETOOLONG}
+_ENVIRONMENT = _DISK | _PLACE
 
 
 def guarded(action: Callable[[], None]) -> int:

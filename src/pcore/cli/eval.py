@@ -158,7 +158,7 @@ def prepare_output(folder: Path, *, about: Path) -> None:
             "for the folder eval of the run"
         )
     path = folder / SUMMARY_FILE
-    if path.exists() and _subject(path) != str(about):
+    if path.exists() and _subject(path) != str(about.resolve()):
         raise InputError(
             f"{folder} holds the results of {_subject(path) or 'something else'}, which are not "
             f"overwritten by those of {about}; use another -o"
@@ -170,7 +170,7 @@ def _subject(path: Path) -> str | None:
     """Run that a summary is about; None when it is no summary of ours."""
     try:
         record: Any = json.loads(path.read_text(encoding="utf-8"))
-        return str(record["about"]["run"])
+        return str(Path(record["about"]["run"]).resolve())
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

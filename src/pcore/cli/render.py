@@ -143,6 +143,15 @@ def _edited(cloud: PointCloud, edit: Path | None) -> PointCloud:
     return cloud.moved(deformation(cloud.positions.double()).float())
 
 
+def _image_size(folder: Path, factor: int) -> tuple[int, int]:
+    """Width and height of the images of a scene."""
+    from pcore.data.load import load_scene
+
+    scene = load_scene(folder, factor=factor)
+    camera = scene.split(scene.splits[0])[0].camera
+    return camera.width, camera.height
+
+
 def _views(
     command: RenderCommand,
     run: RunFolder | None,
@@ -155,10 +164,11 @@ def _views(
     from pcore.data.load import load_scene
     from pcore.geometry.orbit import growth
 
-    if command.cameras is not None:
-        return cameras.cameras_of_file(command.cameras, command.size)
     folder = command.scene or recorded_scene(run)
     factor = recorded_factor(run) if command.factor is None else command.factor
+    if command.cameras is not None:
+        fallback = None if folder is None else _image_size(folder, factor)
+        return cameras.cameras_of_file(command.cameras, command.size, fallback)
     if command.split is not None:
         if folder is None:
             raise InputError(

@@ -106,6 +106,8 @@ def recorded_scene(run: RunFolder | None) -> Path | None:
     """Folder of the scene that a run was trained on; None when it is not on this machine."""
     if run is None or not run.scene:
         return None
+    if run.stage == "import":
+        return None  # It records a name, and a folder of that name may be anything.
     # Our own runs record it as seen from the run, so that both can move together.
     candidates = (run.path / run.scene, Path(run.scene))
     return next((folder for folder in candidates if folder.is_dir()), None)

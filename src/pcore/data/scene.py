@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -143,6 +144,16 @@ def hold_out(views: tuple[View, ...], *, every: int) -> tuple[tuple[View, ...], 
     start = every // 2
     held = views[start::every]
     return tuple(v for i, v in enumerate(views) if i % every != start), held
+
+
+def check_images(views: Iterable[View]) -> None:
+    """Decode every image once, so that a damaged one is found before hours of training.
+
+    Raises:
+        SceneError: an image is missing, truncated or damaged; names the file.
+    """
+    for view in views:
+        view.rgba()
 
 
 def _closest_to_axes(cameras: tuple[Camera, ...], root: Path) -> Tensor:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import torch
 
-from pcore.data.scene import Scene, View, hold_out
+from pcore.data.scene import Scene, View, check_images, hold_out
 from pcore.deform.base import Deformation
 from pcore.deform.sampler import sample_deformation
 from pcore.geometry.point_cloud import PointCloud
@@ -60,6 +60,7 @@ def finetune(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     where = torch.device(device)
+    check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     perceptual = perceptual_loss(config.lpips_weight, config.lpips_trunk, where)
     anchor = _moved(base, where)

@@ -192,7 +192,8 @@ def _save(
     )
     listener(Saved(stage=work.stage, step=work.step, path=str(folder.model)))
     best = {key: value for key, value in work.best.items() if isinstance(value, int | float)}
-    folder.update(status="finished" if finished else "stopped", step=work.step, validation=best)
+    status = "finished" if finished else "running"
+    folder.update(status=status, step=work.step, validation=best)
 
 
 def _check_finite(work: Trainable) -> None:
@@ -207,6 +208,8 @@ def _check_finite(work: Trainable) -> None:
 
 def _stop(work: Trainable, folder: RunFolder | None, listener: Listener) -> None:
     listener(Stopped(stage=work.stage, step=work.step, reason="interrupted"))
+    if folder is not None:
+        folder.update(status="stopped")
     if folder is None:
         raise KeyboardInterrupt(f"{work.stage} stopped at step {work.step}; nothing was saved")
     raise KeyboardInterrupt(

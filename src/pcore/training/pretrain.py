@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pcore.data.points import load_points
-from pcore.data.scene import Scene, View, hold_out
+from pcore.data.scene import Scene, View, check_images, hold_out
 from pcore.errors import InputError, TrainingError
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.config import PaprConfig
@@ -62,6 +62,7 @@ def pretrain(
     """
     where = torch.device(device)
     perceptual = perceptual_loss(config.lpips_weight, config.lpips_trunk, where)
+    check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     work = _begin(scene, views, config, where)
 
