@@ -210,7 +210,7 @@ def test_depth_agrees_with_blenders_silhouette(shared_data):
     assert not (~hit & (alpha > 0.95)).any()
 
 
-def test_object_size_is_the_canonical_diagonal(folder):
+def test_object_size_is_the_diagonal_of_the_state(folder):
     assert load_truth(folder).object_size() == pytest.approx(2 * np.sqrt(3), rel=0.02)
 
 
@@ -297,3 +297,8 @@ def test_missing_description(folder):
     (folder / "twisted" / "deformation.json").unlink()
     with pytest.raises(SceneError, match=r"deformation.json: expected a JSON object"):
         load_truth(folder).analytic("twisted")
+
+
+def test_a_scaled_object_is_twice_the_size(folder):
+    truth = load_truth(folder)
+    assert truth.object_size("large") == pytest.approx(2 * truth.object_size())

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from pcore.editing.script import parse_edit
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
@@ -187,3 +188,20 @@ def test_permuting_the_points_changes_nothing_with_a_cutoff(papr: Papr, cloud: P
         influence=cloud.influence[order],
     )
     assert same(render(cut, cloud), render(cut, shuffled), 1e-5)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        {"type": "twist", "axis": "z", "angle_deg": 0},
+        {"type": "scale", "factor": 1},
+        {"type": "rigid", "axis": "x", "angle_deg": 0},
+    ],
+)
+def test_the_identity_edit_gives_the_identical_picture(
+    papr: Papr, cloud: PointCloud, edit: dict[str, object]
+) -> None:
+    script = parse_edit({"version": 1, "edits": [edit]})
+    deformation = script.bind(cloud.positions)
+    moved = cloud.moved(deformation(cloud.positions.double()).float())
+    assert same(render(papr, moved), render(papr, cloud), 0.0)
