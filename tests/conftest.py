@@ -21,3 +21,5 @@ def shared_data() -> Path:
 @pytest.fixture(autouse=True)
 def _seed() -> None:
     torch.manual_seed(0)
+    # Commands switch it on for their process; here many tests share one.
+    torch.set_flush_denormal(False)

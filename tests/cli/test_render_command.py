@@ -15,7 +15,7 @@ from toys import toy_cameras, write_cameras, write_run, write_scene
 
 from pcore.cli import draw
 from pcore.cli.main import main
-from pcore.data.load import load_cameras
+from pcore.data.load import load_cameras, load_scene
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 from pcore.model.render import normals, render
@@ -258,10 +258,17 @@ def test_cameras_without_a_size(
     made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cameras = write_cameras(tmp_path / "path.json", toy_cameras(1))
-    assert call(made[0], "--cameras", cameras) == 2
+    write_run(tmp_path / "lost", scene="../gone")
+    assert call(tmp_path / "lost", "--cameras", cameras) == 2
     assert "add 'w' and 'h' to it, or use --size W H" in capsys.readouterr().err
     assert call(made[0], "--cameras", cameras, "--size", 10, 6) == 0
     assert size_of(made[0] / "renders" / "path" / "r_0.png") == (10, 6)
+    # Without a size anywhere else, that of the scene's images.
+    assert call(made[0], "--cameras", cameras, "-o", tmp_path / "as-photos") == 0
+    scene = load_scene(tmp_path / "ball")
+    camera = scene.split("train")[0].camera
+    found = size_of(tmp_path / "as-photos" / "r_0.png")
+    assert found == (camera.width // 2, camera.height // 2)  # The run's factor is 2.
 
 
 def test_a_run_whose_scene_is_elsewhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ import pcore.data.images
 from pcore.data.load import load_scene
 from pcore.data.points import save_points
 from pcore.data.scene import Scene, hold_out
-from pcore.errors import InputError, TrainingError
+from pcore.errors import InputError, SceneError, TrainingError
 from pcore.model.config import MlpConfig, PaprConfig
 from pcore.training.config import GrowConfig, PatchConfig, PretrainConfig, PruneConfig, Rates
 from pcore.training.events import PopulationReport, StepReport, ValidationReport
@@ -312,3 +312,15 @@ def test_resuming_after_the_population_changed_is_bitwise(
         in_folder(box, config, tmp_path / "run", resume=False)
     result = in_folder(box, config, tmp_path / "run", resume=True)
     assert_same(weights_of(result), weights_of(expected))
+
+
+def test_a_truncated_held_out_image_is_found_before_the_first_step(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path / "box", meshes=False, states=False)
+    scene = load_scene(folder)
+    _, held_out = hold_out(scene.split("train"), every=10)
+    photo = folder / "train" / f"{held_out[0].name}.png"
+    photo.write_bytes(photo.read_bytes()[:-40])
+    heard = Heard()
+    with pytest.raises(SceneError, match=f"{held_out[0].name}.png"):
+        pretrain(load_scene(folder), pretrain_config(), listener=heard)
+    assert heard.of(StepReport) == []

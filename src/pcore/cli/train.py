@@ -32,7 +32,7 @@ class TrainCommand:
     """Folder to make; new or empty, unless --resume."""
 
     preset: Literal["tiny", "fast", "paper"] = "tiny"
-    """tiny: 2 CPU cores, minutes; fast: one GPU (not measured yet); paper: the original's sizes, hours."""
+    """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours."""
 
     factor: int = 1
     """Down-scale images by this whole number (area mean)."""

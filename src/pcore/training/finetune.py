@@ -60,9 +60,9 @@ def finetune(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     where = torch.device(device)
-    check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     perceptual = perceptual_loss(config.lpips_weight, config.lpips_trunk, where)
+    check_images(scene.split("train"))
     anchor = _moved(base, where)
     work = trainable(
         "finetune",
