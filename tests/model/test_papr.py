@@ -271,3 +271,12 @@ def test_wrong_configuration(changes: dict[str, object], message: str) -> None:
 def test_wrong_mlp(layers: int, skip: int | None, message: str) -> None:
     with pytest.raises(InputError, match=message):
         MlpConfig(layers=layers, skip_after=skip)
+
+
+def test_surface_points_keep_full_precision_under_autocast() -> None:
+    papr, cloud, rays = Papr(small_config()), small_cloud(), view().flat()
+    with torch.no_grad(), torch.autocast("cpu", dtype=torch.bfloat16):
+        found, near = papr.attend(cloud, rays)
+    assert found.surface.dtype == torch.float32
+    weighted = (found.weights.unsqueeze(-1).float() * cloud.positions[near]).sum(dim=1)
+    torch.testing.assert_close(found.surface, weighted, rtol=0, atol=1e-5)

@@ -132,8 +132,9 @@ class ProximityAttention(nn.Module):
         last = cast("nn.Linear", self.value.layers[-1])
         pooled = torch.bmm(weights.unsqueeze(1), hidden).squeeze(1)
         features = F.linear(pooled, last.weight) + weights.sum(dim=-1, keepdim=True) * last.bias
-        surface = torch.bmm(weights.unsqueeze(1), positions).squeeze(1)
-        along = torch.bmm(positions.detach(), rays.directions.unsqueeze(-1)).squeeze(-1)
+        # Sums, not matrix products: those would run in half precision under autocast.
+        surface = (weights.unsqueeze(-1) * positions).sum(dim=1)
+        along = (positions.detach() * rays.directions.unsqueeze(1)).sum(dim=-1)
         answering = ~torch.isneginf(scores.detach())
         first = along.masked_fill(~answering, math.inf).amin(dim=-1, keepdim=True)
         past_first = torch.where(answering, along - first, 0.0)

@@ -43,7 +43,7 @@ class PatchConfig:
     side: int = 160
     """Side of a square patch in pixels; images smaller than it are taken whole."""
     views: int = 1
-    """Patches per step, each of another random training view."""
+    """Patches per step, each of a random training view."""
 
     def __post_init__(self) -> None:
         if self.side < 4 or self.views < 1:

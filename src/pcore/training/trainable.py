@@ -143,6 +143,9 @@ def restore(work: Trainable, state: TrainingState) -> None:
     work.step = state.step
     work.average = {name: tensor.to(device) for name, tensor in state.average.items()}
     work.best = dict(state.best)
+    if "weights" in work.best:
+        kept = work.best["weights"]
+        work.best["weights"] = {name: tensor.to(device) for name, tensor in kept.items()}
 
 
 def rebuild(like: Papr, weights: Mapping[str, Tensor], step: int) -> Trained:
