@@ -17,9 +17,9 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr, Rendering
 from pcore.training.finetune import finetune
-from pcore.training.losses import Losses, perceptual_loss, photometric
+from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric
 from pcore.training.patches import Patch
-from pcore.training.pretrain import mean_of, pretrain
+from pcore.training.pretrain import pretrain
 
 RGB, ALPHA = torch.rand(4, 5, 3), torch.rand(4, 5)
 TRUTH, COVERAGE = torch.rand(4, 5, 3), torch.rand(4, 5)

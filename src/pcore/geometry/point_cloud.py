@@ -48,6 +48,14 @@ class PointCloud:
             influence=self.influence.detach(),
         )
 
+    def to(self, device: torch.device | str) -> PointCloud:
+        """Return the same points on a device."""
+        return PointCloud(
+            positions=self.positions.to(device),
+            features=self.features.to(device),
+            influence=self.influence.to(device),
+        )
+
     def extent(self) -> tuple[Tensor, Tensor]:
         """Lower and upper corner of the bounding box, (3,) each."""
         if len(self) == 0:

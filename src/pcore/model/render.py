@@ -93,7 +93,7 @@ def render(
     windows = list(_windows(size, tile))
     steps = _Steps(math.ceil(len(rays.origins) / chunk) + len(windows), cancel, progress)
 
-    features, alpha, surface = _attend(papr, _on(cloud, device), rays, chunk, steps)
+    features, alpha, surface = _attend(papr, cloud.to(device), rays, chunk, steps)
     features, opacity = features.unflatten(0, size), alpha.unflatten(0, size)
     rgb = torch.empty(*size, 3)
     for window in windows:
@@ -227,11 +227,3 @@ def _attend(
         surface[part] = attended.surface.masked_fill(none, math.nan).cpu()
         steps.done()
     return features, alpha, surface
-
-
-def _on(cloud: PointCloud, device: torch.device) -> PointCloud:
-    return PointCloud(
-        positions=cloud.positions.to(device),
-        features=cloud.features.to(device),
-        influence=cloud.influence.to(device),
-    )

@@ -10,7 +10,6 @@ import torch
 from pcore.data.scene import Scene, View, check_images, hold_out
 from pcore.deform.base import Deformation
 from pcore.deform.sampler import sample_deformation
-from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Rendering
 from pcore.training.config import FinetuneConfig
@@ -23,10 +22,9 @@ from pcore.training.consistency import (
 )
 from pcore.training.events import Listener, silent
 from pcore.training.loop import Plan, autocast, run_loop
-from pcore.training.losses import Losses, Perceptual, perceptual_loss, photometric
+from pcore.training.losses import Losses, Perceptual, mean_of, perceptual_loss, photometric
 from pcore.training.output import RunFolder
 from pcore.training.patches import Patch, draw_patch
-from pcore.training.pretrain import mean_of
 from pcore.training.trainable import Trainable, trainable
 from pcore.training.trained import Trained
 from pcore.training.validation import validate
@@ -103,14 +101,9 @@ def finetune(
 
 
 def _moved(base: Trained, device: torch.device) -> Trained:
-    cloud = base.cloud.detached()
     return Trained(
         papr=copy.deepcopy(base.papr).to(device).requires_grad_(False).eval(),
-        cloud=PointCloud(
-            positions=cloud.positions.to(device),
-            features=cloud.features.to(device),
-            influence=cloud.influence.to(device),
-        ),
+        cloud=base.cloud.detached().to(device),
         step=base.step,
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -33,6 +33,19 @@ class Losses:
     def total(self) -> Tensor:
         """The sum."""
         return torch.stack(list(self.terms.values())).sum()
+
+
+def mean_of(losses: Sequence[Losses]) -> Losses:
+    """Mean of the same terms over several patches."""
+    count = len(losses)
+    return Losses(
+        terms={
+            name: torch.stack([one.terms[name] for one in losses if name in one.terms]).sum()
+            / count
+            for name in dict.fromkeys(name for one in losses for name in one.terms)
+        },
+        squared_error=torch.stack([one.squared_error for one in losses]).mean(),
+    )
 
 
 def perceptual_loss(weight: float, trunk: TrunkName, device: torch.device) -> Perceptual | None:

@@ -18,7 +18,7 @@ from pcore.model.papr import Papr
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.loop import Plan, autocast, run_loop
-from pcore.training.losses import Losses, perceptual_loss, photometric
+from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric
 from pcore.training.output import RunFolder
 from pcore.training.patches import draw_patch
 from pcore.training.population import (
@@ -103,19 +103,6 @@ def pretrain(
         after_step=lambda tell: _change_population(work, config, tell),
         folder=folder,
         listener=listener,
-    )
-
-
-def mean_of(losses: Sequence[Losses]) -> Losses:
-    """Mean of the same terms over several patches."""
-    count = len(losses)
-    return Losses(
-        terms={
-            name: torch.stack([one.terms[name] for one in losses if name in one.terms]).sum()
-            / count
-            for name in dict.fromkeys(name for one in losses for name in one.terms)
-        },
-        squared_error=torch.stack([one.squared_error for one in losses]).mean(),
     )
 
 
