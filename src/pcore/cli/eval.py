@@ -27,7 +27,8 @@ class EvalCommand:
     """Score a run on test views: canonical, deformed states, or an exact uniform scale.
 
     Writes images.csv (one line per picture) and summary.json (means and gains), and prints a
-    table. A fine-tuned run is compared with the run it was tuned from.
+    table. A fine-tuned run is compared with the run it was tuned from, each with rays that know
+    of the deformation (aware) and with plain ones.
     """
 
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
@@ -41,6 +42,10 @@ class EvalCommand:
 
     baseline: Path | None = None
     """Run to compare with; default: the one that a fine-tuned run was tuned from."""
+
+    rays: Literal["aware", "plain", "both"] = "both"
+    """Which rays pictures of deformed states are taken with: methods with plain rays are the
+    paper's."""
 
     protocol: Literal["papr", "standard", "both"] = "both"
     """How images are compared: as the original PAPR does, as everybody else does, or both."""
@@ -89,7 +94,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     states = places.select(command.state)
     output = command.output or command.run_folder / "eval"
     prepare_output(output, about=run.path)
-    methods = _methods(run, base)
+    methods = _methods(run, base, command.rays)
     chosen = PROTOCOLS.values() if command.protocol == "both" else [PROTOCOLS[command.protocol]]
     perceptual = load_perceptual()
     with counting(console, "pictures") as tell:
@@ -175,7 +180,7 @@ def _subject(path: Path) -> str | None:
         return None
 
 
-def _methods(run: Run, base: Run | None) -> list[Method]:
+def _methods(run: Run, base: Run | None, rays: str) -> list[Method]:
     """Baseline first; two methods of one name are told apart by the folders of their runs."""
     from pcore.evaluation.runner import Method
 
@@ -183,12 +188,23 @@ def _methods(run: Run, base: Run | None) -> list[Method]:
     alike = base is not None and base.label == run.label
     return [
         Method(
-            name=f"{one.label} ({one.path.resolve().name})" if alike else one.label,
+            name=_name(one, aware=aware) + (f" ({one.path.resolve().name})" if alike else ""),
             papr=one.papr,
             cloud=one.cloud,
+            aware=aware,
         )
+        for aware in (False, True)
+        if rays in ("both", "aware" if aware else "plain")
         for one in runs
     ]
+
+
+def _name(run: Run, *, aware: bool) -> str:
+    if not aware:
+        return run.label
+    from pcore.cli.models import UNTUNED
+
+    return "aware" if run.label == UNTUNED else f"aware + {run.label}"
 
 
 def _sheet_writer(folder: Path, methods: Sequence[Method]) -> Callable[[Taken], None]:

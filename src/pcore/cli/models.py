@@ -15,6 +15,7 @@ from pcore.training.config import FinetuneConfig, PresetName
 from pcore.training.output import RunFolder
 
 _WHITE = (1.0, 1.0, 1.0)
+UNTUNED = "PAPR"
 _NAMES = {"finetune": "P-CORE"}
 
 
@@ -65,7 +66,7 @@ def open_run(path: Path, *, device: str = "cpu") -> Run:
         path=path,
         papr=papr.eval().requires_grad_(False).to(device),
         cloud=saved.cloud,
-        label=_NAMES.get(saved.provenance.stage, "PAPR"),
+        label=_NAMES.get(saved.provenance.stage, UNTUNED),
         manifest=manifest,
         saved=saved,
     )

@@ -31,6 +31,9 @@ class RenderCommand:
     edit: Path | None = None
     """Edit file (JSON) to deform the points with; bound to the canonical cloud."""
 
+    rays: Literal["aware", "plain"] = "aware"
+    """How deformed points are seen: aware of the deformation, or plain as in the paper."""
+
     cameras: Path | None = None
     """Take the cameras of this transforms file (NeRF-Synthetic form); no images are needed."""
 
@@ -102,7 +105,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
     prepare_torch(command.threads)
     device = pick_device(command.device)
     saved, run = open_model(command.run_or_file)
-    cloud = _edited(saved.cloud, command.edit)
+    cloud = _edited(saved.cloud, command.edit, aware=command.rays == "aware")
     views = _views(command, run, saved.cloud, cloud, console)
     if _films(command):
         require_video()
@@ -133,14 +136,14 @@ def _films(command: RenderCommand) -> bool:
     return command.cameras is None and command.split is None
 
 
-def _edited(cloud: PointCloud, edit: Path | None) -> PointCloud:
-    """Return the cloud deformed by an edit file, computed in double precision."""
+def _edited(cloud: PointCloud, edit: Path | None, *, aware: bool) -> PointCloud:
+    """Return the cloud deformed by an edit file."""
     if edit is None:
         return cloud
+    from pcore.editing.apply import deformed_cloud
     from pcore.editing.script import load_edit
 
-    deformation = load_edit(edit).bind(cloud.positions)
-    return cloud.moved(deformation(cloud.positions.double()).float())
+    return deformed_cloud(cloud, load_edit(edit).bind(cloud.positions), aware=aware)
 
 
 def _image_size(folder: Path, factor: int) -> tuple[int, int]:

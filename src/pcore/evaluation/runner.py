@@ -53,11 +53,13 @@ class Method:
         name: for tables; unique among the methods.
         papr: the networks, which have been trained on white or render on white.
         cloud: canonical points, world units.
+        aware: render deformed states with deformation-aware rays.
     """
 
     name: str
     papr: Papr
     cloud: PointCloud
+    aware: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +136,7 @@ def evaluate(
     rows: list[ImageRow] = []
     done = 0
     for state in states:
-        clouds = {m.name: _carry(m.cloud, state) for m in methods}
+        clouds = _carry(methods, state)
         for index in range(len(state.shots)):
             taken = _take(methods, clouds, state, index, draw)
             rows += _score(taken, state, protocols, perceptual)
@@ -197,9 +199,17 @@ def _check_names(methods: Sequence[Method]) -> None:
         )
 
 
-def _carry(cloud: PointCloud, state: State) -> PointCloud:
-    positions = cloud.positions.detach()
-    return cloud.detached().moved(state.move(positions.cpu()).to(positions))
+def _carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
+    """Move every method's cloud to the state; methods of one run share the work."""
+    known: dict[tuple[int, bool], PointCloud] = {}
+    for method in methods:
+        key = id(method.cloud), method.aware
+        if key not in known:
+            rest = method.cloud.positions.detach()
+            moved = state.move(rest.cpu())
+            frames = state.frames(rest.cpu(), moved) if method.aware else None
+            known[key] = method.cloud.detached().moved(moved, frames).to(rest.device)
+    return {m.name: known[id(m.cloud), m.aware] for m in methods}
 
 
 def _geometry(photo: Photo, taken: Taken, state: State) -> Mapping[str, Value]:

@@ -19,9 +19,13 @@ from torch import Tensor
 
 from pcore.data.load import find_states, load_scene, load_state
 from pcore.data.scene import Scene, View
+from pcore.deform.base import Deformation
+from pcore.deform.local_frames import analytic_frames, estimated_frames
+from pcore.deform.simple import uniform_scale
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.ground_truth import DeformedTruth, SurfaceAnchors, load_truth
 from pcore.geometry.camera import Camera
+from pcore.geometry.local_frames import LocalFrames
 
 CANONICAL = "canonical"
 ALL = "all"
@@ -57,6 +61,8 @@ class State:
         kind: what sort of deformation it is.
         shots: the pictures to take, at least one.
         move: carries canonical points (N, 3) to the state, world units.
+        frames: local frames of canonical points (N, 3) that were moved to (N, 3): from the formula
+            of the state where it has one, else estimated from the move; None without a move.
         object_size: diagonal of the bounding box in this state, world units; None without a mesh.
     """
 
@@ -64,6 +70,7 @@ class State:
     kind: Kind
     shots: tuple[Shot, ...]
     move: Callable[[Tensor], Tensor]
+    frames: Callable[[Tensor, Tensor], LocalFrames | None]
     object_size: float | None
 
 
@@ -136,17 +143,19 @@ class SceneStates:
             kind="canonical",
             shots=tuple(self._shot(view, None) for view in self._test_views),
             move=_stay,
+            frames=lambda points, moved: None,
             object_size=self._size,
         )
 
     def _deformed(self, name: str, truth: DeformedTruth) -> State:
         scene = load_state(self.path, name, factor=self.factor)
-        analytic = truth.record(name).type in ("simple_deform", "scale")
+        formula = truth.analytic(name)
         return State(
             name=name,
-            kind="analytic" if analytic else "skeletal",
+            kind="skeletal" if formula is None else "analytic",
             shots=tuple(self._shot(view, name) for view in scene.split("test")),
             move=lambda points: self._carrier(points, name),
+            frames=estimated_frames if formula is None else _by_formula(formula),
             object_size=truth.object_size(name),
         )
 
@@ -163,6 +172,7 @@ class SceneStates:
             kind="analytic",
             shots=tuple(shots),
             move=lambda points: points * scale,
+            frames=_by_formula(uniform_scale(scale)),
             object_size=None if self._size is None else scale * self._size,
         )
 
@@ -239,6 +249,10 @@ def _scale_factor(name: str) -> float:
 
 def _times(depth: Callable[[], Tensor], scale: float) -> Callable[[], Tensor]:
     return lambda: depth() * scale
+
+
+def _by_formula(formula: Deformation) -> Callable[[Tensor, Tensor], LocalFrames]:
+    return lambda points, moved: analytic_frames(formula, points)
 
 
 def _stay(points: Tensor) -> Tensor:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from pcore.errors import InputError
+from pcore.geometry.local_frames import LocalFrames
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,11 +20,14 @@ class PointCloud:
         positions: (N, 3) world units.
         features: (N, F) the appearance vector mu of every point.
         influence: (N,) factor on every point's attention score.
+        frames: rest state of deformed points, with which PAPR sees rays of the rest state
+            (deformation-aware rays); None makes the points be seen where they are.
     """
 
     positions: Tensor
     features: Tensor
     influence: Tensor
+    frames: LocalFrames | None = None
 
     def __post_init__(self) -> None:
         n = self.positions.shape[0]
@@ -32,28 +37,44 @@ class PointCloud:
                 "point cloud: expected positions (N, 3), features (N, F) and influence (N,), "
                 f"got {shapes[0]}, {shapes[1]} and {shapes[2]}"
             )
+        if self.frames is not None and len(self.frames.rest) != n:
+            raise InputError(
+                f"point cloud: expected local frames of its {n} points, got frames of "
+                f"{len(self.frames.rest)}; make them from the same canonical cloud"
+            )
+
+    @classmethod
+    def from_tensors(cls, tensors: Mapping[str, Tensor]) -> PointCloud:
+        """Make a canonical cloud of its tensors by name, as files and optimisers keep them."""
+        return cls(
+            positions=tensors["positions"],
+            features=tensors["features"],
+            influence=tensors["influence"],
+        )
 
     def __len__(self) -> int:
         return self.positions.shape[0]
 
-    def moved(self, positions: Tensor) -> PointCloud:
-        """Return the same points at other positions (N, 3)."""
-        return replace(self, positions=positions)
+    def moved(self, positions: Tensor, frames: LocalFrames | None = None) -> PointCloud:
+        """Return the same points at other positions (N, 3), with or without their rest state."""
+        return replace(self, positions=positions, frames=frames)
 
     def detached(self) -> PointCloud:
         """Return a copy cut off from the autograd graph."""
-        return PointCloud(
-            positions=self.positions.detach(),
-            features=self.features.detach(),
-            influence=self.influence.detach(),
-        )
+        return self._each(lambda tensor: tensor.detach())
 
     def to(self, device: torch.device | str) -> PointCloud:
         """Return the same points on a device."""
+        return self._each(lambda tensor: tensor.to(device))
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> PointCloud:
+        frames = self.frames
         return PointCloud(
-            positions=self.positions.to(device),
-            features=self.features.to(device),
-            influence=self.influence.to(device),
+            positions=change(self.positions),
+            features=change(self.features),
+            influence=change(self.influence),
+            frames=frames
+            and replace(frames, rest=change(frames.rest), to_rest=change(frames.to_rest)),
         )
 
     def extent(self) -> tuple[Tensor, Tensor]:

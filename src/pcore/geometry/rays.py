@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from torch import Tensor
 
@@ -33,6 +34,10 @@ class RayBundle:
         """Batch shape, without the last axis."""
         return tuple(self.directions.shape[:-1])
 
+    def __getitem__(self, index: Any) -> RayBundle:
+        """Return the rays that a tensor of indices, a mask or slices choose."""
+        return RayBundle(origins=self.origins[index], directions=self.directions[index])
+
     def flat(self) -> RayBundle:
         """Return the same rays with batch shape (R,)."""
         return RayBundle(
@@ -43,3 +48,19 @@ class RayBundle:
         """Rectangle of an (H, W) bundle."""
         window = (slice(top, top + height), slice(left, left + width))
         return RayBundle(origins=self.origins[window], directions=self.directions[window])
+
+    def slid(self, center: Tensor, distance: float) -> RayBundle:
+        """Slide the origins along their rays to `distance` before the plane through `center`.
+
+        The lines stay the same. What PAPR sees of a slid ray no longer depends on how far away the
+        camera was.
+
+        Args:
+            center: (3,) world units.
+            distance: along each ray from its new origin to where it is closest to the center.
+        """
+        ahead = ((center - self.origins) * self.directions).sum(dim=-1, keepdim=True)
+        return RayBundle(
+            origins=self.origins + (ahead - distance) * self.directions,
+            directions=self.directions,
+        )

@@ -12,7 +12,7 @@ from numba import prange
 from numba.core import config as numba_config
 from torch import Tensor
 
-from pcore.kernels.reference import LENGTH_GUARD
+from pcore.kernels.reference import LENGTH_GUARD, SHORTEST, per_pair
 
 _BUNDLE = 64
 """Rays that one thread works through with the same scratch memory."""
@@ -72,6 +72,82 @@ def _search(origins: np.ndarray, directions: np.ndarray, points: np.ndarray, k: 
     return out
 
 
+def pull_back(
+    origins: Tensor,
+    directions: Tensor,
+    positions: Tensor,
+    rest: Tensor,
+    to_rest: Tensor,
+    candidates: Tensor,
+    k: int,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Rays of the rest state as each candidate sees them; see `functional.pull_back`."""
+    _use_torch_threads()
+    rays = len(origins)
+    chosen = torch.empty(rays, k, dtype=torch.int64)
+    seen_from, seen_along = torch.empty(rays, k, 3), torch.empty(rays, k, 3)
+    _pull_back(
+        _as_numpy(origins),
+        _as_numpy(directions),
+        _as_numpy(positions),
+        _as_numpy(rest),
+        _as_numpy(to_rest),
+        candidates.contiguous().numpy(),
+        chosen.numpy(),
+        seen_from.numpy(),
+        seen_along.numpy(),
+    )
+    return chosen, seen_from, seen_along
+
+
+@numba.njit(cache=True, parallel=True)
+def _pull_back(
+    origins: np.ndarray,
+    directions: np.ndarray,
+    positions: np.ndarray,
+    rest: np.ndarray,
+    to_rest: np.ndarray,
+    candidates: np.ndarray,
+    chosen: np.ndarray,
+    seen_from: np.ndarray,
+    seen_along: np.ndarray,
+) -> None:
+    rays, k = chosen.shape
+    count = candidates.shape[1]
+    for ray in prange(rays):
+        back = np.empty((count, 3), dtype=np.float32)
+        turned = np.empty((count, 3), dtype=np.float32)
+        best = np.full(k, np.inf, dtype=np.float32)
+        slot = np.zeros(k, dtype=np.int64)
+        for c in range(count):
+            point = candidates[ray, c]
+            length = np.float32(0.0)
+            along = np.float32(0.0)
+            for i in range(3):
+                back[c, i] = 0.0
+                turned[c, i] = 0.0
+                for j in range(3):
+                    b = to_rest[point, i, j]
+                    back[c, i] += b * (origins[ray, j] - positions[point, j])
+                    turned[c, i] += b * directions[ray, j]
+                length += turned[c, i] * turned[c, i]
+                along += back[c, i] * turned[c, i]
+            length = max(math.sqrt(length), np.float32(SHORTEST))
+            along /= length
+            distance = 0.0
+            for i in range(3):
+                turned[c, i] /= length
+                across = back[c, i] - along * turned[c, i]
+                distance += across * across
+            if distance < best[k - 1]:
+                _insert(best, slot, distance, c)
+        for s in range(k):
+            chosen[ray, s] = candidates[ray, slot[s]]
+            for i in range(3):
+                seen_from[ray, s, i] = rest[chosen[ray, s], i] + back[slot[s], i]
+                seen_along[ray, s, i] = turned[slot[s], i]
+
+
 def encode_pairs(
     positions: Tensor,
     features: Tensor,
@@ -106,12 +182,12 @@ class _EncodePairs(torch.autograd.Function):
         block = 1 + 2 * frequencies
         table = torch.empty(rays * k, 9 * block + features.shape[1])
         squared = torch.empty(rays, k)
-        directions = directions.contiguous()
+        directions = per_pair(directions).contiguous()
         neighbours = neighbours.contiguous()
         _encode_forward(
             _as_numpy(positions),
             _as_numpy(features),
-            _as_numpy(origins),
+            _as_numpy(per_pair(origins)),
             directions.numpy(),
             neighbours.numpy(),
             np.float32(scale),
@@ -186,22 +262,24 @@ def _encode_forward(
     for i in prange(positions.shape[0]):
         for axis in range(3):
             _encode_scalar(scale * positions[i, axis], frequencies, own[i], axis * block)
+    shared = directions.shape[1] == 1
     for ray in prange(rays):
-        direction = directions[ray]
-        length = _guarded_length(direction)
         for slot in range(k):
+            seen = 0 if shared else slot
+            origin, direction = origins[ray, seen], directions[ray, seen]
+            length = _guarded_length(direction)
             point = neighbours[ray, slot]
             row = table[ray * k + slot]
             row[: 3 * block] = own[point]
             row[9 * block :] = features[point]
             along = np.float32(0.0)
             for axis in range(3):
-                along += (positions[point, axis] - origins[ray, axis]) * direction[axis]
+                along += (positions[point, axis] - origin[axis]) * direction[axis]
             along /= length
             total = np.float32(0.0)
             for axis in range(3):
                 h = along * direction[axis]
-                t = positions[point, axis] - origins[ray, axis] - h
+                t = positions[point, axis] - origin[axis] - h
                 total += t * t
                 _encode_scalar(scale * h, frequencies, row, (3 + axis) * block)
                 _encode_scalar(scale * t, frequencies, row, (6 + axis) * block)
@@ -231,8 +309,9 @@ def _encode_backward(
     to_position: np.ndarray,
 ) -> None:
     block = 1 + 2 * frequencies
+    shared = directions.shape[1] == 1
     for pair in prange(table.shape[0]):
-        direction = directions[pair // k]
+        direction = directions[pair // k, 0 if shared else pair % k]
         row, gradient = table[pair], upstream[pair]
         # With d d^T divided by the guarded length: h = d d^T (p - o) and t = (I - d d^T)(p - o), so
         # dL/dp = dL/dt + d <d, dL/dh - dL/dt>.

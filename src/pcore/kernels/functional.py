@@ -69,8 +69,8 @@ def encode_pairs(
     Args:
         positions: (N, 3).
         features: (N, F).
-        origins: (R, 3) ray origins; not differentiated.
-        directions: (R, 3) unit directions; not differentiated.
+        origins: (R, 3) ray origins, or (R, k, 3) one per pair; not differentiated.
+        directions: unit directions of the same shape; not differentiated.
         neighbours: (R, k) indices into the points.
         scale: factor on positions before they are encoded.
         frequencies: octaves L of the encoding.
@@ -92,3 +92,35 @@ def encode_pairs(
         scale=scale,
         frequencies=frequencies,
     )
+
+
+def pull_back(
+    origins: Tensor,
+    directions: Tensor,
+    positions: Tensor,
+    rest: Tensor,
+    to_rest: Tensor,
+    candidates: Tensor,
+    k: int,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Choose the k candidates nearest to a ray in the rest state, and the ray as each sees it.
+
+    With B the inverse of the map around a point, the ray (o, d) is the ray p + B (o - p'),
+    B d / |B d| of the rest state. Nothing is differentiated.
+
+    Args:
+        origins: (R, 3) ray origins in the deformed state.
+        directions: (R, 3) unit directions.
+        positions: (N, 3) deformed points p'.
+        rest: (N, 3) points p of the rest state.
+        to_rest: (N, 3, 3) the maps B.
+        candidates: (R, c) indices into the points, c >= k.
+        k: how many to keep.
+
+    Returns:
+        Indices (R, k), nearest first in the rest state; origins (R, k, 3) and unit directions
+        (R, k, 3) of the rays of the rest state.
+    """
+    work = cpu if backend(positions.device) == "cpu" else reference
+    with torch.no_grad():
+        return work.pull_back(origins, directions, positions, rest, to_rest, candidates, k)

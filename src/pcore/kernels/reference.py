@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 _CHUNK_ELEMENTS = 4_000_000
+SHORTEST = 1e-30
 LENGTH_GUARD = 1e-6
 """The original adds this to the squared length of a direction before it divides by it, also for
 unit directions; without it the features of its checkpoints are off by 1e-4 instead of 1e-5."""
@@ -44,15 +45,20 @@ def encode_pairs(
     frequencies: int,
 ) -> tuple[Tensor, Tensor]:
     """What the embedding networks see of every ray-point pair; see `functional.encode_pairs`."""
+    origins, directions = per_pair(origins), per_pair(directions)
     near = positions[neighbours]
-    from_origin = near - origins[:, None, :]
+    from_origin = near - origins
     guarded = directions / (directions.square().sum(dim=-1, keepdim=True) + LENGTH_GUARD)
-    along = (from_origin * directions[:, None, :]).sum(dim=-1, keepdim=True)
-    along = along * guarded[:, None, :]
+    along = (from_origin * directions).sum(dim=-1, keepdim=True) * guarded
     off = from_origin - along
     encoded = [encode(scale * x, frequencies) for x in (near.detach(), along, off)]
     table = torch.cat([*encoded, features[neighbours]], dim=-1)
     return table.flatten(0, 1), off.detach().square().sum(dim=-1)
+
+
+def per_pair(vectors: Tensor) -> Tensor:
+    """Vectors (R, 1, 3) or (R, k, 3) of rays given once per row, (R, 3), or once per pair."""
+    return vectors.unsqueeze(1) if vectors.ndim == 2 else vectors
 
 
 def encode(x: Tensor, frequencies: int) -> Tensor:
@@ -72,3 +78,25 @@ def encode(x: Tensor, frequencies: int) -> Tensor:
     phase = x.unsqueeze(-1) * octaves
     waves = torch.stack([phase.sin(), phase.cos()], dim=-1).flatten(-2)
     return torch.cat([x.unsqueeze(-1), waves], dim=-1).flatten(-2)
+
+
+def pull_back(
+    origins: Tensor,
+    directions: Tensor,
+    positions: Tensor,
+    rest: Tensor,
+    to_rest: Tensor,
+    candidates: Tensor,
+    k: int,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Rays of the rest state as each candidate sees them; see `functional.pull_back`."""
+    maps = to_rest[candidates]
+    offset = origins[:, None, :] - positions[candidates]
+    back = (maps @ offset.unsqueeze(-1)).squeeze(-1)
+    turned = (maps @ directions[:, None, :, None]).squeeze(-1)
+    turned = turned / turned.norm(dim=-1, keepdim=True).clamp_min(SHORTEST)
+    across = back - (back * turned).sum(dim=-1, keepdim=True) * turned
+    order = torch.sort(across.square().sum(dim=-1), dim=-1, stable=True).indices[:, :k]
+    rows = order.unsqueeze(-1).expand(-1, -1, 3)
+    chosen = candidates.gather(1, order)
+    return chosen, rest[chosen] + back.gather(1, rows), turned.gather(1, rows)

@@ -97,13 +97,17 @@ class ProximityAttention(nn.Module):
         self.w_key = nn.Linear(config.key.size, config.key.size)
         self.w_query = nn.Linear(config.query.size, config.query.size)
 
-    def forward(self, cloud: PointCloud, rays: RayBundle, neighbours: Tensor) -> Attended:
+    def forward(
+        self, cloud: PointCloud, rays: RayBundle, neighbours: Tensor, seen: RayBundle
+    ) -> Attended:
         """Attend from R rays to their neighbours.
 
         Args:
             cloud: the points.
             rays: (R,) rays, world units.
             neighbours: (R, k) indices into the cloud.
+            seen: the rays as the networks see them: (R,), or (R, k) as each neighbour sees them
+                in the rest state of the cloud.
 
         Returns:
             The attended features, opacity and surface points.
@@ -111,16 +115,16 @@ class ProximityAttention(nn.Module):
         config = self.config
         rays_count, k = neighbours.shape
         table, squared = encode_pairs(
-            cloud.positions,
+            cloud.positions if cloud.frames is None else cloud.frames.rest,
             cloud.features,
-            rays.origins,
-            rays.directions,
+            seen.origins,
+            seen.directions,
             neighbours,
             scale=config.coord_scale,
             frequencies=config.frequencies,
         )
         vector = encoded_size(3, config.frequencies)
-        scores = self._scores(table[:, : 3 * vector], rays.directions, k)
+        scores = self._scores(table[:, : 3 * vector], _of_query(seen.directions), k)
         rows = neighbours.flatten()
         scores = scores * cloud.influence.index_select(0, rows).view(rays_count, k)
         if config.cutoff is not None:
@@ -154,6 +158,14 @@ class ProximityAttention(nn.Module):
         constant = query @ self.w_key.bias
         keys = self.key(key_input).unflatten(0, (len(directions), k))
         return F.relu(torch.bmm(keys, folded.unsqueeze(-1)).squeeze(-1) + constant[:, None])
+
+
+def _of_query(directions: Tensor) -> Tensor:
+    """Direction (R, 3) of a ray as the query sees it, from directions (R, 3) or (R, k, 3)."""
+    if directions.ndim == 2:
+        return directions
+    # The neighbours see the ray from almost the same side; the mean is as good as a query per pair.
+    return F.normalize(directions.mean(dim=1), dim=-1)
 
 
 def _background_softmax(scores: Tensor, background_score: float) -> tuple[Tensor, Tensor]:

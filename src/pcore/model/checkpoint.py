@@ -23,7 +23,8 @@ from pcore.model.records import from_dict, to_dict
 
 MODEL_FILE = "model.safetensors"
 _FORMAT = "pcore-model"
-_VERSION = 1
+_VERSION = 2
+_READ = ("1", str(_VERSION))
 _CLOUD = ("positions", "features", "influence")
 
 
@@ -118,7 +119,7 @@ def load_model(path: Path) -> SavedModel:
             for name, value in tensors.items()
             if name.startswith("papr.")
         },
-        cloud=PointCloud(**{name: tensors[f"cloud.{name}"] for name in _CLOUD}),
+        cloud=PointCloud.from_tensors({name: tensors[f"cloud.{name}"] for name in _CLOUD}),
         provenance=provenance,
     )
 
@@ -193,12 +194,15 @@ def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
             f"'{_FORMAT}' in its header, got {header.get('format')!r}; give a file written by "
             "`pcore train`, `pcore finetune` or `pcore import papr`"
         )
-    if header.get("version") != str(_VERSION):
+    if header.get("version") not in _READ:
         raise CheckpointError(
             f"{path} has version {header.get('version')!r} of the model format: this pcore "
-            f"({pcore_version()}) reads version {_VERSION}; use the pcore that wrote it"
+            f"({pcore_version()}) reads versions {' and '.join(_READ)}; use the pcore that wrote it"
         )
-    config = from_dict(PaprConfig, _json(path, header, "config"), where=f"{path}: config")
+    settings = _json(path, header, "config")
+    if header["version"] == "1":
+        settings["reference"] = None  # Version 1 knew rays from the camera only.
+    config = from_dict(PaprConfig, settings, where=f"{path}: config")
     provenance = from_dict(
         Provenance, _json(path, header, "provenance"), where=f"{path}: provenance"
     )

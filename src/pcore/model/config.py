@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from pcore.errors import InputError
@@ -29,6 +30,24 @@ class MlpConfig:
         if self.skip_after is not None and not 1 <= self.skip_after < self.layers:
             raise InputError(
                 f"MLP: expected skip_after between 1 and {self.layers - 1}, got {self.skip_after}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceOrigin:
+    """Where every ray begins, whatever the camera: at a distance before the middle of the scene."""
+
+    center: tuple[float, float, float]
+    """Middle of the scene, world units."""
+    distance: float
+    """From a ray's origin to where it passes the center, world units."""
+
+    def __post_init__(self) -> None:
+        numbers = (*self.center, self.distance)
+        if not all(math.isfinite(x) for x in numbers) or self.distance <= 0:
+            raise InputError(
+                "PAPR: expected a finite center and a positive distance of the reference origin, "
+                f"got {self.center} and {self.distance}"
             )
 
 
@@ -61,6 +80,9 @@ class PaprConfig:
     cutoff: float | None = None
     """Points farther than this from a ray (world units) get no attention; rays without any are
     pure background and cost nothing. None (the original) lets every point answer every ray."""
+    reference: ReferenceOrigin | None = None
+    """Slide the origins of all rays to this distance before they are seen, so that the camera's
+    distance does not matter. None (the original) lets rays begin at the camera."""
 
     def __post_init__(self) -> None:
         if self.neighbours < 1 or self.frequencies < 1 or self.feature_size < 1:

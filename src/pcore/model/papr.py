@@ -9,10 +9,13 @@ from torch import Tensor, nn
 
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.kernels.functional import nearest_to_rays
+from pcore.kernels.functional import nearest_to_rays, pull_back
 from pcore.model.attention import Attended, ProximityAttention
 from pcore.model.config import PaprConfig
 from pcore.model.unet import Unet
+
+_CANDIDATES = 2
+"""Candidates of the plain search per neighbour: the nearest in the rest state are among them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,18 +79,35 @@ class Papr(nn.Module):
 
     def attend(self, cloud: PointCloud, rays: RayBundle) -> tuple[Attended, Tensor]:
         """Nearest points and attention of (R,) rays; rays beyond the cut-off cost nothing."""
-        neighbours = nearest_to_rays(
-            rays.origins, rays.directions, cloud.positions.detach(), self.config.neighbours
-        )
+        neighbours, seen = self._see(cloud, rays)
         if self.config.cutoff is None:
-            return self.attention(cloud, rays, neighbours), neighbours
-        near = _within(cloud, rays, neighbours, self.config.cutoff)
-        part = self.attention(
-            cloud,
-            RayBundle(origins=rays.origins[near], directions=rays.directions[near]),
-            neighbours[near],
-        )
+            return self.attention(cloud, rays, neighbours, seen), neighbours
+        near = _within(cloud, neighbours, seen, self.config.cutoff)
+        part = self.attention(cloud, rays[near], neighbours[near], seen[near])
         return _scatter(part, near, neighbours.shape), neighbours
+
+    def _see(self, cloud: PointCloud, rays: RayBundle) -> tuple[Tensor, RayBundle]:
+        """Neighbours (R, k), and the rays as the networks see them: (R,), or (R, k) with frames."""
+        k, frames, reference = self.config.neighbours, cloud.frames, self.config.reference
+        positions = cloud.positions.detach()
+        if frames is None:
+            seen = rays
+            neighbours = nearest_to_rays(rays.origins, rays.directions, positions, k)
+        else:
+            candidates = nearest_to_rays(rays.origins, rays.directions, positions, _CANDIDATES * k)
+            neighbours, origins, directions = pull_back(
+                rays.origins,
+                rays.directions,
+                positions,
+                frames.rest,
+                frames.to_rest,
+                candidates,
+                min(k, len(cloud)),
+            )
+            seen = RayBundle(origins=origins, directions=directions)
+        if reference is not None:
+            seen = seen.slid(positions.new_tensor(reference.center), reference.distance)
+        return neighbours, seen
 
     def shade(self, features: Tensor, alpha: Tensor, background: Tensor | None = None) -> Tensor:
         """Colours (H, W, 3) of a feature map (H, W, C) over a background (3,)."""
@@ -98,13 +118,15 @@ class Papr(nn.Module):
         return colours * opacity + background * (1 - opacity)
 
 
-def _within(cloud: PointCloud, rays: RayBundle, neighbours: Tensor, cutoff: float) -> Tensor:
+def _within(cloud: PointCloud, neighbours: Tensor, seen: RayBundle, cutoff: float) -> Tensor:
     """Indices of the rays that have a point within the cut-off."""
     with torch.no_grad():
         # Neighbours come nearest first, so the first decides.
-        offset = cloud.positions[neighbours[:, 0]] - rays.origins
-        along = (offset * rays.directions).sum(dim=-1, keepdim=True)
-        distance = (offset - along * rays.directions).square().sum(dim=-1)
+        first = seen if len(seen.shape) == 1 else seen[:, 0]
+        rest = cloud.positions if cloud.frames is None else cloud.frames.rest
+        offset = rest[neighbours[:, 0]] - first.origins
+        along = (offset * first.directions).sum(dim=-1, keepdim=True)
+        distance = (offset - along * first.directions).square().sum(dim=-1)
         return torch.nonzero(distance <= cutoff**2).squeeze(-1)
 
 

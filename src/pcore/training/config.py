@@ -13,6 +13,7 @@ from pcore.training.schedule import Schedule
 PresetName = Literal["tiny", "fast", "paper"]
 TrunkName = Literal["alex", "squeeze", "vgg"]
 Background = Literal["white", "black", "random"]
+Origin = Literal["camera", "reference"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +83,9 @@ class PretrainConfig:
 
     model: PaprConfig = field(default_factory=PaprConfig)
     """Architecture."""
+    origin: Origin = "camera"
+    """Where rays begin for the networks: "camera" (the original), or "reference": at the mean
+    distance of the training cameras before the middle of the scene, whatever camera renders."""
     steps: int = 250_000
     """Optimiser steps."""
     patch: PatchConfig = field(default_factory=PatchConfig)
@@ -142,6 +146,9 @@ class FinetuneConfig:
     """Rays of a step."""
     rates: Rates
     """Learning rates."""
+    aware: bool = False
+    """Render deformed states with deformation-aware rays, as such a model will be used: only what
+    no local frame explains is left to learn. False is the paper's method."""
     points_only: bool = True
     """Use the mode that deforms points and keeps the camera."""
     rays_and_points: bool = True

@@ -9,6 +9,7 @@ import torch
 
 from pcore.data.scene import Scene, View, check_images, hold_out
 from pcore.deform.base import Deformation
+from pcore.deform.local_frames import unchecked_frames
 from pcore.deform.sampler import sample_deformation
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Rendering
@@ -151,7 +152,9 @@ class _Objective:
         deformation = sample_deformation(
             work.generator, self._lower, self._upper, self._points, config.ranges
         )
-        deformed = work.cloud.moved(deformation(work.cloud.positions))
+        positions = work.cloud.positions
+        frames = unchecked_frames(deformation, positions) if config.aware else None
+        deformed = work.cloud.moved(deformation(positions), frames)
         terms = dict(photo.terms)
         for name, rays in self._modes(patch.rays, canonical, deformation).items():
             found = consistency(

@@ -58,13 +58,14 @@ PAPER = PretrainConfig(
 
 FAST = PretrainConfig(
     model=_small_model(neighbours=12, width=128, unet=48),
+    origin="reference",
     rates=_SMALL_RATES,
     steps=20_000,
     points=20_000,
     influence_start=1.0,
     feature_spread=0.5,
     opacity_weight=0.1,
-    front_weight=0.03,
+    front_weight=0.3,
     mixed_precision=True,
     validate_every=2000,
     save_every=2000,
@@ -73,6 +74,7 @@ FAST = PretrainConfig(
 
 TINY = PretrainConfig(
     model=_small_model(neighbours=8, width=64, unet=24),
+    origin="reference",
     rates=_SMALL_RATES,
     steps=3000,
     patch=PatchConfig(side=100),
@@ -80,7 +82,7 @@ TINY = PretrainConfig(
     influence_start=1.0,
     feature_spread=0.5,
     opacity_weight=0.1,
-    front_weight=0.03,
+    front_weight=0.3,
     validate_every=500,
     save_every=500,
 )
@@ -102,9 +104,7 @@ def preset(name: PresetName) -> PretrainConfig:
 
 def demo_pretrain() -> PretrainConfig:
     """Return `tiny`, shortened for the embedded sample."""
-    return replace(
-        TINY, steps=1400, points=4000, front_weight=0.3, validate_every=350, save_every=350
-    )
+    return replace(TINY, steps=1400, points=4000, validate_every=350, save_every=350)
 
 
 def _scaled(rates: Rates, factor: float) -> Rates:
@@ -125,7 +125,7 @@ _SMALL_FINETUNE = FinetuneConfig(
     origin_distance=0.1,
     keep_distance=True,
     opacity_weight=0.1,
-    front_weight=0.03,
+    front_weight=0.3,
     largest_loss=0.5,
 )
 _FINETUNE: dict[PresetName, FinetuneConfig] = {
@@ -155,4 +155,4 @@ def finetune_preset(name: PresetName) -> FinetuneConfig:
 
 def demo_finetune() -> FinetuneConfig:
     """Return the fine-tuning of `tiny`, shortened for the embedded sample."""
-    return replace(_FINETUNE["tiny"], steps=500, front_weight=0.3)
+    return replace(_FINETUNE["tiny"], steps=500)

@@ -13,7 +13,7 @@ from pcore.data.points import load_points
 from pcore.data.scene import Scene, View, check_images, hold_out
 from pcore.errors import InputError, TrainingError
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.config import PaprConfig
+from pcore.model.config import PaprConfig, ReferenceOrigin
 from pcore.model.papr import Papr
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
@@ -112,7 +112,7 @@ def _begin(
     # Weights come from torch's global generator; fork it so that the library leaves it alone.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        papr = Papr(_model_config(config))
+        papr = Papr(_model_config(config, scene))
         generator = torch.Generator().manual_seed(config.seed)
         positions = _start_positions(scene, views, config, generator)
         features = torch.randn(len(positions), papr.config.feature_size, generator=generator)
@@ -124,9 +124,13 @@ def _begin(
     return trainable("pretrain", papr.to(device), cloud, seed=config.seed + 1)
 
 
-def _model_config(config: PretrainConfig) -> PaprConfig:
+def _model_config(config: PretrainConfig, scene: Scene) -> PaprConfig:
     color = (0.0, 0.0, 0.0) if config.background == "black" else (1.0, 1.0, 1.0)
-    return dataclasses.replace(config.model, background=color)
+    reference = None
+    if config.origin == "reference":
+        x, y, z = scene.center.tolist()
+        reference = ReferenceOrigin(center=(x, y, z), distance=scene.camera_distance)
+    return dataclasses.replace(config.model, background=color, reference=reference)
 
 
 def _start_positions(
@@ -200,8 +204,8 @@ def _tensors(cloud: PointCloud) -> dict[str, Tensor]:
 
 
 def _replace(work: Trainable, keep: Tensor, new: dict[str, Tensor]) -> None:
-    work.cloud = PointCloud(
-        **{
+    work.cloud = PointCloud.from_tensors(
+        {
             name: replace_rows(work.optimizer, getattr(work.cloud, name), keep, rows)
             for name, rows in new.items()
         }

@@ -106,7 +106,7 @@ def trainable(
     return Trainable(
         stage=stage,
         papr=papr,
-        cloud=PointCloud(**tensors),
+        cloud=PointCloud.from_tensors(tensors),
         optimizer=torch.optim.Adam(groups, fused=device.type in ("cpu", "cuda")),
         generator=torch.Generator().manual_seed(seed),
     )
@@ -134,7 +134,7 @@ def restore(work: Trainable, state: TrainingState) -> None:
     old = work.cloud
     tensors = {name: nn.Parameter(state.cloud[name].to(device)) for name in _CLOUD}
     tensors["positions"].requires_grad_(old.positions.requires_grad)
-    work.cloud = PointCloud(**tensors)
+    work.cloud = PointCloud.from_tensors(tensors)
     swaps = {id(getattr(old, name)): tensors[name] for name in _CLOUD}
     for group in work.optimizer.param_groups:
         group["params"] = [swaps.get(id(p), p) for p in group["params"]]
@@ -156,5 +156,7 @@ def rebuild(like: Papr, weights: Mapping[str, Tensor], step: int) -> Trained:
     papr.load_state_dict(
         {name.removeprefix(prefix): t for name, t in weights.items() if name.startswith(prefix)}
     )
-    cloud = PointCloud(**{name: weights[f"cloud.{name}"].detach().clone() for name in _CLOUD})
+    cloud = PointCloud.from_tensors(
+        {name: weights[f"cloud.{name}"].detach().clone() for name in _CLOUD}
+    )
     return Trained(papr=papr.requires_grad_(False).eval(), cloud=cloud, step=step)

@@ -1,0 +1,133 @@
+"""Local frames of an edit: from its formula, or from where the points went."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from pcore.deform.base import SINGULAR, Deformation
+from pcore.deform.checks import check_invertible
+from pcore.errors import EditError
+from pcore.geometry.local_frames import LocalFrames
+
+_NEIGHBOURS = 16
+_RIDGE = 0.03
+_TOLERANCES = (0.4, 0.3, 0.3, 0.2, 0.2, 0.2)
+_FEWEST = 4
+
+
+def analytic_frames(deformation: Deformation, points: Tensor) -> LocalFrames:
+    """Local frames of canonical points (N, 3), world units, by the Jacobian of a deformation.
+
+    Raises:
+        EditError: the map folds space or leaves the finite numbers at some of the points.
+    """
+    check_invertible(deformation, points)
+    return unchecked_frames(deformation, points)
+
+
+def unchecked_frames(deformation: Deformation, points: Tensor) -> LocalFrames:
+    """As `analytic_frames`, for a deformation that is known to fold nowhere."""
+    rest = points.detach()
+    return LocalFrames(rest=rest, to_rest=_inverse(deformation.jacobian(rest)))
+
+
+def _inverse(matrices: Tensor) -> Tensor:
+    """Inverses (..., 3, 3) by cofactors; faster than a factorisation matrix by matrix."""
+    first, second, third = matrices.unbind(dim=-2)
+    cofactors = torch.stack(
+        [
+            torch.linalg.cross(second, third),
+            torch.linalg.cross(third, first),
+            torch.linalg.cross(first, second),
+        ],
+        dim=-1,
+    )
+    determinant = (first * cofactors[..., 0]).sum(dim=-1)
+    return cofactors / determinant[..., None, None]
+
+
+def estimated_frames(rest: Tensor, moved: Tensor) -> LocalFrames:
+    """Local frames from where points went, when no formula is known.
+
+    Around every point the linear map that takes its neighbours' offsets to where they are now, by
+    least squares, pulled towards a similarity (neighbours lie on a surface and say little across
+    it). Neighbours that went elsewhere, on another part that only touched, lose their say by
+    iterative reweighting. Where the fit folds or flattens space it is replaced by the similarity,
+    and counted in `mended`.
+
+    Args:
+        rest: (N, 3) canonical points, world units.
+        moved: (N, 3) the same points after the deformation.
+
+    Raises:
+        EditError: the clouds differ in size, hold fewer than four points, or NaN or infinity.
+    """
+    _check(rest, moved)
+    before, after = rest.detach().cpu().double(), moved.detach().cpu().double()
+    linear, similar = _fit(before, after)
+    determinant = torch.linalg.det(linear)
+    size = torch.linalg.det(similar)
+    bad = ~(determinant > SINGULAR * size)
+    linear = torch.where(bad[:, None, None], similar, linear)
+    to_rest = torch.linalg.inv(linear).to(rest)
+    return LocalFrames(rest=rest.detach(), to_rest=to_rest, mended=int(bad.sum()))
+
+
+def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
+    """Robust linear maps (N, 3, 3) of the neighbourhoods, and the similarities nearest to them."""
+    count = min(_NEIGHBOURS, len(before) - 1)
+    found = KDTree(before.numpy()).query(before.numpy(), k=count + 1)
+    neighbours = torch.from_numpy(np.asarray(found[1])[:, 1:])
+    offset, image = before[neighbours] - before[:, None], after[neighbours] - after[:, None]
+    length = offset.norm(dim=-1).clamp_min(_tiny(before))
+    near = 1.0 / length
+    # The middle neighbour's change of length is a scale that torn-off neighbours cannot sway.
+    scale = (image.norm(dim=-1) / length).median(dim=-1).values.clamp_min(1e-6)
+    trust = torch.ones_like(near)
+    linear = similar = torch.empty(0)
+    for tolerance in _TOLERANCES:
+        weight = near * trust
+        weight = weight / weight.sum(dim=-1, keepdim=True)
+        spread = torch.einsum("nk,nki,nkj->nij", weight, offset, offset)
+        cross = torch.einsum("nk,nki,nkj->nij", weight, image, offset)
+        similar = scale[:, None, None] * _rotation(cross)
+        ridge = _RIDGE * spread.diagonal(dim1=1, dim2=2).sum(dim=-1)[:, None, None]
+        unit = torch.eye(3, dtype=before.dtype)
+        linear = torch.linalg.solve(spread + ridge * unit, cross + ridge * similar, left=False)
+        miss = (image - offset @ linear.mT).norm(dim=-1) / (scale[:, None] * length)
+        trust = (1 + (miss / tolerance).square()).pow(-2)
+    return linear, similar
+
+
+def _tiny(points: Tensor) -> float:
+    return 1e-9 * max(float(points.abs().max()), 1e-9)
+
+
+def _rotation(matrices: Tensor) -> Tensor:
+    """Rotations (N, 3, 3) nearest to matrices (N, 3, 3); never reflections."""
+    left, _, right = torch.linalg.svd(matrices)
+    sign = torch.linalg.det(left @ right)
+    left = torch.cat([left[..., :2], left[..., 2:] * sign[:, None, None]], dim=-1)
+    return left @ right
+
+
+def _check(rest: Tensor, moved: Tensor) -> None:
+    if rest.shape != moved.shape or rest.ndim != 2 or rest.shape[1] != 3:
+        raise EditError(
+            "local frames: expected canonical and deformed points of one shape (N, 3), got "
+            f"{tuple(rest.shape)} and {tuple(moved.shape)}; both must be the same cloud"
+        )
+    if len(rest) < _FEWEST:
+        raise EditError(
+            f"local frames: expected at least {_FEWEST} points to estimate from, got {len(rest)}"
+        )
+    for name, points in (("canonical", rest), ("deformed", moved)):
+        bad = int((~torch.isfinite(points).all(dim=-1)).sum())
+        if bad:
+            raise EditError(
+                f"local frames: expected finite {name} points, got NaN or infinity in {bad} of "
+                f"{len(points)}"
+            )

@@ -1,0 +1,45 @@
+"""A deformation applied to a cloud, for rendering."""
+
+from __future__ import annotations
+
+import torch
+
+from pcore.deform.base import Deformation, Identity
+from pcore.deform.local_frames import analytic_frames
+from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.point_cloud import PointCloud
+
+
+def deformed_cloud(
+    cloud: PointCloud, deformation: Deformation, *, aware: bool = True
+) -> PointCloud:
+    """Move a canonical cloud; positions and frames are computed in double precision.
+
+    Args:
+        cloud: canonical points, world units.
+        deformation: the map, as `EditScript.bind` returns it.
+        aware: remember the rest state, so that PAPR renders with deformation-aware rays. A map
+            that is the identity at every point needs no memory: the picture is the canonical one.
+
+    Returns:
+        The moved cloud, on the device of the given one.
+
+    Raises:
+        EditError: with `aware`, the map folds space or leaves the finite numbers at some points.
+    """
+    positions = cloud.positions.detach()
+    exact = positions.cpu().double()
+    moved = deformation(exact).to(positions)
+    if not aware or _stays(deformation, exact):
+        return cloud.moved(moved)
+    exact_frames = analytic_frames(deformation, exact)
+    frames = LocalFrames(rest=positions, to_rest=exact_frames.to_rest.to(positions))
+    return cloud.moved(moved, frames)
+
+
+def _stays(deformation: Deformation, points: torch.Tensor) -> bool:
+    """Whether the map and its Jacobian are the identity at every point, to the last bit."""
+    still = Identity()
+    return torch.equal(deformation(points), points) and torch.equal(
+        deformation.jacobian(points), still.jacobian(points)
+    )

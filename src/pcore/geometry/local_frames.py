@@ -1,0 +1,36 @@
+"""What deformed points remember of their rest state: where they were, how space around moved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from pcore.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalFrames:
+    """The rest state of N deformed points.
+
+    Near point i a deformation is affine: x' = p'_i + A_i (x - p_i). A ray of the deformed scene is
+    therefore, seen from point i, a ray of the rest state (docs/guide/deformation-aware.md).
+
+    Attributes:
+        rest: (N, 3) positions p_i before the deformation, world units.
+        to_rest: (N, 3, 3) inverses of the local maps: x - p_i = to_rest_i (x' - p'_i).
+        mended: how many frames are the best similarity instead of the local map, because the move
+            folds or flattens the neighbourhood there.
+    """
+
+    rest: Tensor
+    to_rest: Tensor
+    mended: int = 0
+
+    def __post_init__(self) -> None:
+        shapes = tuple(self.rest.shape), tuple(self.to_rest.shape)
+        if shapes[0][1:] != (3,) or shapes[1] != (*shapes[0], 3):
+            raise InputError(
+                "local frames: expected rest positions (N, 3) and maps (N, 3, 3), got "
+                f"{shapes[0]} and {shapes[1]}"
+            )
