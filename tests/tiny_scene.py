@@ -59,9 +59,9 @@ def _sheared(vertices: np.ndarray) -> np.ndarray:
 STATES: dict[str, tuple[Any, dict[str, Any]]] = {
     "grown": (lambda v: 1.5 * v, {"type": "scale", "factor": 1.5}),
     "walk": (_sheared, {"type": "animation"}),
-    "twist60": (_sheared, {"type": "simple_deform"}),
-    "bend60": (_sheared, {"type": "simple_deform"}),
-    "stretch": (_sheared, {"type": "simple_deform"}),
+    "twist60": (_sheared, {"type": "simple_deform", "driver_lo": -1.0, "driver_hi": 1.0}),
+    "bend60": (_sheared, {"type": "simple_deform", "driver_lo": -1.0, "driver_hi": 1.0}),
+    "stretch": (_sheared, {"type": "simple_deform", "driver_lo": -1.0, "driver_hi": 1.0}),
     "scale2x": (lambda v: 1.2 * v, {"type": "scale", "factor": 1.2}),
 }
 

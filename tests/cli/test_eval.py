@@ -42,11 +42,21 @@ def test_a_tuned_run_is_compared_with_its_base(
     assert "P-CORE against PAPR, mean of the analytic states (grown):" in out
     assert "mean of the skeletal states (walk):" in out
     rows = rows_of(tuned / "eval")
-    assert len(rows) == 3 * 2 * 2 * 2  # states, views, methods, protocols
-    assert {row["method"] for row in rows} == {"PAPR", "P-CORE"}
+    assert len(rows) == 3 * 2 * 4 * 2  # states, views, methods, protocols
+    methods = ["PAPR", "P-CORE", "aware", "aware + P-CORE"]
+    assert list(dict.fromkeys(row["method"] for row in rows)) == methods
+    canonical = [row for row in rows if row["state"] == "canonical"]
+    psnr = {row["method"]: row["psnr"] for row in canonical}
+    # Nothing is deformed there: the same picture to the last bit.
+    assert psnr["aware"] == psnr["PAPR"]
+    assert psnr["aware + P-CORE"] == psnr["P-CORE"]
     record = json.loads((tuned / "eval" / "summary.json").read_text())
     assert record["about"]["factor"] == 2  # of the training
-    assert [gain["group"] for gain in record["gains"]] == ["analytic", "skeletal"] * 2
+    assert [gain["group"] for gain in record["gains"]] == ["analytic"] * 3 + ["skeletal"] * 3 + (
+        ["analytic"] * 3 + ["skeletal"] * 3
+    )
+    against = {(gain["method"], gain["baseline"]) for gain in record["gains"]}
+    assert against == {(method, "PAPR") for method in methods[1:]}
     pictures = sorted(path.name for path in (tuned / "eval" / "pictures").iterdir())
     assert pictures == [
         f"{state}-r_{view}.png" for state in ("canonical", "grown", "walk") for view in (0, 1)
@@ -54,7 +64,7 @@ def test_a_tuned_run_is_compared_with_its_base(
 
 
 def test_a_pretrained_run_alone(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--state", "scale:2", "--protocol", "standard", "--factor", "2"]
+    words = ["--state", "scale:2", "--protocol", "standard", "--factor", "2", "--rays", "plain"]
     assert main(["eval", str(run), *words]) == 0
     out = capsys.readouterr().out
     assert "8-bit images" in out
@@ -82,7 +92,17 @@ def test_two_runs_of_one_kind_are_told_apart(run: Path, scene: Path, tmp_path: P
     words = ["--baseline", str(other), "--state", "grown", "-o", str(tmp_path / "out")]
     assert main(["eval", str(run), *words]) == 0
     methods = {row["method"] for row in rows_of(tmp_path / "out")}
-    assert methods == {"PAPR (run)", "PAPR (other)"}
+    assert methods == {f"{name} ({run})" for name in ("PAPR", "aware") for run in ("run", "other")}
+
+
+def test_scaling_by_two_costs_nothing_with_aware_rays(run: Path) -> None:
+    """Points and camera centres scaled together: the canonical picture, to rounding."""
+    assert main(["eval", str(run), "--state", "scale:2", "--protocol", "standard"]) == 0
+    rows = rows_of(run / "eval")
+    psnr = {(row["method"], row["state"], row["view"]): float(row["psnr"]) for row in rows}
+    for (method, state, view), value in psnr.items():
+        if method == "aware" and state == "scale:2":
+            assert value == pytest.approx(psnr["aware", "canonical", view], abs=0.01)
 
 
 def test_results_are_replaced_by_the_same_run_only(

@@ -16,6 +16,7 @@ from toys import toy_cameras, write_cameras, write_run, write_scene
 from pcore.cli import draw
 from pcore.cli.main import main
 from pcore.data.load import load_cameras, load_scene
+from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 from pcore.model.render import normals, render
@@ -97,12 +98,17 @@ def test_raw_files_hold_what_the_library_renders(made: Made, tmp_path: Path) -> 
         assert raw["rgb"].shape == (12, 20, 3)
 
 
-def test_an_edit_moves_the_canonical_points(made: Made, tmp_path: Path) -> None:
+@pytest.mark.parametrize("rays", ["plain", "aware"])
+def test_an_edit_moves_the_canonical_points(made: Made, tmp_path: Path, rays: str) -> None:
     run, papr, cloud = made
     edit = write_edit(tmp_path / "turn.json", {"type": "rigid", "axis": "z", "angle_deg": 90})
-    assert call(run, "--split", "test", "--edit", edit, "--raw") == 0
+    assert call(run, "--split", "test", "--edit", edit, "--raw", "--rays", rays) == 0
     x, y, z = cloud.positions.unbind(dim=-1)
     moved = cloud.moved(torch.stack([-y, x, z], dim=-1))
+    if rays == "aware":
+        back = torch.tensor([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        frames = LocalFrames(rest=cloud.positions, to_rest=back.expand(len(cloud), 3, 3))
+        moved = cloud.moved(moved.positions, frames)
     picture = render(papr, moved, toy_cameras(2, size=8, elevation=0.1)[0])
     with np.load(run / "renders" / "test-turn" / "r_0.npz") as raw:
         np.testing.assert_allclose(raw["surface"], picture.surface, atol=1e-4)

@@ -139,10 +139,20 @@ def test_safetensors_of_somebody_else(tmp_path: Path) -> None:
 
 
 def test_a_newer_version(saved: tuple[Path, Papr, PointCloud]) -> None:
-    rewrite(saved[0], header={"version": "2"})
+    rewrite(saved[0], header={"version": "3"})
     message = error_of(saved[0])
-    assert "version '2'" in message
-    assert "reads version 1" in message
+    assert "version '3'" in message
+    assert "reads versions 1 and 2" in message
+
+
+def test_version_1_had_rays_from_the_camera(saved: tuple[Path, Papr, PointCloud]) -> None:
+    with safe_open(saved[0], framework="pt") as file:
+        config = json.loads(file.metadata()["config"])
+    del config["reference"]
+    rewrite(saved[0], header={"version": "1", "config": json.dumps(config)})
+    assert load_model(saved[0]).config.reference is None
+    rewrite(saved[0], header={"version": "2"})
+    assert "config: missing key 'reference'" in error_of(saved[0])
 
 
 def test_a_changed_configuration(saved: tuple[Path, Papr, PointCloud]) -> None:

@@ -212,7 +212,7 @@ def test_all_masked_pairs_give_finite_gradients() -> None:
     papr, cloud = Papr(small_config(cutoff=1e-6)), leaf_cloud()
     rays = view().flat()
     neighbours = torch.zeros(54, 4, dtype=torch.int64)
-    out = papr.attention(cloud, rays, neighbours)
+    out = papr.attention(cloud, rays, neighbours, rays)
     assert torch.equal(out.background, torch.ones(54))
     assert torch.equal(out.weights, torch.zeros(54, 4))
     (1e3 * (out.features.sum() + out.background.sum() + out.surface.sum())).backward()

@@ -12,10 +12,12 @@ import torch
 from pcore.cli.console import clock
 from pcore.cli.demo_folder import DemoFolder
 from pcore.cli.demo_story import (
+    AWARE,
     BASELINE,
     CANONICAL_VIDEO,
     DEFORMED_VIDEO,
     METHOD,
+    METHODS,
     filmed_state,
     panel,
 )
@@ -52,7 +54,7 @@ _ABOUT = {
     "stretch": "Drawn out along its long axis; the middle gets thinner, as clay does.",
     "scale2x": "Twice the size, seen with a wider field of view: points lie twice as far apart.",
 }
-_TITLES = ("truth", BASELINE, METHOD, "depth, truth", f"depth, {BASELINE}", f"depth, {METHOD}")
+_TITLES = ("truth", *METHODS, "depth, truth", *(f"depth, {name}" for name in METHODS))
 _COMMANDS = (
     Command(
         purpose="Train on your own scene (NeRF-Synthetic layout, see docs/guide/scenes.md), "
@@ -87,9 +89,10 @@ def build_report(folder: DemoFolder, settings: DemoSettings) -> Report:
             f"An object captured as neural points, then twisted, bent, stretched and scaled. "
             f"{BASELINE} is the model as trained on {settings.train_views} pictures; {METHOD} is "
             "the same model after self-supervised fine-tuning, which has seen no picture of any "
-            "deformed state. The truth is ray-traced from the deformed mesh."
+            f"deformed state; {AWARE} draws it with rays that know of the deformation, as "
+            "pcore render does. The truth is ray-traced from the deformed mesh."
         ),
-        headlines=(*headlines(gain), _cost(folder)),
+        headlines=(*headlines(gain[AWARE]), _cost(folder)),
         videos=_videos(folder.path),
         table=comparison_table(means, protocol=STANDARD.name, names=_NAMES, caption=caption),
         sections=_sections(folder.path / "eval" / "panels", means, settings.shown),
@@ -100,20 +103,25 @@ def build_report(folder: DemoFolder, settings: DemoSettings) -> Report:
 
 def summary_lines(folder: DemoFolder) -> list[str]:
     """Lines for the terminal at the end."""
-    _, gain = _read(folder.path / "eval" / SUMMARY_FILE)
+    _, found = _read(folder.path / "eval" / SUMMARY_FILE)
     cost = _cost(folder)
     return [
-        f"{gain.method} recovers {shown(gain.recovered, 0, percent=True)} of the "
-        f"{shown(gain.lost)} dB that deformation costs {gain.baseline}, closes "
-        f"{shown(gain.holes_removed, 0, percent=True)} of the additional holes, and pays "
-        f"{shown(gain.canonical_loss)} dB on the undeformed object.",
+        *(
+            f"{gain.method} recovers {shown(gain.recovered, 0, percent=True)} of the "
+            f"{shown(gain.lost)} dB that deformation costs {gain.baseline}, closes "
+            f"{shown(gain.holes_removed, 0, percent=True)} of the additional holes, and pays "
+            f"{shown(gain.canonical_loss)} dB on the undeformed object."
+            for gain in found.values()
+        ),
         f"Time {cost.value}. {cost.detail}",
     ]
 
 
-def _read(path: Path) -> tuple[list[StateMean], Gain]:
+def _read(path: Path) -> tuple[list[StateMean], dict[str, Gain]]:
+    """Means, and gains on the analytic states by method."""
     means, found = read_summary(path)
-    return means, next(g for g in found if g.protocol == STANDARD.name and g.group == "analytic")
+    wanted = [g for g in found if g.protocol == STANDARD.name and g.group == "analytic"]
+    return means, {gain.method: gain for gain in wanted}
 
 
 def _cost(folder: DemoFolder) -> Headline:
@@ -132,7 +140,7 @@ def _videos(path: Path) -> tuple[Figure, ...]:
     name = _NAMES.get(state, state)
     titles = {
         CANONICAL_VIDEO: f"Canonical, {METHOD}",
-        DEFORMED_VIDEO: f"{name}: {BASELINE} left, {METHOD} right",
+        DEFORMED_VIDEO: f"{name}: {', '.join(METHODS)} from left to right",
     }
     return tuple(
         Figure(
@@ -174,13 +182,9 @@ def _outcome(state: str, means: list[StateMean]) -> str:
         for one in means
         if one.state == state and one.protocol == STANDARD.name
     }
-    before, after = scores[BASELINE], scores[METHOD]
-    return (
-        f"PSNR of the object {shown(before['foreground_psnr'])} dB with {BASELINE}, "
-        f"{shown(after['foreground_psnr'])} dB with {METHOD}; holes "
-        f"{shown(before['hole_rate'], 1, percent=True)} and "
-        f"{shown(after['hole_rate'], 1, percent=True)}."
-    )
+    psnr = [f"{shown(scores[n]['foreground_psnr'])} dB with {n}" for n in METHODS]
+    holes = [shown(scores[n]["hole_rate"], 1, percent=True) for n in METHODS]
+    return f"PSNR of the object {', '.join(psnr)}; holes {', '.join(holes)}."
 
 
 def _facts(folder: DemoFolder, settings: DemoSettings) -> tuple[tuple[str, str], ...]:

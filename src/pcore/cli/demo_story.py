@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ from pcore.data.video import write_video
 from pcore.evaluation.figures import png_bytes
 from pcore.evaluation.panels import depth_maps, object_window, renderings
 from pcore.evaluation.protocol import load_perceptual
-from pcore.evaluation.runner import Method, Taken, evaluate
+from pcore.evaluation.runner import Method, Taken, carry, evaluate
 from pcore.evaluation.states import SceneStates, State, open_states
 from pcore.evaluation.summary import gains, state_means
 from pcore.evaluation.tables import SUMMARY_FILE, read_summary, summary_record, write_tables
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
     from pcore.cli.demo import DemoSettings
     from pcore.geometry.camera import Camera
 
-BASELINE, METHOD = "PAPR", "P-CORE"
+BASELINE, METHOD, AWARE = "PAPR", "P-CORE", "aware + P-CORE"
+METHODS = (BASELINE, METHOD, AWARE)
 STATES = ("twist60", "bend60", "stretch", "scale2x")
 CANONICAL_VIDEO, DEFORMED_VIDEO = "canonical.mp4", "deformed.mp4"
 _FPS = 16
@@ -57,7 +59,7 @@ def evaluate_demo(
         return
     (output / "panels").mkdir(parents=True, exist_ok=True)
     states, perceptual = _states(folder), load_perceptual()
-    methods = [Method(name=n, papr=run.papr, cloud=run.cloud) for n, run in models.items()]
+    methods = _methods(models)
     with folder.timed("evaluation", stamp), counting(console, "pictures") as tell:
         rows = evaluate(
             methods,
@@ -74,27 +76,28 @@ def evaluate_demo(
 
 
 def panel(output: Path, state: str, view: int, number: int) -> Path:
-    """File of a picture: colours of truth, PAPR, P-CORE (0, 1, 2), then their depth maps."""
+    """File of a picture: colours of the truth and of METHODS (0 to 3), then their depth maps."""
     return output / f"{state}-{view}-{number}.png"
 
 
 def film_demo(
     folder: DemoFolder, settings: DemoSettings, models: dict[str, Run], console: Console
 ) -> None:
-    """Write two videos: P-CORE canonical; PAPR beside P-CORE in the state that differs most."""
+    """Write two videos: P-CORE canonical; all methods in the state that differs most."""
     stamp = _stamp(folder, settings.frames)
     videos = [folder.path / name for name in (CANONICAL_VIDEO, DEFORMED_VIDEO)]
     if folder.done("videos", stamp) and all(video.is_file() for video in videos):
         return
     states = _states(folder)
     canonical, deformed = states.select([filmed_state(folder.path / "eval")])
-    stories = [(canonical, [models[METHOD]]), (deformed, [models[BASELINE], models[METHOD]])]
+    methods = _methods(models)
+    stories = [(canonical, methods[1:2]), (deformed, methods)]
     total = len(stories) * settings.frames
     with folder.timed("videos", stamp), counting(console, "frames") as tell:
-        for number, (video, (state, runs)) in enumerate(zip(videos, stories, strict=True)):
+        for number, (video, (state, shown)) in enumerate(zip(videos, stories, strict=True)):
             cameras = _orbit(states, state, settings.frames)
             first = number * settings.frames
-            frames = _frames(state, runs, cameras, lambda i, n=first: tell(n + i, total))
+            frames = _frames(state, shown, cameras, lambda i, n=first: tell(n + i, total))
             write_video(video, frames, fps=_FPS)
 
 
@@ -104,6 +107,12 @@ def filmed_state(output: Path) -> str:
     holes = {(one.state, one.method): one.scores.get("hole_rate") or 0.0 for one in means}
     states = dict.fromkeys(one.state for one in means if one.kind != "canonical")
     return max(states, key=lambda name: holes[name, BASELINE] - holes[name, METHOD])
+
+
+def _methods(models: dict[str, Run]) -> list[Method]:
+    """Both runs with plain rays, and the tuned one with rays that know of the deformation."""
+    plain = [Method(name=n, papr=run.papr, cloud=run.cloud) for n, run in models.items()]
+    return [*plain, replace(plain[-1], name=AWARE, aware=True)]
 
 
 def _states(folder: DemoFolder) -> SceneStates:
@@ -118,7 +127,7 @@ def _stamp(folder: DemoFolder, *settings: object) -> str:
 def _keep(taken: Taken, shown: tuple[int, ...], output: Path) -> None:
     if taken.index not in shown:
         return
-    names, window = [BASELINE, METHOD], object_window(taken)
+    names, window = METHODS, object_window(taken)
     for number, pixels in enumerate([*renderings(taken, names), *depth_maps(taken, names)]):
         if pixels is not None:
             path = panel(output, taken.state, taken.index, number)
@@ -132,12 +141,10 @@ def _orbit(states: SceneStates, state: State, count: int) -> list[Camera]:
 
 
 def _frames(
-    state: State, runs: list[Run], cameras: list[Camera], tell: Callable[[int], None]
+    state: State, methods: list[Method], cameras: list[Camera], tell: Callable[[int], None]
 ) -> Iterator[Tensor]:
-    clouds = [run.cloud.moved(state.move(run.cloud.positions.cpu())) for run in runs]
+    clouds = carry(methods, state)
     for index, camera in enumerate(cameras):
-        pictures = [
-            render(run.papr, cloud, camera).rgb for run, cloud in zip(runs, clouds, strict=True)
-        ]
+        pictures = [render(one.papr, clouds[one.name], camera).rgb for one in methods]
         yield to_bytes(torch.cat(pictures, dim=1))
         tell(index + 1)

@@ -16,6 +16,7 @@ _NEIGHBOURS = 16
 _RIDGE = 0.03
 _TOLERANCES = (0.4, 0.3, 0.3, 0.2, 0.2, 0.2)
 _FEWEST = 4
+_LEAST_SCALE = 1e-6
 
 
 def analytic_frames(deformation: Deformation, points: Tensor) -> LocalFrames:
@@ -55,8 +56,8 @@ def estimated_frames(rest: Tensor, moved: Tensor) -> LocalFrames:
     Around every point the linear map that takes its neighbours' offsets to where they are now, by
     least squares, pulled towards a similarity (neighbours lie on a surface and say little across
     it). Neighbours that went elsewhere, on another part that only touched, lose their say by
-    iterative reweighting. Where the fit folds or flattens space it is replaced by the similarity,
-    and counted in `mended`.
+    iterative reweighting. Where the fit turns space inside out it is replaced by the
+    similarity, and counted in `mended`.
 
     Args:
         rest: (N, 3) canonical points, world units.
@@ -82,10 +83,14 @@ def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
     found = KDTree(before.numpy()).query(before.numpy(), k=count + 1)
     neighbours = torch.from_numpy(np.asarray(found[1])[:, 1:])
     offset, image = before[neighbours] - before[:, None], after[neighbours] - after[:, None]
-    length = offset.norm(dim=-1).clamp_min(_tiny(before))
-    near = 1.0 / length
+    tiny = 1e-9 * max(float(before.abs().max()), 1.0)
+    length = offset.norm(dim=-1)
+    # A neighbour in the same place says nothing.
+    near = torch.where(length > tiny, 1.0 / length.clamp_min(tiny), tiny)
     # The middle neighbour's change of length is a scale that torn-off neighbours cannot sway.
-    scale = (image.norm(dim=-1) / length).median(dim=-1).values.clamp_min(1e-6)
+    ratio = torch.where(length > tiny, image.norm(dim=-1) / length.clamp_min(tiny), torch.nan)
+    scale = ratio.nanmedian(dim=-1).values.nan_to_num(nan=1.0).clamp_min(_LEAST_SCALE)
+    length = length.clamp_min(tiny)
     trust = torch.ones_like(near)
     linear = similar = torch.empty(0)
     for tolerance in _TOLERANCES:
@@ -94,16 +99,12 @@ def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
         spread = torch.einsum("nk,nki,nkj->nij", weight, offset, offset)
         cross = torch.einsum("nk,nki,nkj->nij", weight, image, offset)
         similar = scale[:, None, None] * _rotation(cross)
-        ridge = _RIDGE * spread.diagonal(dim1=1, dim2=2).sum(dim=-1)[:, None, None]
+        ridge = _RIDGE * spread.diagonal(dim1=1, dim2=2).sum(dim=-1)[:, None, None] + tiny**2
         unit = torch.eye(3, dtype=before.dtype)
         linear = torch.linalg.solve(spread + ridge * unit, cross + ridge * similar, left=False)
         miss = (image - offset @ linear.mT).norm(dim=-1) / (scale[:, None] * length)
         trust = (1 + (miss / tolerance).square()).pow(-2)
     return linear, similar
-
-
-def _tiny(points: Tensor) -> float:
-    return 1e-9 * max(float(points.abs().max()), 1e-9)
 
 
 def _rotation(matrices: Tensor) -> Tensor:

@@ -136,7 +136,7 @@ def evaluate(
     rows: list[ImageRow] = []
     done = 0
     for state in states:
-        clouds = _carry(methods, state)
+        clouds = carry(methods, state)
         for index in range(len(state.shots)):
             taken = _take(methods, clouds, state, index, draw)
             rows += _score(taken, state, protocols, perceptual)
@@ -199,7 +199,7 @@ def _check_names(methods: Sequence[Method]) -> None:
         )
 
 
-def _carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
+def carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
     """Move every method's cloud to the state; methods of one run share the work."""
     known: dict[tuple[int, bool], PointCloud] = {}
     for method in methods:

@@ -19,8 +19,8 @@ class LocalFrames:
     Attributes:
         rest: (N, 3) positions p_i before the deformation, world units.
         to_rest: (N, 3, 3) inverses of the local maps: x - p_i = to_rest_i (x' - p'_i).
-        mended: how many frames are the best similarity instead of the local map, because the move
-            folds or flattens the neighbourhood there.
+        mended: how many frames are a similarity instead of the local map, because the map that was
+            estimated there would turn space inside out.
     """
 
     rest: Tensor

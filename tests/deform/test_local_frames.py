@@ -1,0 +1,117 @@
+"""Local frames: by formula, estimated, torn neighbourhoods, bad input."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from pcore.deform.base import Affine, Compose, Deformation
+from pcore.deform.frame import axis_frame
+from pcore.deform.local_frames import analytic_frames, estimated_frames
+from pcore.deform.motion import rigid
+from pcore.deform.simple import Stretch, uniform_scale
+from pcore.errors import EditError
+from pcore.geometry.local_frames import LocalFrames
+
+
+def sphere(count: int = 600) -> Tensor:
+    return torch.nn.functional.normalize(torch.randn(count, 3), dim=-1)
+
+
+def similarity() -> Deformation:
+    turn = rigid((0.3, -1.0, 0.5), 1.1, (0.2, 0.1, -0.4), (0.0, 0.0, 0.0))
+    return Compose(uniform_scale(1.7), turn)
+
+
+def errors(frames: LocalFrames, deformation: Deformation) -> Tensor:
+    """Frobenius norm (N,) of B A - 1: what a frame leaves of the true map."""
+    product = frames.to_rest.double() @ deformation.jacobian(frames.rest.double())
+    return torch.linalg.matrix_norm(product - torch.eye(3, dtype=torch.float64))
+
+
+def test_the_formula_gives_the_inverse_jacobian() -> None:
+    rest = sphere()
+    stretch = Stretch(
+        rotation=axis_frame("z"),
+        origin=torch.zeros(3),
+        extent=(-1.0, 1.0),
+        value=0.6,
+        limits=(0.0, 1.0),
+        lock=(False, False),
+    )
+    frames = analytic_frames(stretch, rest)
+    assert torch.equal(frames.rest, rest)
+    assert float(errors(frames, stretch).max()) < 1e-5
+
+
+def test_a_fold_is_refused_with_the_number_of_points() -> None:
+    mirror = Affine(torch.diag(torch.tensor([1.0, 1.0, -1.0])), torch.zeros(3))
+    with pytest.raises(EditError, match="at 600 of 600 points"):
+        analytic_frames(mirror, sphere())
+
+
+def test_a_similarity_is_estimated_exactly() -> None:
+    rest, move = sphere(), similarity()
+    frames = estimated_frames(rest, move(rest))
+    assert float(errors(frames, move).max()) < 1e-3
+    assert frames.mended == 0
+
+
+def test_an_affine_map_is_estimated_along_the_surface() -> None:
+    rest = sphere(3000)
+    move = Affine(torch.diag(torch.tensor([1.0, 1.0, 1.6])), torch.zeros(3))
+    frames = estimated_frames(rest, move(rest))
+    tangent = torch.linalg.cross(rest, torch.nn.functional.normalize(torch.randn(3, 1), dim=0).T)
+    tangent = torch.nn.functional.normalize(tangent, dim=-1)
+    image = tangent @ torch.diag(torch.tensor([1.0, 1.0, 1.6]))
+    back = (frames.to_rest @ image.unsqueeze(-1)).squeeze(-1)
+    assert float((back - tangent).norm(dim=-1).quantile(0.95)) < 0.15
+
+
+def test_a_part_that_leaves_keeps_its_own_frame() -> None:
+    """Two touching halves turn apart: frames at the seam are those of their own half."""
+    rest = torch.rand(2500, 3) * torch.tensor([2.0, 1.0, 0.02]) - torch.tensor([1.0, 0.5, 0.0])
+    turn = rigid("z", math.radians(40), (0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
+    part = rest[:, 0] > 0
+    moved = torch.where(part[:, None], turn(rest), rest)
+    frames = estimated_frames(rest, moved)
+    seam = rest[:, 0].abs() < 0.05
+    still = torch.eye(3, dtype=torch.float64)
+    wrong = torch.where(
+        part, errors(frames, turn), torch.linalg.matrix_norm(frames.to_rest.double() - still)
+    )
+    assert int(seam.sum()) > 50
+    assert float(wrong[seam].median()) < 0.1
+    assert float(wrong[~seam].quantile(0.95)) < 0.05
+
+
+def test_frames_never_turn_space_inside_out_and_mending_is_counted() -> None:
+    rest = torch.rand(200, 3)
+    mirrored = rest * torch.tensor([1.0, 1.0, -1.0])
+    frames = estimated_frames(rest, mirrored)
+    assert frames.mended > 0
+    assert bool(torch.isfinite(frames.to_rest).all())
+    assert float(torch.linalg.det(frames.to_rest).min()) > 0
+
+
+def test_points_that_coincide_have_finite_frames() -> None:
+    rest = torch.rand(100, 3)
+    rest[40:] = rest[0]
+    frames = estimated_frames(rest, similarity()(rest))
+    assert bool(torch.isfinite(frames.to_rest).all())
+
+
+@pytest.mark.parametrize(
+    ("rest", "moved", "message"),
+    [
+        (torch.rand(9, 3), torch.rand(8, 3), r"one shape \(N, 3\), got \(9, 3\) and \(8, 3\)"),
+        (torch.rand(3, 3), torch.rand(3, 3), "at least 4 points to estimate from, got 3"),
+        (torch.rand(9, 3), torch.full((9, 3), math.nan), "finite deformed points, got NaN"),
+    ],
+)
+def test_bad_clouds_are_refused(rest: Tensor, moved: Tensor, message: str) -> None:
+    with pytest.raises(EditError, match=message):
+        estimated_frames(rest, moved)

@@ -1,0 +1,191 @@
+"""Laws of deformation-aware rays (docs/guide/deformation-aware.md)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from pcore.deform.base import Affine, Compose, Deformation, Identity
+from pcore.deform.local_frames import analytic_frames, estimated_frames
+from pcore.deform.motion import rigid
+from pcore.deform.simple import uniform_scale
+from pcore.editing.apply import deformed_cloud
+from pcore.errors import EditError, InputError
+from pcore.geometry.camera import Camera
+from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
+from pcore.model.config import MlpConfig, PaprConfig, ReferenceOrigin
+from pcore.model.papr import Papr, Rendering
+
+CONFIG = PaprConfig(
+    neighbours=5,
+    # Low octaves only: phases of float32 positions are exact enough to see 1e-4.
+    coord_scale=2.0,
+    frequencies=4,
+    feature_size=8,
+    key=MlpConfig(layers=3, width=24, size=24),
+    query=MlpConfig(layers=3, width=24, size=24),
+    value=MlpConfig(layers=4, width=24, size=8, skip_after=2),
+    background_score=1.0,
+    unet_channels=(8, 12, 16),
+    cutoff=0.5,
+)
+REFERENCE = ReferenceOrigin(center=(0.05, 0.0, -0.1), distance=2.5)
+ORIGINS = pytest.mark.parametrize("reference", [None, REFERENCE], ids=["camera", "reference"])
+
+
+@pytest.fixture
+def cloud() -> PointCloud:
+    return PointCloud(
+        positions=torch.randn(200, 3) * 0.3,
+        features=torch.randn(200, 8),
+        influence=torch.rand(200) * 2,
+    )
+
+
+def camera(width: int = 16, height: int = 12) -> Camera:
+    pose = torch.eye(4)
+    pose[:3, 3] = torch.tensor([0.2, 0.1, 2.5])
+    return Camera.from_fov(pose, width=width, height=height, angle_x=0.9)
+
+
+def network(reference: ReferenceOrigin | None) -> Papr:
+    return Papr(replace(CONFIG, reference=reference)).eval()
+
+
+def carried(rays: RayBundle, matrix: Tensor, offset: Tensor) -> RayBundle:
+    directions = rays.directions @ matrix.T
+    return RayBundle(
+        origins=rays.origins @ matrix.T + offset,
+        directions=directions / directions.norm(dim=-1, keepdim=True),
+    )
+
+
+def affine(deformation: Deformation) -> tuple[Tensor, Tensor]:
+    offset = deformation(torch.zeros(3, dtype=torch.float64))
+    return deformation.jacobian(torch.zeros(3, dtype=torch.float64)).float(), offset.float()
+
+
+@torch.no_grad()
+def both(papr: Papr, cloud: PointCloud, deformation: Deformation) -> tuple[Rendering, Rendering]:
+    """The canonical picture, and the deformed one from the correspondingly moved camera."""
+    rays = camera().rays()
+    moved = deformed_cloud(cloud, deformation)
+    return papr(cloud, rays), papr(moved, carried(rays, *affine(deformation)))
+
+
+@ORIGINS
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+def test_similarities_give_the_canonical_picture(
+    cloud: PointCloud, reference: ReferenceOrigin | None, scale: float
+) -> None:
+    turn = rigid((0.2, 1.0, -0.4), 0.9, (0.3, -0.2, 0.1), (0.1, 0.0, 0.0))
+    deformation = Compose(uniform_scale(scale), turn)
+    canonical, deformed = both(network(reference), cloud, deformation)
+    assert torch.equal(canonical.neighbours, deformed.neighbours)
+    for name in ("rgb", "alpha", "features"):
+        torch.testing.assert_close(
+            getattr(deformed, name), getattr(canonical, name), rtol=0, atol=1e-4
+        )
+    hit = canonical.weights.sum(dim=-1) > 0
+    expected = deformation(canonical.surface)
+    torch.testing.assert_close(deformed.surface[hit], expected[hit], rtol=0, atol=1e-4)
+
+
+@ORIGINS
+def test_affine_maps_give_the_canonical_features(
+    cloud: PointCloud, reference: ReferenceOrigin | None
+) -> None:
+    """With the same neighbours: all 200 points are candidates."""
+    matrix = torch.tensor([[1.3, 0.2, 0.0], [0.0, 0.8, -0.1], [0.1, 0.0, 1.1]])
+    deformation = Affine(matrix, torch.tensor([0.2, -0.1, 0.3]))
+    papr = Papr(replace(CONFIG, neighbours=200, reference=reference)).eval()
+    canonical, deformed = both(papr, cloud, deformation)
+    torch.testing.assert_close(deformed.features, canonical.features, rtol=0, atol=1e-4)
+    torch.testing.assert_close(deformed.alpha, canonical.alpha, rtol=0, atol=1e-4)
+
+
+def test_without_frames_a_scaled_object_looks_different(cloud: PointCloud) -> None:
+    """The law above can fail: it does for plain rays."""
+    papr, rays = network(REFERENCE), camera().rays()
+    scaled = RayBundle(origins=2 * rays.origins, directions=rays.directions)
+    with torch.no_grad():
+        difference = papr(cloud.moved(2 * cloud.positions), scaled).features
+        difference = difference - papr(cloud, rays).features
+    assert float(difference.abs().max()) > 1e-2
+
+
+def test_the_identity_edit_is_the_identical_picture(cloud: PointCloud) -> None:
+    papr, rays = network(REFERENCE), camera().rays()
+    still = deformed_cloud(cloud, Compose(uniform_scale(1.0), Identity()))
+    with torch.no_grad():
+        assert torch.equal(papr(still, rays).rgb, papr(cloud, rays).rgb)
+
+
+def test_frames_of_the_identity_change_nothing_that_is_seen(cloud: PointCloud) -> None:
+    papr, rays = network(REFERENCE), camera().rays()
+    frames = LocalFrames(rest=cloud.positions, to_rest=torch.eye(3).expand(200, 3, 3))
+    with torch.no_grad():
+        plain, framed = papr(cloud, rays), papr(cloud.moved(cloud.positions, frames), rays)
+    torch.testing.assert_close(framed.rgb, plain.rgb, rtol=0, atol=1e-4)
+
+
+def test_the_origin_on_a_ray_does_not_matter_with_a_reference(cloud: PointCloud) -> None:
+    rays = camera().rays()
+    slid = RayBundle(origins=rays.origins - 3.0 * rays.directions, directions=rays.directions)
+    with torch.no_grad():
+        near, far = (
+            network_(cloud, one).rgb for network_ in [network(REFERENCE)] for one in (rays, slid)
+        )
+        torch.manual_seed(0)
+        plain = network(None)
+        assert float((plain(cloud, rays).rgb - plain(cloud, slid).rgb).abs().max()) > 1e-3
+    torch.testing.assert_close(near, far, rtol=0, atol=1e-4)
+
+
+def test_estimated_frames_obey_the_law_for_similarities(cloud: PointCloud) -> None:
+    deformation = uniform_scale(2.0)
+    moved = deformation(cloud.positions)
+    frames = estimated_frames(cloud.positions, moved)
+    papr, rays = network(REFERENCE), camera().rays()
+    with torch.no_grad():
+        canonical = papr(cloud, rays)
+        deformed = papr(cloud.moved(moved, frames), carried(rays, *affine(deformation)))
+    torch.testing.assert_close(deformed.rgb, canonical.rgb, rtol=0, atol=1e-3)
+
+
+def test_gradients_reach_the_points_through_the_rest_state(cloud: PointCloud) -> None:
+    """For an affine map the loss of the deformed picture pulls the points as the canonical one."""
+    matrix = torch.diag(torch.tensor([1.2, 0.9, 1.1]))
+    deformation, rays = Affine(matrix, torch.zeros(3)), camera().rays()
+    papr = Papr(replace(CONFIG, neighbours=200, reference=REFERENCE)).eval()
+    gradients: list[Tensor] = []
+    for aware in (False, True):
+        positions = cloud.positions.clone().requires_grad_()
+        now = replace(cloud, positions=positions)
+        if aware:
+            frames = analytic_frames(deformation, positions)
+            now = now.moved(
+                deformation(positions), LocalFrames(rest=positions, to_rest=frames.to_rest)
+            )
+        seen = carried(rays, matrix, torch.zeros(3)) if aware else rays
+        gradients.append(torch.autograd.grad(papr(now, seen).features.square().sum(), positions)[0])
+    largest = float(gradients[0].abs().max())
+    torch.testing.assert_close(gradients[1], gradients[0], rtol=0, atol=1e-3 * largest)
+
+
+def test_a_fold_is_an_error_and_plain_rays_still_move_the_points(cloud: PointCloud) -> None:
+    mirror = Affine(torch.diag(torch.tensor([1.0, 1.0, -1.0])), torch.zeros(3))
+    with pytest.raises(EditError, match="at 200 of 200 points"):
+        deformed_cloud(cloud, mirror)
+    assert deformed_cloud(cloud, mirror, aware=False).frames is None
+
+
+def test_frames_of_another_cloud_are_refused(cloud: PointCloud) -> None:
+    frames = analytic_frames(uniform_scale(2.0), cloud.positions[:50])
+    with pytest.raises(InputError, match="frames of its 200 points, got frames of 50"):
+        cloud.moved(2 * cloud.positions, frames)
