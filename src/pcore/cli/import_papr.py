@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
+
+from pcore.model.config import ReferenceOrigin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +26,14 @@ class ImportPaprCommand:
     config: tuple[Path, ...]
     """Its YAML configuration; of several files (default.yml lego.yml) the later ones win."""
 
+    reference_distance: float | None = None
+    """Let all rays begin at this distance before the reference center instead of at the camera, so
+    that edits and cameras at other distances look right: the mean distance of the training cameras
+    (4.031 for NeRF-Synthetic). Default: the original's rays, from the camera."""
+
+    reference_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Middle of the scene for --reference-distance, world units."""
+
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder to make; it must be new or empty."""
 
@@ -35,23 +45,27 @@ class ImportPaprCommand:
         from pcore.training.output import RunFolder, bytes_needed
 
         official = load_official(self.model, self.config)
+        config = replace(official.config, reference=self._reference())
         scene, step = str(official.provenance["scene"]), int(official.provenance["step"] or 0)
         numbers = sum(value.numel() for value in official.state.values())
         with RunFolder.create(
             self.output,
             stage="import",
             scene=scene,
-            config={"papr": to_dict(official.config), "source": official.provenance},
+            config={"papr": to_dict(config), "source": official.provenance},
             needed=bytes_needed(numbers + official.cloud.features.numel()),
         ) as run:
             run.save_model(
                 official.state,
                 official.cloud,
-                official.config,
-                provenance_of(
-                    official.cloud, official.config, scene=scene, stage="import", step=step
-                ),
+                config,
+                provenance_of(official.cloud, config, scene=scene, stage="import", step=step),
             )
             run.update(status="finished", step=step)
         text = f"{self.output}: {scene}, {len(official.cloud):,} points, {step:,} steps"
         Console().print(Text(text), soft_wrap=True)
+
+    def _reference(self) -> ReferenceOrigin | None:
+        if self.reference_distance is None:
+            return None
+        return ReferenceOrigin(center=self.reference_center, distance=self.reference_distance)
