@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from typing import get_args
 
 import pytest
@@ -112,3 +113,15 @@ def test_settings_survive_the_record_of_a_run(name: PresetName) -> None:
         (FinetuneConfig, finetune_preset(name)),
     ):
         assert from_dict(kind, to_dict(config), where="run.json") == config
+
+
+@pytest.mark.parametrize("value", [-0.5, float("nan"), float("inf")])
+@pytest.mark.parametrize("make", [preset, finetune_preset])
+def test_weights_of_losses_are_finite_and_not_negative(make: object, value: float) -> None:
+    assert callable(make)
+    config = make("tiny")
+    names = [one.name for one in fields(config) if one.name.endswith("_weight")]
+    assert {"lpips_weight", "opacity_weight", "front_weight"} <= {*names}
+    for name in names:
+        with pytest.raises(InputError, match=f"expected {name} to be a finite number of 0 or more"):
+            replace(config, **{name: value})

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.console import Console
 from tyro.conf import Positional, arg
 
+from pcore.cli.losses import LossOptions, check_weights
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
@@ -48,6 +49,9 @@ class FinetuneCommand:
     seed: int = 0
     """Of every random draw."""
 
+    losses: Annotated[LossOptions, arg(name="")] = field(default_factory=LossOptions)
+    """Weights of the losses; default: those of the preset."""
+
     resume: bool = False
     """Go on exactly where the run in the output folder was interrupted."""
 
@@ -79,7 +83,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     from pcore.cli.runtime import pick_device, prepare_torch, recorded_factor
     from pcore.cli.sessions import Session, disk_space, run_session, show_result
     from pcore.cli.stages import relative
-    from pcore.cli.train import announce, check_weights
+    from pcore.cli.train import announce
     from pcore.data.load import load_scene
     from pcore.model.checkpoint import load_model
     from pcore.model.records import to_dict
@@ -94,6 +98,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     factor = recorded_factor(run) if command.factor is None else command.factor
     scene = load_scene(folder, factor=factor)
     name, config = _config(command, run, saved)
+    command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{name}, {config.steps:,} steps on {device}")
     base = Trained(papr=saved.papr(), cloud=saved.cloud, step=saved.provenance.step)
@@ -157,6 +162,7 @@ def _config(
     name = command.preset or known.get(run.config.get("preset"), "paper")
     black = saved.config.background == (0.0, 0.0, 0.0)
     changes: dict[str, Any] = {"seed": command.seed, "background": "black" if black else "white"}
+    changes |= command.losses.changes()
     if command.steps is not None:
         changes["steps"] = command.steps
     return name, replace(finetune_preset(name), **changes)

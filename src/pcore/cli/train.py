@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -10,12 +10,12 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.losses import LossOptions, check_weights
 from pcore.cli.runtime import DeviceName
-from pcore.errors import WeightsError
 
 if TYPE_CHECKING:
     from pcore.data.scene import Scene
-    from pcore.training.config import PretrainConfig, TrunkName
+    from pcore.training.config import PretrainConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +52,9 @@ class TrainCommand:
 
     background: Literal["white", "black", "random"] | None = None
     """Colour behind images with alpha; default: that of the preset (white)."""
+
+    losses: Annotated[LossOptions, arg(name="")] = field(default_factory=LossOptions)
+    """Weights of the losses; default: those of the preset."""
 
     resume: bool = False
     """Go on exactly where the run in the output folder was interrupted."""
@@ -90,6 +93,7 @@ def train(command: TrainCommand, console: Console) -> None:
     device = pick_device(command.device)
     scene = load_scene(command.scene, factor=command.factor)
     config = _config(command, scene, console)
+    command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{command.preset}, {config.steps:,} steps on {device}")
     limit = config.grow.limit if config.grow else config.points
@@ -118,7 +122,7 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     """Return the preset with what the command changes."""
     from pcore.training.presets import preset
 
-    changes: dict[str, Any] = {"seed": command.seed}
+    changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
     for name in ("steps", "points", "background"):
         if getattr(command, name) is not None:
             changes[name] = getattr(command, name)
@@ -130,15 +134,6 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
         console.print("images without alpha have no visual hull: points start on a grid")
         changes["start"] = "grid"
     return replace(preset(command.preset), **changes)
-
-
-def check_weights(weight: float, trunk: TrunkName) -> None:
-    """Raise WeightsError, naming files and places, when a wanted LPIPS loss cannot be computed."""
-    from pcore.training.perceptual import missing_weights
-
-    advice = missing_weights(trunk) if weight > 0 else None
-    if advice is not None:
-        raise WeightsError(advice)
 
 
 def announce(console: Console, scene: Scene, plan: str) -> None:

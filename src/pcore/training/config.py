@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -129,11 +130,7 @@ class PretrainConfig:
         _check_positive(self, "steps", "points", "validate_every", "save_every")
         if self.hold_out < 2:
             raise InputError(f"pre-training: expected hold_out of at least 2, got {self.hold_out}")
-        if self.lpips_weight < 0 or self.opacity_weight < 0:
-            raise InputError(
-                "pre-training: expected weights of losses of 0 or more, got "
-                f"lpips_weight {self.lpips_weight}, opacity_weight {self.opacity_weight}"
-            )
+        _check_weights(self, "lpips_weight", "opacity_weight", "front_weight")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,6 +205,8 @@ class FinetuneConfig:
 
     def __post_init__(self) -> None:
         _check_positive(self, "steps", "validate_every", "save_every")
+        _check_weights(self, "geometry_weight", "texture_weight")
+        _check_weights(self, "lpips_weight", "opacity_weight", "front_weight")
         if not (self.points_only or self.rays_and_points):
             raise InputError(
                 "fine-tuning: expected at least one of points_only and rays_and_points"
@@ -226,3 +225,14 @@ def _check_positive(config: PretrainConfig | FinetuneConfig, *names: str) -> Non
         value = getattr(config, name)
         if value < 1:
             raise InputError(f"{type(config).__name__}: expected {name} >= 1, got {value}")
+
+
+def _check_weights(config: PretrainConfig | FinetuneConfig, *names: str) -> None:
+    """Refuse negative weights of losses, which would reward errors, and infinity and NaN."""
+    for name in names:
+        value = getattr(config, name)
+        if not 0 <= value < math.inf:
+            raise InputError(
+                f"{type(config).__name__}: expected {name} to be a finite number of 0 or more, got "
+                f"{value}; 0 leaves this loss out"
+            )
