@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.options import Count, Folder, Output
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
@@ -33,28 +34,28 @@ class AblateCommand:
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a pre-trained run; it is left as it is."""
 
-    scene: Path | None = None
+    scene: Folder = None
     """Folder of the scene; default: the one the run was trained on."""
 
-    state: tuple[str, ...] = ("scale:2",)
+    state: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ("scale:2",)
     """States to score on; the figure shows the first. `all` for every state of the scene."""
 
-    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    output: Output = None
     """Folder for the variants and results; default: RUN/ablation."""
 
-    steps: int | None = None
+    steps: Count = None
     """Steps of every fine-tuning; default: those of the preset."""
 
-    view: int = 0
+    view: Annotated[int, arg(metavar="N")] = 0
     """Number of the test view in the figure, from 0."""
 
-    factor: int | None = None
+    factor: Count = None
     """Down-scaling of the true images; default: that of the training."""
 
     device: DeviceName = "auto"
     """Where to compute; auto takes a GPU where there is one."""
 
-    threads: int | None = None
+    threads: Count = None
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:

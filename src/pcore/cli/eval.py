@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.options import Count, Folder, Output
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
@@ -34,13 +35,13 @@ class EvalCommand:
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of the run."""
 
-    scene: Path | None = None
+    scene: Folder = None
     """Folder of the scene; default: the one the run was trained on."""
 
-    state: tuple[str, ...] = ("all",)
+    state: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ("all",)
     """States besides the canonical one: names, `all`, or `scale:S` (any scene; exact truth)."""
 
-    baseline: Path | None = None
+    baseline: Folder = None
     """Run to compare with; default: the one that a fine-tuned run was tuned from."""
 
     rays: Literal["aware", "plain", "both"] = "both"
@@ -50,19 +51,19 @@ class EvalCommand:
     protocol: Literal["papr", "standard", "both"] = "both"
     """How images are compared: as the original PAPR does, as everybody else does, or both."""
 
-    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    output: Output = None
     """Folder for the results; default: RUN/eval."""
 
     pictures: bool = False
     """Also write a sheet per test view: truth, baseline and this run, with depth maps."""
 
-    factor: int | None = None
+    factor: Count = None
     """Down-scaling of the true images; default: that of the training."""
 
     device: DeviceName = "auto"
     """Where to compute; auto takes a GPU where there is one."""
 
-    threads: int | None = None
+    threads: Count = None
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:

@@ -10,6 +10,7 @@ from rich.console import Console
 from tyro.conf import Positional, arg
 
 from pcore.cli.losses import LossOptions, check_weights
+from pcore.cli.options import Count, Folder, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
@@ -31,23 +32,23 @@ class FinetuneCommand:
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a pre-trained run, our own or imported."""
 
-    output: Annotated[Path | None, arg(aliases=["-o"], metavar="OUT")] = None
+    output: Annotated[Path | None, optional("OUT", "-o")] = None
     """Folder to make; new or empty, unless --resume. Default: RUN-pcore beside RUN."""
 
-    scene: Path | None = None
+    scene: Folder = None
     """Folder of the scene; default: the one the run was trained on."""
 
-    factor: int | None = None
+    factor: Count = None
     """Down-scaling of the images; default: that of the training."""
 
-    preset: PresetName | None = None
+    preset: Annotated[PresetName | None, optional("{tiny,fast,paper}")] = None
     """Settings; default: those of the preset the run was trained with, paper for imported runs."""
 
-    steps: int | None = None
+    steps: Count = None
     """Optimiser steps; default: those of the preset."""
 
-    seed: int = 0
-    """Of every random draw."""
+    seed: Annotated[int, arg(metavar="N")] = 0
+    """Seed of every random draw."""
 
     losses: Annotated[LossOptions, arg(name="")] = field(default_factory=LossOptions)
     """Weights of the losses; default: those of the preset."""
@@ -55,13 +56,13 @@ class FinetuneCommand:
     resume: bool = False
     """Go on exactly where the run in the output folder was interrupted."""
 
-    tensorboard: bool = True
-    """Write OUT/tensorboard as well; needs the extra `log`."""
+    no_tensorboard: bool = False
+    """Do not write OUT/tensorboard, the curves for TensorBoard (they need the extra `log`)."""
 
     device: DeviceName = "auto"
     """Where to train; auto takes a GPU where there is one."""
 
-    threads: int | None = None
+    threads: Count = None
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:
@@ -114,7 +115,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         scene=folder,
         config=record,
         resume=command.resume,
-        tensorboard=command.tensorboard,
+        tensorboard=not command.no_tensorboard,
         needed=disk_space(saved.config, len(saved.cloud)),
     )
     run_session(

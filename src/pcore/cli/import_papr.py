@@ -21,7 +21,7 @@ class ImportPaprCommand:
     model: Annotated[Positional[Path], arg(metavar="MODEL.PTH")]
     """The original's model.pth."""
 
-    config: tuple[Path, ...]
+    config: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
     """Its YAML configuration; of several files (default.yml lego.yml) the later ones win."""
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]

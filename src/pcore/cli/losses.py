@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from pcore.cli.options import Number, optional
 from pcore.errors import InputError, WeightsError
 
 if TYPE_CHECKING:
@@ -17,19 +18,19 @@ if TYPE_CHECKING:
 class LossOptions:
     """Weights of the losses beside the squared error; what is not given stays as in the preset."""
 
-    lpips_weight: float | None = None
-    """Weight of LPIPS, which sharpens pictures; 0 for none. Needs the files of its network, see
-    `pcore doctor`."""
+    lpips_weight: Number = None
+    """Weight of LPIPS, whose files `pcore doctor` lists; 0 for none; default: the preset's."""
 
-    lpips_trunk: Literal["alex", "squeeze", "vgg"] | None = None
-    """Network of the LPIPS loss."""
+    lpips_trunk: Annotated[
+        Literal["alex", "squeeze", "vgg"] | None, optional("{alex,squeeze,vgg}")
+    ] = None
+    """Network of the LPIPS loss; default: vgg."""
 
-    opacity_weight: float | None = None
-    """Weight of the error of the opacity against the images' alpha channel; 0 for none."""
+    opacity_weight: Number = None
+    """Weight of the opacity's error against the images' alpha; default: the preset's."""
 
-    front_weight: float | None = None
-    """Weight of attention to points behind the first one that a ray meets; a larger one gives
-    cleaner depth, 0 none."""
+    front_weight: Number = None
+    """Weight of attention behind a ray's first point: cleaner depth; default: the preset's."""
 
     def changes(self) -> dict[str, Any]:
         """Return the settings that are given, by the names of the configurations."""

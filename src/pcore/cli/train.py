@@ -11,6 +11,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.losses import LossOptions, check_weights
+from pcore.cli.options import Count, optional
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
@@ -34,23 +35,25 @@ class TrainCommand:
     preset: Literal["tiny", "fast", "paper"] = "tiny"
     """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours."""
 
-    factor: int = 1
+    factor: Annotated[int, arg(metavar="N")] = 1
     """Down-scale images by this whole number (area mean)."""
 
-    steps: int | None = None
+    steps: Count = None
     """Optimiser steps; default: those of the preset."""
 
-    points: int | None = None
+    points: Count = None
     """Points at the start; default: those of the preset."""
 
-    seed: int = 0
-    """Of every random draw."""
+    seed: Annotated[int, arg(metavar="N")] = 0
+    """Seed of every random draw."""
 
-    init: str | None = None
+    init: Annotated[str | None, optional("hull|grid|FILE")] = None
     """Where points start: hull (of the masks), grid (the original's), or a PLY or NPY file.
     Default: hull, or grid when the images have no alpha."""
 
-    background: Literal["white", "black", "random"] | None = None
+    background: Annotated[
+        Literal["white", "black", "random"] | None, optional("{white,black,random}")
+    ] = None
     """Colour behind images with alpha; default: that of the preset (white)."""
 
     losses: Annotated[LossOptions, arg(name="")] = field(default_factory=LossOptions)
@@ -59,13 +62,13 @@ class TrainCommand:
     resume: bool = False
     """Go on exactly where the run in the output folder was interrupted."""
 
-    tensorboard: bool = True
-    """Write RUN/tensorboard as well; needs the extra `log`."""
+    no_tensorboard: bool = False
+    """Do not write RUN/tensorboard, the curves for TensorBoard (they need the extra `log`)."""
 
     device: DeviceName = "auto"
     """Where to train; auto takes a GPU where there is one."""
 
-    threads: int | None = None
+    threads: Count = None
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:
@@ -107,7 +110,7 @@ def train(command: TrainCommand, console: Console) -> None:
             "pretrain": to_dict(config),
         },
         resume=command.resume,
-        tensorboard=command.tensorboard,
+        tensorboard=not command.no_tensorboard,
         needed=disk_space(config.model, max(limit, config.points)),
     )
     run_session(
