@@ -125,6 +125,7 @@ def test_results_are_replaced_by_the_same_run_only(
         (["--state", "twist"], "no state 'twist'; expected one of canonical, grown, walk, scale:S"),
         (["--state", "scale:-1"], "expected scale:S with a factor S > 0, got '-1'"),
         (["--factor", "5"], "factor"),
+        (["--factor", "0"], "factor: expected a whole number of at least 1, got 0"),
         (["--scene", "nowhere"], "scene nowhere: no such folder"),
         (["--baseline", "nowhere"], "no run at nowhere"),
     ],
@@ -143,6 +144,24 @@ def test_a_run_whose_scene_is_gone(tmp_path: Path, capsys: pytest.CaptureFixture
     said = capsys.readouterr().err
     assert "the scene it was trained on (gone) is not a folder here" in said
     assert "--scene" in said
+
+
+@pytest.mark.parametrize("state", ["", "grown"])
+@pytest.mark.parametrize("harm", ["missing", "truncated"])
+def test_test_images_are_checked_before_the_first_picture(
+    tmp_path: Path, state: str, harm: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tiny_scene.write_scene(tmp_path / "box")
+    run, image = tiny_scene.write_run(tmp_path / "run", scene), scene / state / "test" / "r_1.png"
+    if harm == "missing":
+        image.unlink()
+    else:
+        image.write_bytes(image.read_bytes()[:-30])
+    assert main(["eval", str(run)]) == 2
+    said = capsys.readouterr().err
+    assert str(image.with_suffix("")) in said
+    assert ("no image at" if harm == "missing" else "truncated or damaged file") in said
+    assert not (run / "eval").exists()
 
 
 def test_a_scene_without_meshes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -85,6 +85,12 @@ def test_an_opacity_loss_needs_alpha(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert not (tmp_path / "run").exists()
 
 
+def test_a_missing_test_image_does_not_keep_from_training(scene: Path, tmp_path: Path) -> None:
+    (scene / "test" / "r_0.png").unlink()
+    (scene / "test" / "r_1.png").write_bytes(b"damaged")
+    assert call(scene, tmp_path / "run", steps=1) == 0
+
+
 def test_photos_without_alpha_start_on_a_grid(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

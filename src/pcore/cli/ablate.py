@@ -75,6 +75,7 @@ def ablate(command: AblateCommand, console: Console) -> None:
     from pcore.cli.eval import prepare_output
     from pcore.cli.models import open_run, scene_of
     from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.data.scene import check_images
     from pcore.errors import InputError
     from pcore.evaluation.ablation import VARIANTS, AblationFigure
     from pcore.evaluation.states import open_states
@@ -87,8 +88,10 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"{run.path} is fine-tuned already: expected a pre-trained run, whose variants are "
             f"compared with it; ablate the run that it was tuned from, {run.base}"
         )
-    places = open_states(scene_of(run, command.scene), factor=command.factor or run.factor)
+    factor = run.factor if command.factor is None else command.factor
+    places = open_states(scene_of(run, command.scene), factor=factor)
     states = places.select(command.state)
+    check_images(shot.view for state in states for shot in state.shots)
     if len(states) < 2:
         raise InputError(f"{places.path}: no deformed state to score; give --state scale:2")
     if not 0 <= command.view < len(states[1].shots):

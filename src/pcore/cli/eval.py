@@ -82,6 +82,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     from pcore.cli.models import baseline_of, open_run, scene_of
     from pcore.cli.results import counting
     from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.data.scene import check_images
     from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states
@@ -91,8 +92,10 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     device = pick_device(command.device)
     run = open_run(command.run_folder, device=device)
     base = baseline_of(run, command.baseline, device=device)
-    places = open_states(scene_of(run, command.scene), factor=command.factor or run.factor)
+    factor = run.factor if command.factor is None else command.factor
+    places = open_states(scene_of(run, command.scene), factor=factor)
     states = places.select(command.state)
+    check_images(shot.view for state in states for shot in state.shots)
     output = command.output or command.run_folder / "eval"
     prepare_output(output, about=run.path)
     methods = _methods(run, base, command.rays)
