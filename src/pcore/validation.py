@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,6 +19,12 @@ def check_count(name: str, value: object, *, minimum: int = 1) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
         raise InputError(f"{name}: expected a whole number of at least {minimum}, got {value!r}")
     return value
+
+
+def first_names(names: Iterable[str]) -> str:
+    """Up to three names in order, for messages: "a, b, c, ..."; empty when there are none."""
+    found = sorted(names)
+    return ", ".join(found[:3]) + ", ..." * (len(found) > 3)
 
 
 def read_json(path: Path, *, what: str, error: type[PcoreError]) -> Any:

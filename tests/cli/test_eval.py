@@ -191,3 +191,38 @@ def test_an_output_that_is_something_else(
     target = tuned if kind == "run" else tmp_path / "file"
     assert main(["eval", str(run), "-o", str(target)]) == 2
     assert ("holds a run" if kind == "run" else "is a file") in capsys.readouterr().err
+
+
+def test_files_of_others_are_not_overwritten(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine"
+    out.mkdir()
+    (out / "images.csv").write_text("name,price\n")
+    assert main(["eval", str(run), "-o", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert f"{out} holds other files (images.csv): expected a new or empty folder" in said
+    assert [(item.name, item.read_text()) for item in out.iterdir()] == [
+        ("images.csv", "name,price\n")
+    ]
+
+
+def test_an_evaluation_that_was_killed_can_be_repeated(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = tiny_scene.write_run(tmp_path / "set" / "run", scene)
+    words = ["--state", "canonical", "--protocol", "papr", "--pictures", "-o"]
+
+    def die(*args: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pcore.evaluation.runner.measure", die)
+        assert main(["eval", str(run), *words, str(tmp_path / "set" / "out")]) == 130
+    summary = tmp_path / "moved" / "out" / "summary.json"
+    # Results name their run as seen from themselves: both can move together.
+    (tmp_path / "set").rename(tmp_path / "moved")
+    assert json.loads(summary.read_text())["status"] == "not finished"
+    monkeypatch.chdir(tmp_path / "moved")
+    assert main(["eval", "run", *words, "out"]) == 0
+    assert json.loads(summary.read_text())["about"]["run"] == "../run"

@@ -72,8 +72,8 @@ def ablate(command: AblateCommand, console: Console) -> None:
         InputError: an unknown state or view, or an output folder in use.
         TrainingError: a training diverged or cannot write.
     """
-    from pcore.cli.eval import prepare_output
     from pcore.cli.models import open_run, scene_of
+    from pcore.cli.output import results_folder
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.data.scene import check_images
     from pcore.errors import InputError
@@ -100,7 +100,7 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"{states[1].name}, got {command.view}"
         )
     output = command.output or command.run_folder / "ablation"
-    prepare_output(output, about=run.path)
+    results_folder(output, about=run.path)
     full = _full_config(run, command.steps)
     for variant in VARIANTS:
         path, config = output / variant.folder, variant.config(full)
@@ -176,6 +176,7 @@ def _score(
 ) -> None:
     from pcore.cli.eval import finish
     from pcore.cli.results import counting
+    from pcore.cli.stages import relative
     from pcore.evaluation.figures import png_bytes
     from pcore.evaluation.protocol import load_perceptual
     from pcore.evaluation.runner import evaluate
@@ -193,7 +194,11 @@ def _score(
             progress=tell,
             show=figure,
         )
-    about = {"run": str(run.path), "scene": str(places.path), "factor": places.factor}
+    about = {
+        "run": relative(run.path, output),
+        "scene": relative(places.path, output),
+        "factor": places.factor,
+    }
     write_atomically(output / FIGURE_FILE, png_bytes(figure.pixels([m.name for m in methods])))
     finish(console, output, rows, about=about, perceptual=perceptual)
     console.print(Text(f"figure: {output / FIGURE_FILE}"), soft_wrap=True)

@@ -99,7 +99,8 @@ def render_run(command: RenderCommand, console: Console) -> None:
         DependencyError: a video is asked for and its package is missing.
     """
     from pcore.cli.draw import Wanted, draw
-    from pcore.cli.runtime import open_model, pick_device, prepare_output, prepare_torch
+    from pcore.cli.output import pictures_folder
+    from pcore.cli.runtime import open_model, pick_device, prepare_torch
     from pcore.data.video import require_video
 
     _check(command)
@@ -111,7 +112,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
     if _films(command):
         require_video()
     output = command.output or _default_output(command)
-    prepare_output(output, overwrite=command.overwrite)
+    pictures_folder(output, overwrite=command.overwrite)
     wanted = Wanted(
         png=command.frames or not _films(command),
         video=_films(command),

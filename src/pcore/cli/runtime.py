@@ -1,4 +1,4 @@
-"""What the heavy verbs do before they begin: device, threads, memory, folder for the output."""
+"""What the heavy verbs do before they begin: device, threads, memory, model and scene."""
 
 from __future__ import annotations
 
@@ -56,37 +56,6 @@ def pick_device(name: DeviceName) -> str:
             f"{why}, or use --device cpu"
         )
     return name
-
-
-def prepare_output(folder: Path, *, overwrite: bool) -> None:
-    """Make a folder for pictures; refuse one that holds other files.
-
-    Args:
-        folder: made with its parents.
-        overwrite: accept what is there; files of the same names are replaced, others stay.
-
-    Raises:
-        InputError: it is a file, a run, or holds files and `overwrite` is False.
-        OSError: it cannot be made.
-    """
-    from pcore.errors import InputError
-    from pcore.training.manifest import MANIFEST_FILE
-
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is a file: expected a folder for pictures; use another -o")
-    if (folder / MANIFEST_FILE).exists():
-        raise InputError(
-            f"{folder} holds a run: expected a folder for pictures only; use another -o, or none "
-            "for one inside the run"
-        )
-    there = sorted(item.name for item in folder.iterdir()) if folder.exists() else []
-    if there and not overwrite:
-        raise InputError(
-            f"{folder} holds files already ({', '.join(there[:3])}{', ...' * (len(there) > 3)}), "
-            "which are not overwritten: use another -o, or --overwrite to replace those of the "
-            "same name"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
 
 
 def open_model(path: Path) -> tuple[SavedModel, RunFolder | None]:

@@ -20,6 +20,7 @@ from pcore.model.provenance import Provenance, Stage
 from pcore.training.lock import LOCK_FILE, FolderLock
 from pcore.training.manifest import MANIFEST_FILE, new_manifest, read_manifest, same_run
 from pcore.training.state import STATE_FILE, TrainingState, load_state, save_state
+from pcore.validation import first_names
 
 LOG_FILE = "log.jsonl"
 _BYTES_PER_NUMBER = 4
@@ -245,10 +246,10 @@ def _check_content(path: Path, *, resume: bool) -> None:
             f"{path} holds a run already, which is not overwritten: continue it with --resume, "
             "or choose another folder with -o"
         )
-    foreign = sorted(item.name for item in path.iterdir() if not _is_leftover(item))
+    foreign = first_names(item.name for item in path.iterdir() if not _is_leftover(item))
     if foreign:
         raise InputError(
-            f"{path} holds other files ({', '.join(foreign[:3])}{', ...' * (len(foreign) > 3)}): "
+            f"{path} holds other files ({foreign}): "
             "expected a new or empty folder for the run; choose another one with -o"
         )
 
