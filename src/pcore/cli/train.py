@@ -32,8 +32,9 @@ class TrainCommand:
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder to make; new or empty, unless --resume."""
 
-    preset: Literal["tiny", "fast", "paper"] = "tiny"
-    """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours."""
+    preset: Literal["tiny", "fast", "paper", "paper-lego"] = "tiny"
+    """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours;
+    paper-lego: the original as it was set for its scene lego."""
 
     factor: Annotated[int, arg(metavar="N")] = 1
     """Down-scale images by this whole number (area mean)."""

@@ -64,6 +64,14 @@ class PruneConfig:
     last: int = 150_000
     threshold: float = 0.0
     """Points whose influence is not above this are removed."""
+    raised: float | None = None
+    """Threshold of the steps after `raise_after`; None keeps the first."""
+    raise_after: int = 40_000
+    """Last step of the first threshold; a raised one waits until the influences have grown."""
+
+    def threshold_at(self, step: int) -> float:
+        """Threshold of a step."""
+        return self.threshold if self.raised is None or step <= self.raise_after else self.raised
 
 
 @dataclass(frozen=True, kw_only=True)
