@@ -75,6 +75,17 @@ def describe_problem(problem: ValidationError) -> str:
         return f"'{field}' is missing{more}; add it"
     if first["type"] == "extra_forbidden":
         return f"'{field}' is not a known key{more}; remove it or mend its spelling"
+    wanted = _KINDS.get(first["type"])
+    message = f"expected {wanted}" if wanted else first["msg"]
     got = repr(first["input"])
     short = got if len(got) <= 60 else got[:57] + "..."
-    return f"'{field}': {first['msg']}, got {short}{more}"
+    return f"'{field}': {message}, got {short}{more}"
+
+
+# Where pydantic speaks of Python's types, which users of a JSON file need not know.
+_KINDS = {
+    "model_type": "a JSON object { ... }",
+    "model_attributes_type": "a JSON object { ... }",
+    "tuple_type": "a list [ ... ]",
+    "list_type": "a list [ ... ]",
+}

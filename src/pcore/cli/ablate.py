@@ -100,8 +100,8 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"{states[1].name}, got {command.view}"
         )
     output = command.output or command.run_folder / "ablation"
-    results_folder(output, about=run.path)
     full = _full_config(run, command.steps)
+    results_folder(output, about=run.path)
     for variant in VARIANTS:
         path, config = output / variant.folder, variant.config(full)
         _train(console, (run, places), path, config, device)

@@ -229,10 +229,15 @@ class FinetuneConfig:
 
 
 def _check_positive(config: PretrainConfig | FinetuneConfig, *names: str) -> None:
+    """Refuse numbers below 1, and seeds that torch's generators do not take."""
     for name in names:
         value = getattr(config, name)
         if value < 1:
             raise InputError(f"{type(config).__name__}: expected {name} >= 1, got {value}")
+    if not 0 <= config.seed < 2**63 - 1:
+        raise InputError(
+            f"{type(config).__name__}: expected a seed from 0 to 2**63 - 2, got {config.seed}"
+        )
 
 
 def _check_weights(config: PretrainConfig | FinetuneConfig, *names: str) -> None:
