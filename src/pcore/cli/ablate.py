@@ -72,9 +72,9 @@ def ablate(command: AblateCommand, console: Console) -> None:
         InputError: an unknown state or view, or an output folder in use.
         TrainingError: a training diverged or cannot write.
     """
-    from pcore.cli.models import open_run, scene_of
+    from pcore.cli.models import open_run
     from pcore.cli.output import results_folder
-    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.runtime import pick_device, prepare_torch, scene_of
     from pcore.data.scene import check_images
     from pcore.errors import InputError
     from pcore.evaluation.ablation import VARIANTS, AblationFigure
@@ -89,7 +89,7 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"compared with it; ablate the run that it was tuned from, {run.base}"
         )
     factor = run.factor if command.factor is None else command.factor
-    places = open_states(scene_of(run, command.scene), factor=factor)
+    places = open_states(scene_of(run.manifest, command.scene), factor=factor)
     states = places.select(command.state)
     check_images(shot.view for state in states for shot in state.shots)
     if len(states) < 2:
@@ -114,7 +114,7 @@ def _full_config(run: Run, steps: int | None) -> FinetuneConfig:
     """Settings of the whole method for this run."""
     from pcore.cli.models import finetune_config
 
-    config = finetune_config(run)
+    _, config = finetune_config(run.manifest, run.saved)
     return config if steps is None else replace(config, steps=steps)
 
 

@@ -78,10 +78,10 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         SceneError: the scene or a state cannot be read or scored.
         InputError: an unknown state, a factor that does not fit, or an output folder in use.
     """
-    from pcore.cli.models import baseline_of, open_run, scene_of
+    from pcore.cli.models import baseline_of, open_run
     from pcore.cli.output import results_folder
     from pcore.cli.results import counting
-    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.runtime import pick_device, prepare_torch, scene_of
     from pcore.cli.stages import relative
     from pcore.data.scene import check_images
     from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
@@ -94,7 +94,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     run = open_run(command.run_folder, device=device)
     base = baseline_of(run, command.baseline, device=device)
     factor = run.factor if command.factor is None else command.factor
-    places = open_states(scene_of(run, command.scene), factor=factor)
+    places = open_states(scene_of(run.manifest, command.scene), factor=factor)
     states = places.select(command.state)
     check_images(shot.view for state in states for shot in state.shots)
     output = command.output or command.run_folder / "eval"

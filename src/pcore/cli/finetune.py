@@ -81,7 +81,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         TrainingError: training diverged or cannot write.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
-    from pcore.cli.runtime import pick_device, prepare_torch, recorded_factor
+    from pcore.cli.runtime import pick_device, prepare_torch, recorded_factor, scene_of
     from pcore.cli.sessions import Session, disk_space, run_session, show_result
     from pcore.cli.stages import relative
     from pcore.cli.train import announce
@@ -95,7 +95,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     prepare_torch(command.threads)
     device = pick_device(command.device)
     run, saved = RunFolder.open(command.run_folder), load_model(command.run_folder)
-    folder, output = _scene(command, run), _output(command)
+    folder, output = scene_of(run, command.scene), _output(command)
     factor = recorded_factor(run) if command.factor is None else command.factor
     scene = load_scene(folder, factor=factor)
     name, config = _config(command, run, saved)
@@ -126,18 +126,6 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     show_result(console, output, next_command=f"pcore render {output} --edit edit.json")
 
 
-def _scene(command: FinetuneCommand, run: RunFolder) -> Path:
-    from pcore.cli.runtime import recorded_scene
-
-    folder = command.scene or recorded_scene(run)
-    if folder is None:
-        raise InputError(
-            f"{command.run_folder}: the scene it was trained on ({run.scene or 'not recorded'}) is "
-            "not a folder here; give the scene's folder with --scene"
-        )
-    return folder
-
-
 def _output(command: FinetuneCommand) -> Path:
     """Folder for the result; never the run itself."""
     run = command.run_folder.resolve()
@@ -157,13 +145,10 @@ def _config(
     command: FinetuneCommand, run: RunFolder, saved: SavedModel
 ) -> tuple[PresetName, FinetuneConfig]:
     """Name of the preset and its settings with what the command changes."""
-    from pcore.training.presets import finetune_preset
+    from pcore.cli.models import finetune_config
 
-    known: dict[Any, PresetName] = {"tiny": "tiny", "fast": "fast"}
-    name = command.preset or known.get(run.config.get("preset"), "paper")
-    black = saved.config.background == (0.0, 0.0, 0.0)
-    changes: dict[str, Any] = {"seed": command.seed, "background": "black" if black else "white"}
-    changes |= command.losses.changes()
+    name, config = finetune_config(run, saved, command.preset)
+    changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
     if command.steps is not None:
         changes["steps"] = command.steps
-    return name, replace(finetune_preset(name), **changes)
+    return name, replace(config, **changes)

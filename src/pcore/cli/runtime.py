@@ -82,6 +82,23 @@ def recorded_scene(run: RunFolder | None) -> Path | None:
     return next((folder for folder in candidates if folder.is_dir()), None)
 
 
+def scene_of(run: RunFolder, given: Path | None) -> Path:
+    """Folder of the scene to work on: the one given, else the one the run was trained on.
+
+    Raises:
+        InputError: none is given and that of the run is not there (any more).
+    """
+    from pcore.errors import InputError
+
+    folder = given or recorded_scene(run)
+    if folder is None:
+        raise InputError(
+            f"{run.path}: the scene it was trained on ({run.scene or 'not recorded'}) is not a "
+            "folder here; give the scene's folder with --scene"
+        )
+    return folder
+
+
 def recorded_factor(run: RunFolder | None) -> int:
     """Down-scaling factor that a run was trained with; 1 when none is on record."""
     found = None if run is None else run.config.get("factor")
