@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,6 +19,12 @@ def check_count(name: str, value: object, *, minimum: int = 1) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
         raise InputError(f"{name}: expected a whole number of at least {minimum}, got {value!r}")
     return value
+
+
+def first_names(names: Iterable[str]) -> str:
+    """Up to three names in order, for messages: "a, b, c, ..."; empty when there are none."""
+    found = sorted(names)
+    return ", ".join(found[:3]) + ", ..." * (len(found) > 3)
 
 
 def read_json(path: Path, *, what: str, error: type[PcoreError]) -> Any:
@@ -68,6 +75,17 @@ def describe_problem(problem: ValidationError) -> str:
         return f"'{field}' is missing{more}; add it"
     if first["type"] == "extra_forbidden":
         return f"'{field}' is not a known key{more}; remove it or mend its spelling"
+    wanted = _KINDS.get(first["type"])
+    message = f"expected {wanted}" if wanted else first["msg"]
     got = repr(first["input"])
     short = got if len(got) <= 60 else got[:57] + "..."
-    return f"'{field}': {first['msg']}, got {short}{more}"
+    return f"'{field}': {message}, got {short}{more}"
+
+
+# Where pydantic speaks of Python's types, which users of a JSON file need not know.
+_KINDS = {
+    "model_type": "a JSON object { ... }",
+    "model_attributes_type": "a JSON object { ... }",
+    "tuple_type": "a list [ ... ]",
+    "list_type": "a list [ ... ]",
+}

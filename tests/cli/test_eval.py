@@ -125,6 +125,7 @@ def test_results_are_replaced_by_the_same_run_only(
         (["--state", "twist"], "no state 'twist'; expected one of canonical, grown, walk, scale:S"),
         (["--state", "scale:-1"], "expected scale:S with a factor S > 0, got '-1'"),
         (["--factor", "5"], "factor"),
+        (["--factor", "0"], "factor: expected a whole number of at least 1, got 0"),
         (["--scene", "nowhere"], "scene nowhere: no such folder"),
         (["--baseline", "nowhere"], "no run at nowhere"),
     ],
@@ -143,6 +144,24 @@ def test_a_run_whose_scene_is_gone(tmp_path: Path, capsys: pytest.CaptureFixture
     said = capsys.readouterr().err
     assert "the scene it was trained on (gone) is not a folder here" in said
     assert "--scene" in said
+
+
+@pytest.mark.parametrize("state", ["", "grown"])
+@pytest.mark.parametrize("harm", ["missing", "truncated"])
+def test_test_images_are_checked_before_the_first_picture(
+    tmp_path: Path, state: str, harm: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tiny_scene.write_scene(tmp_path / "box")
+    run, image = tiny_scene.write_run(tmp_path / "run", scene), scene / state / "test" / "r_1.png"
+    if harm == "missing":
+        image.unlink()
+    else:
+        image.write_bytes(image.read_bytes()[:-30])
+    assert main(["eval", str(run)]) == 2
+    said = capsys.readouterr().err
+    assert str(image.with_suffix("")) in said
+    assert ("no image at" if harm == "missing" else "truncated or damaged file") in said
+    assert not (run / "eval").exists()
 
 
 def test_a_scene_without_meshes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -172,3 +191,38 @@ def test_an_output_that_is_something_else(
     target = tuned if kind == "run" else tmp_path / "file"
     assert main(["eval", str(run), "-o", str(target)]) == 2
     assert ("holds a run" if kind == "run" else "is a file") in capsys.readouterr().err
+
+
+def test_files_of_others_are_not_overwritten(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine"
+    out.mkdir()
+    (out / "images.csv").write_text("name,price\n")
+    assert main(["eval", str(run), "-o", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert f"{out} holds other files (images.csv): expected a new or empty folder" in said
+    assert [(item.name, item.read_text()) for item in out.iterdir()] == [
+        ("images.csv", "name,price\n")
+    ]
+
+
+def test_an_evaluation_that_was_killed_can_be_repeated(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = tiny_scene.write_run(tmp_path / "set" / "run", scene)
+    words = ["--state", "canonical", "--protocol", "papr", "--pictures", "-o"]
+
+    def die(*args: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pcore.evaluation.runner.measure", die)
+        assert main(["eval", str(run), *words, str(tmp_path / "set" / "out")]) == 130
+    summary = tmp_path / "moved" / "out" / "summary.json"
+    # Results name their run as seen from themselves: both can move together.
+    (tmp_path / "set").rename(tmp_path / "moved")
+    assert json.loads(summary.read_text())["status"] == "not finished"
+    monkeypatch.chdir(tmp_path / "moved")
+    assert main(["eval", "run", *words, "out"]) == 0
+    assert json.loads(summary.read_text())["about"]["run"] == "../run"

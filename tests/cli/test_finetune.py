@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from toys import CONFIG, write_run, write_scene
+from toys import CONFIG, logged_losses, write_run, write_scene
 
 from pcore.cli.main import main
 from pcore.model.checkpoint import load_model
@@ -67,6 +67,15 @@ def test_settings_of_an_imported_run(
     assert (config["finetune"]["seed"], config["finetune"]["background"]) == (3, "black")
 
 
+def test_weights_of_losses_are_options(base: Path) -> None:
+    options = ("--opacity-weight", 0.25, "--front-weight", 0, "--lpips-weight", 0)
+    assert call(base, *options, steps=1) == 0
+    found = RunFolder.open(base.parent / "run-pcore").config["finetune"]
+    assert (found["opacity_weight"], found["front_weight"]) == (0.25, 0)
+    assert logged_losses(base.parent / "run-pcore") >= {"rgb", "opacity"}
+    assert "front" not in logged_losses(base.parent / "run-pcore")
+
+
 def test_the_preset_of_a_run_without_one_is_the_papers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -79,7 +88,7 @@ def test_the_preset_of_a_run_without_one_is_the_papers(
 
     monkeypatch.setattr("pcore.cli.sessions.run_session", note)
     monkeypatch.setattr("pcore.cli.sessions.show_result", note)
-    monkeypatch.setattr("pcore.cli.train.check_weights", note)
+    monkeypatch.setattr("pcore.cli.finetune.check_weights", note)
     assert call(tmp_path / "run") == 0
     assert "; paper, 2 steps" in capsys.readouterr().out
 
@@ -117,6 +126,8 @@ def test_resuming_equals_never_stopping(
         (("--factor", "3"), "16 x 16 images cannot be divided by 3"),
         (("--resume",), "nothing to resume"),
         (("--steps", "0"), "expected steps >= 1, got 0"),
+        (("--front-weight", "-1"), "front_weight to be a finite number of 0 or more, got -1"),
+        (("--lpips-trunk", "vgg"), "--lpips-trunk vgg: expected an LPIPS loss, got the weight 0"),
     ],
 )
 def test_bad_options(

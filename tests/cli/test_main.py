@@ -7,7 +7,7 @@ import subprocess
 import sys
 import textwrap
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib import import_module
 from pathlib import Path
 
@@ -105,6 +105,10 @@ def test_every_verb_documents_all_its_options(
     kind = getattr(import_module(verb.module), verb.command)
     assert callable(kind.run)
     assert undocumented_fields(kind) == []
+    nested = [type(one.default_factory()) for one in fields(kind) if callable(one.default_factory)]
+    assert [undocumented_fields(one) for one in nested] == [[] for _ in nested]
+    # What stands for a value has a name; "default: None" tells nobody anything.
+    assert [word for word in ("{None}", "(default: None)", " PATH", " INT") if word in shown] == []
 
 
 @pytest.mark.parametrize(

@@ -233,7 +233,7 @@ def test_stopping_leaves_whole_files(
         (("--split", "test", "--threads", "0"), "--threads: expected a whole number of at least 1"),
         (("--orbit", "0"), "orbit: expected at least one camera, got 0"),
         (("--orbit", "2", "--fov", "190"), "--fov: expected degrees between 0 and 180, got 190"),
-        (("--orbit", "2", "--elevation", "90"), "an elevation between -pi/2 and pi/2"),
+        (("--orbit", "2", "--elevation", "90"), "--elevation: expected degrees between -90 and 90"),
         (("--orbit", "2", "--size", "3", "9"), "at least 4 x 4 pixels, got 3 x 9"),
         (("--cameras", "absent.json"), "absent.json: no such file"),
         (("--edit", "absent.json"), "absent.json: edit file not found"),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from toys import write_scene
+from toys import logged_losses, write_scene
 
 from pcore.cli.main import main
 from pcore.data.points import save_points
@@ -68,6 +68,27 @@ def test_options_change_the_preset(scene: Path, tmp_path: Path) -> None:
     assert model.cloud.positions.shape == (9, 3)
     assert float((model.cloud.positions - start).abs().max()) < 0.01
     assert not (run / "tensorboard").exists()
+
+
+def test_weights_of_losses_are_options(scene: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert call(scene, run, "--opacity-weight", 0, "--front-weight", 0.2, steps=1) == 0
+    found = RunFolder.open(run).config["pretrain"]
+    assert (found["opacity_weight"], found["front_weight"]) == (0, 0.2)
+    assert logged_losses(run) == {"rgb", "front"}
+
+
+def test_an_opacity_loss_needs_alpha(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scene(tmp_path / "photos", alpha=False)
+    assert call(scene, tmp_path / "run", "--opacity-weight", 0.1) == 2
+    assert "expected images with an alpha channel to compare" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_missing_test_image_does_not_keep_from_training(scene: Path, tmp_path: Path) -> None:
+    (scene / "test" / "r_0.png").unlink()
+    (scene / "test" / "r_1.png").write_bytes(b"damaged")
+    assert call(scene, tmp_path / "run", steps=1) == 0
 
 
 def test_photos_without_alpha_start_on_a_grid(
@@ -173,6 +194,9 @@ def test_another_run_is_not_overwritten(
         (("--init", "absent.ply"), "absent.ply: no such file"),
         (("--init", "hul"), "expected a file of points that ends in .npy or .ply"),
         (("--preset", "paper"), "LPIPS"),
+        (("--lpips-weight", "0.1", "--lpips-trunk", "alex"), "lin_alex.pth"),
+        (("--lpips-weight", "nan"), "lpips_weight to be a finite number of 0 or more, got nan"),
+        (("--opacity-weight", "-0.1"), "opacity_weight to be a finite number of 0 or more"),
     ],
 )
 def test_what_cannot_begin_leaves_no_run(

@@ -97,3 +97,9 @@ def write_run(
         run.save_model(papr.state_dict(), cloud, config, came)
         run.update(status="finished", step=7)
     return papr, cloud
+
+
+def logged_losses(run: Path) -> set[str]:
+    """Names of the terms of the loss in the log of a run."""
+    lines = map(json.loads, (run / "log.jsonl").read_text().splitlines())
+    return {name for line in lines if line["event"] == "step" for name in line["losses"]}

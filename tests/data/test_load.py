@@ -1,5 +1,6 @@
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,7 +112,7 @@ def test_no_frames(scene: Path) -> None:
 
 def test_top_level_list(scene: Path) -> None:
     (scene / "transforms_train.json").write_text("[1, 2]")
-    with pytest.raises(SceneError, match=r"train\.json: 'top level': Input should be a valid dict"):
+    with pytest.raises(SceneError, match=r"train\.json: 'top level': expected a JSON object"):
         load_scene(scene)
 
 
@@ -149,7 +150,7 @@ def test_pose_that_is_not_rigid(scene: Path) -> None:
     matrix = (np.array(pose(0.0)) * [[1.1], [1], [1], [1]]).tolist()
     change_frame(scene / "transforms_test.json", 1, transform_matrix=matrix)
     with pytest.raises(SceneError, match=r"transforms_test.json, frame 1 .*expected a rigid"):
-        load_scene(scene)
+        load_scene(scene).split("test")
 
 
 def test_transposed_pose(scene: Path) -> None:
@@ -272,3 +273,96 @@ def _assert_inside_mask(camera, alpha, points) -> None:
     rows = torch.nonzero(alpha.amax(dim=1) > 0.5)[:, 0]
     assert abs(int(y.min()) - int(rows[0])) <= 3
     assert abs(int(y.max()) - int(rows[-1])) <= 3
+
+
+# --- lenses -----------------------------------------------------------------------------------
+
+
+def test_intrinsics_in_pixels_scale_with_the_images(scene: Path) -> None:
+    path = scene / "transforms_train.json"
+    focal = 6 / math.tan(0.5 * ANGLE_X)
+    change(path, fl_x=focal, fl_y=1.1 * focal, cx=5.0, cy=4.5)
+    change_frame(path, 1, cx=7.0)
+    first, second, _ = (view.camera for view in load_scene(scene, factor=2).split("train"))
+    expected = (0.5 * focal, 0.55 * focal, 2.5, 2.25)
+    assert (first.fx, first.fy, first.cx, first.cy) == pytest.approx(expected)
+    assert (second.fx, second.cx, second.cy) == pytest.approx((0.5 * focal, 3.5, 2.25))
+
+
+def test_a_focal_length_replaces_the_angle(scene: Path) -> None:
+    path = scene / "transforms_train.json"
+    change(path, camera_angle_x=None)
+    for index in range(3):
+        change_frame(path, index, fl_x=20.0 + index)
+    cameras = [view.camera for view in load_scene(scene).split("train")]
+    assert [(c.fx, c.fy, c.cx) for c in cameras] == [(f, f, 6.0) for f in (20.0, 21.0, 22.0)]
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"fl_x": 11.0}, r"images of 12 x 8 pixels expect 'fl_x' [\d.]+, got 11; scale fl_x"),
+        ({"fl_x": math.nan}, r"expect 'fl_x' [\d.]+, got nan"),
+        ({"fl_y": -3.0}, "expected positive focal lengths"),
+        ({"cx": 400.0}, r"inside the image of 12 x 8 pixels, got 400, 4; are they"),
+        ({"cy": -1.0}, r"inside the image of 12 x 8 pixels, got 6, -1"),
+        ({"k1": 0.03, "p2": -0.001}, r"pinhole camera .* got k1 = 0.03, p2 = -0.001; undistort"),
+        ({"is_fisheye": True}, "got a fisheye lens; undistort"),
+        ({"camera_model": "OPENCV_FISHEYE"}, "got a fisheye lens; undistort"),
+    ],
+)
+def test_lenses_that_cannot_be(scene: Path, keys: dict[str, Any], message: str) -> None:
+    change(scene / "transforms_train.json", **keys)
+    with pytest.raises(SceneError, match=rf"transforms_train\.json.*{message}"):
+        load_scene(scene)
+
+
+def test_distortion_of_one_frame(scene: Path) -> None:
+    change_frame(scene / "transforms_train.json", 1, k2=0.5)
+    with pytest.raises(SceneError, match=r"frame 1 .*got k2 = 0.5"):
+        load_scene(scene)
+
+
+def test_no_distortion_is_a_pinhole(scene: Path) -> None:
+    before = load_scene(scene).split("train")[0].camera
+    keys = {"k1": 0, "k2": 0.0, "is_fisheye": False, "camera_model": "OPENCV"}
+    change(scene / "transforms_train.json", **keys)
+    after = load_scene(scene).split("train")[0].camera
+    assert (after.fx, after.fy, after.cx) == (before.fx, before.fy, before.cx)
+
+
+def test_cameras_in_pixels_need_the_size_of_the_image(scene: Path) -> None:
+    path = scene / "transforms_train.json"
+    change(path, cx=4.0)
+    with pytest.raises(SceneError, match=r"in pixels .* of an image size that it does not say"):
+        load_cameras(path, width=24, height=24)
+    change(path, w=12, h=8)
+    _, wide = load_cameras(path, width=24, height=24)[0]
+    # The picture is square: the field of view across stays, above and below there is more.
+    assert (wide.cx, wide.cy) == (8.0, 12.0)
+    assert wide.fx == wide.fy == pytest.approx(12 / math.tan(0.5 * ANGLE_X))
+
+
+# --- splits are read when they are needed -----------------------------------------------------
+
+
+@pytest.mark.parametrize("harm", ["missing image", "damaged image", "damaged file"])
+def test_training_views_do_not_need_the_test_views(scene: Path, harm: str) -> None:
+    if harm == "missing image":
+        (scene / "test" / "r_1.png").unlink()
+    elif harm == "damaged image":
+        (scene / "test" / "r_1.png").write_bytes(b"no image")
+    else:
+        (scene / "transforms_test.json").write_text("{")
+    loaded = load_scene(scene)
+    assert loaded.splits == ("train", "test")
+    assert len(loaded.split("train")) == 3
+    assert loaded.camera_distance > 0
+    with pytest.raises(SceneError, match=r"transforms_test\.json|r_1\.png"):
+        loaded.split("test")
+
+
+def test_a_split_is_read_once(scene: Path) -> None:
+    loaded = load_scene(scene)
+    assert loaded.split("test") is loaded.split("test")
+    assert len(loaded.views) == 2

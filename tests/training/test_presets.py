@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from typing import get_args
 
 import pytest
@@ -22,7 +23,7 @@ def test_names() -> None:
 @pytest.mark.parametrize("make", [preset, finetune_preset])
 def test_an_unknown_name(make: object) -> None:
     assert callable(make)
-    with pytest.raises(InputError, match="expected one of tiny, fast, paper, got 'papper'"):
+    with pytest.raises(InputError, match=r"one of tiny, fast, paper(, paper-lego)?, got 'papper'"):
         make("papper")
 
 
@@ -49,6 +50,20 @@ def test_paper_trains_as_the_original() -> None:
     assert (prune.every, prune.first, prune.last, prune.threshold) == (500, 10_000, 150_000, 0.0)
     assert (grow.every, grow.first, grow.last) == (1000, 20_000, 70_000)
     assert (grow.count, grow.limit) == (1000, 30_000)
+
+
+def test_lego_differs_from_the_other_scenes_of_the_original() -> None:
+    paper, lego = preset("paper"), preset("paper-lego")
+    model = lego.model
+    assert (model.negative_slope, model.background_score, model.value.skip_after) == (0.2, 3.0, 5)
+    assert lego.rates.points.at(0, lego.steps) == 3e-3
+    assert lego.prune is not None
+    steps = (10_000, 40_000, 40_500, 150_000)
+    assert [lego.prune.threshold_at(step) for step in steps] == [0.0, 0.0, 0.2, 0.2]
+    same = replace(lego, model=paper.model, rates=paper.rates, prune=paper.prune)
+    assert same == paper
+    assert replace(lego.rates, points=paper.rates.points) == paper.rates
+    assert from_dict(PretrainConfig, to_dict(lego), where="run.json") == lego
 
 
 def test_rates_of_the_original() -> None:
@@ -112,3 +127,15 @@ def test_settings_survive_the_record_of_a_run(name: PresetName) -> None:
         (FinetuneConfig, finetune_preset(name)),
     ):
         assert from_dict(kind, to_dict(config), where="run.json") == config
+
+
+@pytest.mark.parametrize("value", [-0.5, float("nan"), float("inf")])
+@pytest.mark.parametrize("make", [preset, finetune_preset])
+def test_weights_of_losses_are_finite_and_not_negative(make: object, value: float) -> None:
+    assert callable(make)
+    config = make("tiny")
+    names = [one.name for one in fields(config) if one.name.endswith("_weight")]
+    assert {"lpips_weight", "opacity_weight", "front_weight"} <= {*names}
+    for name in names:
+        with pytest.raises(InputError, match=f"expected {name} to be a finite number of 0 or more"):
+            replace(config, **{name: value})

@@ -237,6 +237,16 @@ def test_only_points_of_little_influence_go(box: Scene) -> None:
     assert report.pruned == 100 - len(cloud) > 0
 
 
+def test_a_raised_threshold_waits_for_its_step(box: Scene) -> None:
+    prune = PruneConfig(every=1, first=1, last=4, threshold=-9.0, raised=1.0, raise_after=3)
+    config = pretrain_config(steps=4, prune=prune, points=100)
+    heard = Heard()
+    cloud = pretrain(box, config, listener=heard).cloud
+    kept = pretrain(box, replace(config, prune=None)).cloud
+    assert torch.equal(cloud.influence, kept.influence[kept.influence > 1.0])
+    assert [report.step for report in heard.of(PopulationReport)] == [4]
+
+
 def test_the_cloud_grows_up_to_its_limit(box: Scene) -> None:
     heard = Heard()
     grow = GrowConfig(every=2, first=3, last=11, count=20, limit=110)

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.options import Count, Folder, Output
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
@@ -33,28 +34,28 @@ class AblateCommand:
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a pre-trained run; it is left as it is."""
 
-    scene: Path | None = None
+    scene: Folder = None
     """Folder of the scene; default: the one the run was trained on."""
 
-    state: tuple[str, ...] = ("scale:2",)
+    state: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ("scale:2",)
     """States to score on; the figure shows the first. `all` for every state of the scene."""
 
-    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    output: Output = None
     """Folder for the variants and results; default: RUN/ablation."""
 
-    steps: int | None = None
+    steps: Count = None
     """Steps of every fine-tuning; default: those of the preset."""
 
-    view: int = 0
+    view: Annotated[int, arg(metavar="N")] = 0
     """Number of the test view in the figure, from 0."""
 
-    factor: int | None = None
+    factor: Count = None
     """Down-scaling of the true images; default: that of the training."""
 
     device: DeviceName = "auto"
     """Where to compute; auto takes a GPU where there is one."""
 
-    threads: int | None = None
+    threads: Count = None
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:
@@ -71,9 +72,10 @@ def ablate(command: AblateCommand, console: Console) -> None:
         InputError: an unknown state or view, or an output folder in use.
         TrainingError: a training diverged or cannot write.
     """
-    from pcore.cli.eval import prepare_output
-    from pcore.cli.models import open_run, scene_of
-    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.models import open_run
+    from pcore.cli.output import results_folder
+    from pcore.cli.runtime import pick_device, prepare_torch, scene_of
+    from pcore.data.scene import check_images
     from pcore.errors import InputError
     from pcore.evaluation.ablation import VARIANTS, AblationFigure
     from pcore.evaluation.states import open_states
@@ -86,8 +88,10 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"{run.path} is fine-tuned already: expected a pre-trained run, whose variants are "
             f"compared with it; ablate the run that it was tuned from, {run.base}"
         )
-    places = open_states(scene_of(run, command.scene), factor=command.factor or run.factor)
+    factor = run.factor if command.factor is None else command.factor
+    places = open_states(scene_of(run.manifest, command.scene), factor=factor)
     states = places.select(command.state)
+    check_images(shot.view for state in states for shot in state.shots)
     if len(states) < 2:
         raise InputError(f"{places.path}: no deformed state to score; give --state scale:2")
     if not 0 <= command.view < len(states[1].shots):
@@ -96,8 +100,8 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"{states[1].name}, got {command.view}"
         )
     output = command.output or command.run_folder / "ablation"
-    prepare_output(output, about=run.path)
     full = _full_config(run, command.steps)
+    results_folder(output, about=run.path)
     for variant in VARIANTS:
         path, config = output / variant.folder, variant.config(full)
         _train(console, (run, places), path, config, device)
@@ -110,7 +114,7 @@ def _full_config(run: Run, steps: int | None) -> FinetuneConfig:
     """Settings of the whole method for this run."""
     from pcore.cli.models import finetune_config
 
-    config = finetune_config(run)
+    _, config = finetune_config(run.manifest, run.saved)
     return config if steps is None else replace(config, steps=steps)
 
 
@@ -172,6 +176,7 @@ def _score(
 ) -> None:
     from pcore.cli.eval import finish
     from pcore.cli.results import counting
+    from pcore.cli.stages import relative
     from pcore.evaluation.figures import png_bytes
     from pcore.evaluation.protocol import load_perceptual
     from pcore.evaluation.runner import evaluate
@@ -189,7 +194,11 @@ def _score(
             progress=tell,
             show=figure,
         )
-    about = {"run": str(run.path), "scene": str(places.path), "factor": places.factor}
+    about = {
+        "run": relative(run.path, output),
+        "scene": relative(places.path, output),
+        "factor": places.factor,
+    }
     write_atomically(output / FIGURE_FILE, png_bytes(figure.pixels([m.name for m in methods])))
     finish(console, output, rows, about=about, perceptual=perceptual)
     console.print(Text(f"figure: {output / FIGURE_FILE}"), soft_wrap=True)

@@ -90,12 +90,12 @@ def orbit_of_cloud(points: Tensor, wish: OrbitWish) -> Named:
     if not 0 < fov < math.pi:
         raise InputError(f"--fov: expected degrees between 0 and 180, got {wish.fov_degrees}")
     smaller = 2 * math.atan(math.tan(0.5 * fov) * min(1.0, height / width))
-    elevation = _ELEVATION_DEGREES if wish.elevation_degrees is None else wish.elevation_degrees
+    elevation = _radians(wish.elevation_degrees)
     cameras = orbit_cameras(
         center,
         fitting_distance(points, center, smaller),
         wish.count,
-        elevation=math.radians(elevation),
+        elevation=math.radians(_ELEVATION_DEGREES) if elevation is None else elevation,
         width=width,
         height=height,
         angle_x=fov,
@@ -108,8 +108,15 @@ def _numbered(cameras: list[Camera]) -> Named:
     return [(f"frame_{i:0{digits}}", camera) for i, camera in enumerate(cameras)]
 
 
-def _radians(degrees: float | None) -> float | None:
-    return None if degrees is None else math.radians(degrees)
+def _radians(elevation: float | None) -> float | None:
+    if elevation is None:
+        return None
+    if not -90 < elevation < 90:
+        raise InputError(
+            "--elevation: expected degrees between -90 and 90 (straight above there is no way "
+            f"up in the picture), got {elevation:g}"
+        )
+    return math.radians(elevation)
 
 
 def _resized(camera: Camera, size: Size | None) -> Camera:

@@ -20,13 +20,13 @@ from pcore.errors import InputError
 class DeformCommand:
     """Apply an edit file to a set of points and write the moved points."""
 
-    input: tyro.conf.Positional[Path]
+    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="POINTS")]
     """Points to move: a NumPy array (N, 3) in a .npy file, or the vertices of a .ply."""
 
-    edit: Path
+    edit: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """Edit file (JSON); an edit without "extent" takes that of these points, as Blender does."""
 
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Where to write: .npy or .ply; a PLY keeps vertex colours and faces. Replaced if it exists."""
 
     strict: bool = False

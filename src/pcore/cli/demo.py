@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import arg
 
+from pcore.cli.options import Count
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
@@ -30,13 +31,13 @@ class DemoCommand:
     where an interrupted one stopped.
     """
 
-    output: Annotated[Path, arg(aliases=["-o"])] = Path("pcore-demo")
+    output: Annotated[Path, arg(aliases=["-o"], metavar="FOLDER")] = Path("pcore-demo")
     """Folder for everything; new, empty, or that of an earlier demo."""
 
     device: DeviceName = "auto"
     """Where to compute; auto takes a GPU where there is one."""
 
-    threads: int | None = None
+    threads: Count = None
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:

@@ -13,6 +13,7 @@ from typing import Any, cast
 
 from pcore.errors import InputError
 from pcore.evaluation.tables import write_json
+from pcore.validation import first_names
 
 MANIFEST = "demo.json"
 _FORMAT = "pcore-demo"
@@ -39,10 +40,10 @@ class DemoFolder:
         """
         if path.exists() and not path.is_dir():
             raise InputError(f"{path} is a file: expected a folder for the demo; use another -o")
-        there = sorted(item.name for item in path.iterdir()) if path.is_dir() else []
+        there = [item.name for item in path.iterdir()] if path.is_dir() else []
         if there and MANIFEST not in there:
             raise InputError(
-                f"{path} holds other files ({', '.join(there[:3])}{', ...' * (len(there) > 3)}): "
+                f"{path} holds other files ({first_names(there)}): "
                 "expected an empty place or the folder of an earlier `pcore demo`; use another -o"
             )
         path.mkdir(parents=True, exist_ok=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.options import Count, Folder, Output
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
@@ -34,13 +34,13 @@ class EvalCommand:
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of the run."""
 
-    scene: Path | None = None
+    scene: Folder = None
     """Folder of the scene; default: the one the run was trained on."""
 
-    state: tuple[str, ...] = ("all",)
+    state: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ("all",)
     """States besides the canonical one: names, `all`, or `scale:S` (any scene; exact truth)."""
 
-    baseline: Path | None = None
+    baseline: Folder = None
     """Run to compare with; default: the one that a fine-tuned run was tuned from."""
 
     rays: Literal["aware", "plain", "both"] = "both"
@@ -50,19 +50,19 @@ class EvalCommand:
     protocol: Literal["papr", "standard", "both"] = "both"
     """How images are compared: as the original PAPR does, as everybody else does, or both."""
 
-    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    output: Output = None
     """Folder for the results; default: RUN/eval."""
 
     pictures: bool = False
     """Also write a sheet per test view: truth, baseline and this run, with depth maps."""
 
-    factor: int | None = None
+    factor: Count = None
     """Down-scaling of the true images; default: that of the training."""
 
     device: DeviceName = "auto"
     """Where to compute; auto takes a GPU where there is one."""
 
-    threads: int | None = None
+    threads: Count = None
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:
@@ -78,9 +78,12 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         SceneError: the scene or a state cannot be read or scored.
         InputError: an unknown state, a factor that does not fit, or an output folder in use.
     """
-    from pcore.cli.models import baseline_of, open_run, scene_of
+    from pcore.cli.models import baseline_of, open_run
+    from pcore.cli.output import results_folder
     from pcore.cli.results import counting
-    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.runtime import pick_device, prepare_torch, scene_of
+    from pcore.cli.stages import relative
+    from pcore.data.scene import check_images
     from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states
@@ -90,10 +93,12 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     device = pick_device(command.device)
     run = open_run(command.run_folder, device=device)
     base = baseline_of(run, command.baseline, device=device)
-    places = open_states(scene_of(run, command.scene), factor=command.factor or run.factor)
+    factor = run.factor if command.factor is None else command.factor
+    places = open_states(scene_of(run.manifest, command.scene), factor=factor)
     states = places.select(command.state)
+    check_images(shot.view for state in states for shot in state.shots)
     output = command.output or command.run_folder / "eval"
-    prepare_output(output, about=run.path)
+    results_folder(output, about=run.path)
     methods = _methods(run, base, command.rays)
     chosen = PROTOCOLS.values() if command.protocol == "both" else [PROTOCOLS[command.protocol]]
     perceptual = load_perceptual()
@@ -108,9 +113,9 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
             show=_sheet_writer(output / PICTURES, methods) if command.pictures else None,
         )
     about = {
-        "run": str(run.path),
-        "baseline": None if base is None else str(base.path),
-        "scene": str(places.path),
+        "run": relative(run.path, output),
+        "baseline": None if base is None else relative(base.path, output),
+        "scene": relative(places.path, output),
         "factor": places.factor,
     }
     finish(console, output, rows, about=about, perceptual=perceptual, note=places.left_out)
@@ -139,45 +144,6 @@ def finish(
     write_tables(output, rows, summary_record(means, found, about=about, perceptual=perceptual))
     show_results(console, means, found, perceptual=perceptual, notes=[note] if note else [])
     console.print(Text(f"written to {output}"), soft_wrap=True)
-
-
-def prepare_output(folder: Path, *, about: Path) -> None:
-    """Make a folder for results; refuse one that holds something else.
-
-    Args:
-        folder: where the results go.
-        about: the run that they are about: results of the same run are replaced.
-
-    Raises:
-        InputError: it is a file, a run, or holds the results of another run.
-    """
-    from pcore.errors import InputError
-    from pcore.evaluation.tables import SUMMARY_FILE
-    from pcore.training.manifest import MANIFEST_FILE
-
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is a file: expected a folder for results; use another -o")
-    if (folder / MANIFEST_FILE).exists():
-        raise InputError(
-            f"{folder} holds a run: expected a folder for results only; use another -o, or none "
-            "for the folder eval of the run"
-        )
-    path = folder / SUMMARY_FILE
-    if path.exists() and _subject(path) != str(about.resolve()):
-        raise InputError(
-            f"{folder} holds the results of {_subject(path) or 'something else'}, which are not "
-            f"overwritten by those of {about}; use another -o"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-
-
-def _subject(path: Path) -> str | None:
-    """Run that a summary is about; None when it is no summary of ours."""
-    try:
-        record: Any = json.loads(path.read_text(encoding="utf-8"))
-        return str(Path(record["about"]["run"]).resolve())
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
 
 
 def _methods(run: Run, base: Run | None, rays: str) -> list[Method]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.console import Console
 from tyro.conf import Positional, arg
 
+from pcore.cli.losses import LossOptions, check_weights
+from pcore.cli.options import Count, Folder, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
@@ -30,34 +32,37 @@ class FinetuneCommand:
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a pre-trained run, our own or imported."""
 
-    output: Annotated[Path | None, arg(aliases=["-o"], metavar="OUT")] = None
+    output: Annotated[Path | None, optional("OUT", "-o")] = None
     """Folder to make; new or empty, unless --resume. Default: RUN-pcore beside RUN."""
 
-    scene: Path | None = None
+    scene: Folder = None
     """Folder of the scene; default: the one the run was trained on."""
 
-    factor: int | None = None
+    factor: Count = None
     """Down-scaling of the images; default: that of the training."""
 
-    preset: PresetName | None = None
+    preset: Annotated[PresetName | None, optional("{tiny,fast,paper}")] = None
     """Settings; default: those of the preset the run was trained with, paper for imported runs."""
 
-    steps: int | None = None
+    steps: Count = None
     """Optimiser steps; default: those of the preset."""
 
-    seed: int = 0
-    """Of every random draw."""
+    seed: Annotated[int, arg(metavar="N")] = 0
+    """Seed of every random draw."""
+
+    losses: Annotated[LossOptions, arg(name="")] = field(default_factory=LossOptions)
+    """Weights of the losses; default: those of the preset."""
 
     resume: bool = False
     """Go on exactly where the run in the output folder was interrupted."""
 
-    tensorboard: bool = True
-    """Write OUT/tensorboard as well; needs the extra `log`."""
+    no_tensorboard: bool = False
+    """Do not write OUT/tensorboard, the curves for TensorBoard (they need the extra `log`)."""
 
     device: DeviceName = "auto"
     """Where to train; auto takes a GPU where there is one."""
 
-    threads: int | None = None
+    threads: Count = None
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:
@@ -76,10 +81,10 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         TrainingError: training diverged or cannot write.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
-    from pcore.cli.runtime import pick_device, prepare_torch, recorded_factor
+    from pcore.cli.runtime import pick_device, prepare_torch, recorded_factor, scene_of
     from pcore.cli.sessions import Session, disk_space, run_session, show_result
     from pcore.cli.stages import relative
-    from pcore.cli.train import announce, check_weights
+    from pcore.cli.train import announce
     from pcore.data.load import load_scene
     from pcore.model.checkpoint import load_model
     from pcore.model.records import to_dict
@@ -90,10 +95,11 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     prepare_torch(command.threads)
     device = pick_device(command.device)
     run, saved = RunFolder.open(command.run_folder), load_model(command.run_folder)
-    folder, output = _scene(command, run), _output(command)
+    folder, output = scene_of(run, command.scene), _output(command)
     factor = recorded_factor(run) if command.factor is None else command.factor
     scene = load_scene(folder, factor=factor)
     name, config = _config(command, run, saved)
+    command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{name}, {config.steps:,} steps on {device}")
     base = Trained(papr=saved.papr(), cloud=saved.cloud, step=saved.provenance.step)
@@ -109,7 +115,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         scene=folder,
         config=record,
         resume=command.resume,
-        tensorboard=command.tensorboard,
+        tensorboard=not command.no_tensorboard,
         needed=disk_space(saved.config, len(saved.cloud)),
     )
     run_session(
@@ -118,18 +124,6 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         console,
     )
     show_result(console, output, next_command=f"pcore render {output} --edit edit.json")
-
-
-def _scene(command: FinetuneCommand, run: RunFolder) -> Path:
-    from pcore.cli.runtime import recorded_scene
-
-    folder = command.scene or recorded_scene(run)
-    if folder is None:
-        raise InputError(
-            f"{command.run_folder}: the scene it was trained on ({run.scene or 'not recorded'}) is "
-            "not a folder here; give the scene's folder with --scene"
-        )
-    return folder
 
 
 def _output(command: FinetuneCommand) -> Path:
@@ -151,12 +145,10 @@ def _config(
     command: FinetuneCommand, run: RunFolder, saved: SavedModel
 ) -> tuple[PresetName, FinetuneConfig]:
     """Name of the preset and its settings with what the command changes."""
-    from pcore.training.presets import finetune_preset
+    from pcore.cli.models import finetune_config
 
-    known: dict[Any, PresetName] = {"tiny": "tiny", "fast": "fast"}
-    name = command.preset or known.get(run.config.get("preset"), "paper")
-    black = saved.config.background == (0.0, 0.0, 0.0)
-    changes: dict[str, Any] = {"seed": command.seed, "background": "black" if black else "white"}
+    name, config = finetune_config(run, saved, command.preset)
+    changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
     if command.steps is not None:
         changes["steps"] = command.steps
-    return name, replace(finetune_preset(name), **changes)
+    return name, replace(config, **changes)

@@ -23,7 +23,7 @@ class ImportPaprCommand:
     model: Annotated[Positional[Path], arg(metavar="MODEL.PTH")]
     """The original's model.pth."""
 
-    config: tuple[Path, ...]
+    config: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
     """Its YAML configuration; of several files (default.yml lego.yml) the later ones win."""
 
     reference_distance: float | None = None

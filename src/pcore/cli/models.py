@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pcore.cli.runtime import recorded_factor, recorded_scene
-from pcore.errors import CheckpointError, InputError
+from pcore.cli.runtime import recorded_factor
+from pcore.errors import CheckpointError
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.checkpoint import SavedModel, load_model
 from pcore.model.papr import Papr
@@ -72,23 +72,6 @@ def open_run(path: Path, *, device: str = "cpu") -> Run:
     )
 
 
-def scene_of(run: Run, given: Path | None) -> Path:
-    """Folder of the scene to score on: the one given, else the one the run was trained on.
-
-    Raises:
-        InputError: none is given and that of the run is not there (any more).
-    """
-    if given is not None:
-        return given
-    found = recorded_scene(run.manifest)
-    if found is None:
-        raise InputError(
-            f"{run.path}: the scene it was trained on ({run.manifest.scene or 'not recorded'}) is "
-            "not a folder here; give the scene's folder with --scene"
-        )
-    return found
-
-
 def baseline_of(run: Run, given: Path | None, *, device: str = "cpu") -> Run | None:
     """Open the run to compare with: the one given, else the one that `run` was tuned from.
 
@@ -108,11 +91,19 @@ def baseline_of(run: Run, given: Path | None, *, device: str = "cpu") -> Run | N
         ) from error
 
 
-def finetune_config(run: Run) -> FinetuneConfig:
-    """Settings of P-CORE for a pre-trained run, as `pcore finetune` chooses them."""
+def finetune_config(
+    run: RunFolder, model: SavedModel, preset: PresetName | None = None
+) -> tuple[PresetName, FinetuneConfig]:
+    """Name and settings of P-CORE for a pre-trained run.
+
+    Args:
+        run: says which preset it was trained with; its background stays.
+        model: the run's.
+        preset: name of another preset.
+    """
     from pcore.training.presets import finetune_preset
 
     known: dict[Any, PresetName] = {"tiny": "tiny", "fast": "fast"}
-    name = known.get(run.manifest.config.get("preset"), "paper")
-    black = run.saved.config.background == (0.0, 0.0, 0.0)
-    return replace(finetune_preset(name), background="black" if black else "white")
+    name = preset or known.get(run.config.get("preset"), "paper")
+    black = model.config.background == (0.0, 0.0, 0.0)
+    return name, replace(finetune_preset(name), background="black" if black else "white")

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.options import Count, Folder, Number, Output, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
@@ -28,22 +29,22 @@ class RenderCommand:
     run_or_file: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a run, or a model.safetensors."""
 
-    edit: Path | None = None
+    edit: Annotated[Path | None, optional("FILE")] = None
     """Edit file (JSON) to deform the points with; bound to the canonical cloud."""
 
     rays: Literal["aware", "plain"] = "aware"
     """How deformed points are seen: aware of the deformation, or plain as in the paper."""
 
-    cameras: Path | None = None
+    cameras: Annotated[Path | None, optional("FILE")] = None
     """Take the cameras of this transforms file (NeRF-Synthetic form); no images are needed."""
 
-    split: Literal["train", "val", "test"] | None = None
+    split: Annotated[Literal["train", "val", "test"] | None, optional("{train,val,test}")] = None
     """Take the cameras of this split of the scene."""
 
-    orbit: int | None = None
+    orbit: Count = None
     """Go once around the object in so many frames (the default: 60) and write an MP4."""
 
-    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    output: Output = None
     """Folder for the pictures; default: one in RUN/renders, named after cameras and edit."""
 
     raw: bool = False
@@ -58,19 +59,19 @@ class RenderCommand:
     frames: bool = False
     """Write the frames of an orbit as PNG files too."""
 
-    size: tuple[int, int] | None = None
+    size: Annotated[tuple[int, int] | None, optional("W H")] = None
     """Width and height of the pictures in pixels; default: that of the scene's images."""
 
-    scene: Path | None = None
+    scene: Folder = None
     """Folder of the scene for --split and --orbit; default: the one the run was trained on."""
 
-    factor: int | None = None
+    factor: Count = None
     """Down-scaling of the scene's image size; default: that of the training."""
 
-    fov: float | None = None
+    fov: Number = None
     """Horizontal field of view of an orbit in degrees; fits the orbit to the points."""
 
-    elevation: float | None = None
+    elevation: Number = None
     """Height of the orbit above the horizon in degrees; default: mean of the training cameras."""
 
     overwrite: bool = False
@@ -79,7 +80,7 @@ class RenderCommand:
     device: DeviceName = "auto"
     """Where to compute; auto takes a GPU where there is one."""
 
-    threads: int | None = None
+    threads: Count = None
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:
@@ -98,7 +99,8 @@ def render_run(command: RenderCommand, console: Console) -> None:
         DependencyError: a video is asked for and its package is missing.
     """
     from pcore.cli.draw import Wanted, draw
-    from pcore.cli.runtime import open_model, pick_device, prepare_output, prepare_torch
+    from pcore.cli.output import pictures_folder
+    from pcore.cli.runtime import open_model, pick_device, prepare_torch
     from pcore.data.video import require_video
 
     _check(command)
@@ -110,7 +112,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
     if _films(command):
         require_video()
     output = command.output or _default_output(command)
-    prepare_output(output, overwrite=command.overwrite)
+    pictures_folder(output, overwrite=command.overwrite)
     wanted = Wanted(
         png=command.frames or not _films(command),
         video=_films(command),

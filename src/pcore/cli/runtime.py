@@ -1,4 +1,4 @@
-"""What the heavy verbs do before they begin: device, threads, memory, folder for the output."""
+"""What the heavy verbs do before they begin: device, threads, memory, model and scene."""
 
 from __future__ import annotations
 
@@ -58,37 +58,6 @@ def pick_device(name: DeviceName) -> str:
     return name
 
 
-def prepare_output(folder: Path, *, overwrite: bool) -> None:
-    """Make a folder for pictures; refuse one that holds other files.
-
-    Args:
-        folder: made with its parents.
-        overwrite: accept what is there; files of the same names are replaced, others stay.
-
-    Raises:
-        InputError: it is a file, a run, or holds files and `overwrite` is False.
-        OSError: it cannot be made.
-    """
-    from pcore.errors import InputError
-    from pcore.training.manifest import MANIFEST_FILE
-
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is a file: expected a folder for pictures; use another -o")
-    if (folder / MANIFEST_FILE).exists():
-        raise InputError(
-            f"{folder} holds a run: expected a folder for pictures only; use another -o, or none "
-            "for one inside the run"
-        )
-    there = sorted(item.name for item in folder.iterdir()) if folder.exists() else []
-    if there and not overwrite:
-        raise InputError(
-            f"{folder} holds files already ({', '.join(there[:3])}{', ...' * (len(there) > 3)}), "
-            "which are not overwritten: use another -o, or --overwrite to replace those of the "
-            "same name"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-
-
 def open_model(path: Path) -> tuple[SavedModel, RunFolder | None]:
     """Read a model from a run folder or a bare model file; the run is None for a bare file.
 
@@ -111,6 +80,23 @@ def recorded_scene(run: RunFolder | None) -> Path | None:
     # Our own runs record it as seen from the run, so that both can move together.
     candidates = (run.path / run.scene, Path(run.scene))
     return next((folder for folder in candidates if folder.is_dir()), None)
+
+
+def scene_of(run: RunFolder, given: Path | None) -> Path:
+    """Folder of the scene to work on: the one given, else the one the run was trained on.
+
+    Raises:
+        InputError: none is given and that of the run is not there (any more).
+    """
+    from pcore.errors import InputError
+
+    folder = given or recorded_scene(run)
+    if folder is None:
+        raise InputError(
+            f"{run.path}: the scene it was trained on ({run.scene or 'not recorded'}) is not a "
+            "folder here; give the scene's folder with --scene"
+        )
+    return folder
 
 
 def recorded_factor(run: RunFolder | None) -> int:

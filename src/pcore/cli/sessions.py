@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,7 +65,8 @@ def run_session(session: Session, train: Train, console: Console) -> None:
         same_run(session.path, new_manifest(session.stage, where, session.config))
         console.print("finished already; nothing is left to do")
         return
-    fresh = not session.path.exists() or not any(session.path.iterdir())
+    made = not session.path.exists()
+    fresh = made or (session.path.is_dir() and not any(session.path.iterdir()))
     with RunFolder.create(
         session.path,
         stage=session.stage,
@@ -78,7 +79,7 @@ def run_session(session: Session, train: Train, console: Console) -> None:
             _train(session, run, train, console)
         except PcoreError:
             if fresh and not run.state.exists() and not run.model.exists():
-                _remove_traces(run)
+                _remove_traces(run, whole=made)
             raise
 
 
@@ -102,13 +103,20 @@ def _train(session: Session, run: RunFolder, train: Train, console: Console) -> 
         train(run, fan_out(*listeners))
 
 
-def _remove_traces(run: RunFolder) -> None:
-    """Delete what a training that saved nothing wrote, so that its folder can be used again."""
+def _remove_traces(run: RunFolder, *, whole: bool) -> None:
+    """Delete what a training that saved nothing wrote; with `whole` the folder that it made too."""
+    from pcore.training.lock import LOCK_FILE
     from pcore.training.manifest import MANIFEST_FILE
 
     for file in (run.path / MANIFEST_FILE, run.log):
         file.unlink(missing_ok=True)
     shutil.rmtree(run.tensorboard, ignore_errors=True)
+    if whole:
+        # Nobody else can hold the lock of a folder that goes away with it.
+        run.close()
+        (run.path / LOCK_FILE).unlink(missing_ok=True)
+        with suppress(OSError):  # Somebody put a file there: the folder stays.
+            run.path.rmdir()
 
 
 def disk_space(model: PaprConfig, points: int) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -10,12 +10,13 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.losses import LossOptions, check_weights
+from pcore.cli.options import Count, optional
 from pcore.cli.runtime import DeviceName
-from pcore.errors import WeightsError
 
 if TYPE_CHECKING:
     from pcore.data.scene import Scene
-    from pcore.training.config import PretrainConfig, TrunkName
+    from pcore.training.config import PretrainConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,38 +32,44 @@ class TrainCommand:
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder to make; new or empty, unless --resume."""
 
-    preset: Literal["tiny", "fast", "paper"] = "tiny"
-    """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours."""
+    preset: Literal["tiny", "fast", "paper", "paper-lego"] = "tiny"
+    """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours;
+    paper-lego: the original as it was set for its scene lego."""
 
-    factor: int = 1
+    factor: Annotated[int, arg(metavar="N")] = 1
     """Down-scale images by this whole number (area mean)."""
 
-    steps: int | None = None
+    steps: Count = None
     """Optimiser steps; default: those of the preset."""
 
-    points: int | None = None
+    points: Count = None
     """Points at the start; default: those of the preset."""
 
-    seed: int = 0
-    """Of every random draw."""
+    seed: Annotated[int, arg(metavar="N")] = 0
+    """Seed of every random draw."""
 
-    init: str | None = None
+    init: Annotated[str | None, optional("hull|grid|FILE")] = None
     """Where points start: hull (of the masks), grid (the original's), or a PLY or NPY file.
     Default: hull, or grid when the images have no alpha."""
 
-    background: Literal["white", "black", "random"] | None = None
+    background: Annotated[
+        Literal["white", "black", "random"] | None, optional("{white,black,random}")
+    ] = None
     """Colour behind images with alpha; default: that of the preset (white)."""
+
+    losses: Annotated[LossOptions, arg(name="")] = field(default_factory=LossOptions)
+    """Weights of the losses; default: those of the preset."""
 
     resume: bool = False
     """Go on exactly where the run in the output folder was interrupted."""
 
-    tensorboard: bool = True
-    """Write RUN/tensorboard as well; needs the extra `log`."""
+    no_tensorboard: bool = False
+    """Do not write RUN/tensorboard, the curves for TensorBoard (they need the extra `log`)."""
 
     device: DeviceName = "auto"
     """Where to train; auto takes a GPU where there is one."""
 
-    threads: int | None = None
+    threads: Count = None
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:
@@ -90,6 +97,7 @@ def train(command: TrainCommand, console: Console) -> None:
     device = pick_device(command.device)
     scene = load_scene(command.scene, factor=command.factor)
     config = _config(command, scene, console)
+    command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{command.preset}, {config.steps:,} steps on {device}")
     limit = config.grow.limit if config.grow else config.points
@@ -103,7 +111,7 @@ def train(command: TrainCommand, console: Console) -> None:
             "pretrain": to_dict(config),
         },
         resume=command.resume,
-        tensorboard=command.tensorboard,
+        tensorboard=not command.no_tensorboard,
         needed=disk_space(config.model, max(limit, config.points)),
     )
     run_session(
@@ -118,7 +126,7 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     """Return the preset with what the command changes."""
     from pcore.training.presets import preset
 
-    changes: dict[str, Any] = {"seed": command.seed}
+    changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
     for name in ("steps", "points", "background"):
         if getattr(command, name) is not None:
             changes[name] = getattr(command, name)
@@ -130,15 +138,6 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
         console.print("images without alpha have no visual hull: points start on a grid")
         changes["start"] = "grid"
     return replace(preset(command.preset), **changes)
-
-
-def check_weights(weight: float, trunk: TrunkName) -> None:
-    """Raise WeightsError, naming files and places, when a wanted LPIPS loss cannot be computed."""
-    from pcore.training.perceptual import missing_weights
-
-    advice = missing_weights(trunk) if weight > 0 else None
-    if advice is not None:
-        raise WeightsError(advice)
 
 
 def announce(console: Console, scene: Scene, plan: str) -> None:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from torch import Tensor
 
 from pcore.data.images import ImageCache, ImageHeader, ImageSource, check_factor, read_header
-from pcore.data.scene import View
+from pcore.data.lens import Lens, LensEntry, Number, check_undistorted, lens_of
+from pcore.data.scene import SplitsOnDemand, View
 from pcore.errors import InputError, SceneError
 from pcore.geometry.camera import Camera
 from pcore.validation import parse, read_json
@@ -21,23 +23,20 @@ from pcore.validation import parse, read_json
 SPLITS = ("train", "val", "test")
 _EXTENSIONS = ("", ".png", ".jpg", ".jpeg")
 
-_Number = Annotated[float, Field(strict=True)]
-_Row = tuple[_Number, _Number, _Number, _Number]
+_Row = tuple[Number, Number, Number, Number]
 
 
-class _FrameEntry(BaseModel):
+class _FrameEntry(LensEntry):
     """One entry of `frames`; keys that other tools add are ignored."""
 
-    model_config = ConfigDict(extra="ignore")
     transform_matrix: tuple[_Row, _Row, _Row, _Row]
     file_path: str | None = None
 
 
-class _TransformsFile(BaseModel):
+class _TransformsFile(LensEntry):
     """The file; frames are checked one by one, so that a message can name the frame."""
 
-    model_config = ConfigDict(extra="ignore")
-    camera_angle_x: _Number
+    camera_angle_x: Number | None = None
     frames: list[Any] = Field(min_length=1)
     w: Annotated[int, Field(ge=1)] | None = None
     h: Annotated[int, Field(ge=1)] | None = None
@@ -52,12 +51,14 @@ class PosedFrame:
         name: unique in the file, safe as a file name.
         file_path: as written in the file, or None.
         world_from_camera: (4, 4) float32.
+        lens: the file's, with what the frame says itself.
     """
 
     where: str
     name: str
     file_path: str | None
     world_from_camera: Tensor
+    lens: Lens
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,22 +67,35 @@ class Transforms:
 
     Attributes:
         path: the file.
-        angle_x: horizontal field of view in radians, valid for this file only.
         size: (width, height) when the file states it.
         frames: at least one.
     """
 
     path: Path
-    angle_x: float
     size: tuple[int, int] | None
     frames: tuple[PosedFrame, ...]
 
-    def camera(self, frame: PosedFrame, width: int, height: int) -> Camera:
-        """Camera of one frame; SceneError naming file and frame when its pose is not rigid."""
-        try:
-            return Camera.from_fov(
-                frame.world_from_camera, width=width, height=height, angle_x=self.angle_x
+    def camera(
+        self, frame: PosedFrame, size: tuple[int, int], full: tuple[int, int] | None = None
+    ) -> Camera:
+        """Camera of one frame.
+
+        Args:
+            frame: one of `frames`.
+            size: width and height of the picture.
+            full: size of the image that intrinsics in pixels belong to; that of the file if None.
+
+        Raises:
+            SceneError: names file and frame: no such camera, or not known of which size.
+        """
+        full = full or self.size
+        if full is None and frame.lens.in_pixels:
+            raise SceneError(
+                f"scene file {self.path}: has intrinsics in pixels ('fl_x', 'fl_y', 'cx', 'cy') "
+                "of an image size that it does not say; add 'w' and 'h' to it"
             )
+        try:
+            return frame.lens.camera(frame.world_from_camera, size, full or size, frame.where)
         except InputError as problem:
             raise SceneError(f"{frame.where}: {problem}") from problem
 
@@ -101,29 +115,42 @@ def read_transforms(path: Path) -> Transforms:
     )
     if (content.w is None) != (content.h is None):
         raise SceneError(f"scene file {path}: expected both 'w' and 'h' or neither, got one")
+    check_undistorted(content, f"scene file {path}")
+    lens = lens_of(content, content.camera_angle_x)
     entries = [_entry(path, index, item) for index, item in enumerate(content.frames)]
+    if lens.angle_x is None and None in [lens.replaced(entry).fl_x for _, entry in entries]:
+        raise SceneError(
+            f"scene file {path}: 'camera_angle_x' is missing; add it, or 'fl_x', the focal length "
+            "in pixels"
+        )
     names = _names([entry.file_path for _, entry in entries])
     frames = tuple(
         PosedFrame(
-            where=where, name=name, file_path=entry.file_path, world_from_camera=_pose(where, entry)
+            where=where,
+            name=name,
+            file_path=entry.file_path,
+            world_from_camera=_pose(where, entry),
+            lens=lens.replaced(entry),
         )
         for (where, entry), name in zip(entries, names, strict=True)
     )
     size = None if content.w is None or content.h is None else (content.w, content.h)
-    return Transforms(path=path, angle_x=content.camera_angle_x, size=size, frames=frames)
+    return Transforms(path=path, size=size, frames=frames)
 
 
-def load_splits(root: Path, *, factor: int, cache: ImageCache) -> dict[str, tuple[View, ...]]:
-    """Load all splits that are in the folder, in the order train, val, test.
+def load_splits(root: Path, *, factor: int, cache: ImageCache) -> SplitsOnDemand:
+    """Splits that are in the folder, in the order train, val, test; each is read when it is needed.
 
-    Headers of all images are read, so that a missing file or a wrong size is found now and not
-    in the middle of training; pixels are decoded later.
+    Then the headers of all its images are read, so that a missing file or a wrong size is found
+    at once and not in the middle of training; pixels are decoded later.
     """
-    return {
-        split: load_split(root, split, factor=factor, cache=cache)
-        for split in SPLITS
-        if transforms_path(root, split).is_file()
-    }
+    return SplitsOnDemand(
+        {
+            split: partial(load_split, root, split, factor=factor, cache=cache)
+            for split in SPLITS
+            if transforms_path(root, split).is_file()
+        }
+    )
 
 
 def load_split(root: Path, split: str, *, factor: int, cache: ImageCache) -> tuple[View, ...]:
@@ -141,10 +168,12 @@ def load_split(root: Path, split: str, *, factor: int, cache: ImageCache) -> tup
     for frame in transforms.frames:
         path = _image_path(root, frame)
         header = read_header(path)
-        expected = expected or (header.width, header.height)
+        full = (header.width, header.height)
+        expected = expected or full
         _check_size(transforms, frame, header, expected)
         check_factor(header.width, header.height, factor)
-        camera = transforms.camera(frame, header.width // factor, header.height // factor)
+        size = (header.width // factor, header.height // factor)
+        camera = transforms.camera(frame, size, full)
         source = ImageSource(path=path, header=header, factor=factor, cache=cache)
         views.append(View(name=frame.name, camera=camera, image=source))
     return tuple(views)
@@ -153,7 +182,9 @@ def load_split(root: Path, split: str, *, factor: int, cache: ImageCache) -> tup
 def _entry(path: Path, index: int, item: object) -> tuple[str, _FrameEntry]:
     label = item.get("file_path") if isinstance(item, dict) else None
     where = f"scene file {path}, frame {index}" + (f" ({label})" if label else "")
-    return where, parse(_FrameEntry, item, where=where, error=SceneError)
+    entry = parse(_FrameEntry, item, where=where, error=SceneError)
+    check_undistorted(entry, where)
+    return where, entry
 
 
 def _pose(where: str, entry: _FrameEntry) -> Tensor:

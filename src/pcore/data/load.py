@@ -28,6 +28,9 @@ def load_scene(
         factor: whole number by which images are down-scaled (area mean of premultiplied colour).
         memory_budget: bytes of decoded images kept, shared by all views of the scene.
 
+    Training views are read now. Other splits are read when they are asked for: a missing test
+    image does not keep anybody from training.
+
     Raises:
         SceneError: unknown format, or files missing, damaged or inconsistent.
         InputError: a factor that does not divide the image size.
@@ -39,7 +42,9 @@ def load_scene(
     if not transforms_path(root, "train").is_file():
         raise SceneError(_unknown_format(folder))
     views = load_splits(root, factor=factor, cache=cache)
-    return Scene(name=folder.name, root=root, views=views, states=find_states(folder))
+    scene = Scene(name=folder.name, root=root, views=views, states=find_states(folder))
+    scene.split("train")  # Read now: without training views there is no scene.
+    return scene
 
 
 def find_states(path: str | Path) -> tuple[str, ...]:
@@ -79,7 +84,9 @@ def load_state(
         )
     check_count("down-scaling factor", factor)
     views = load_splits(folder / name, factor=factor, cache=ImageCache(memory_budget))
-    return Scene(name=f"{folder.name}/{name}", root=folder / name, views=views)
+    state = Scene(name=f"{folder.name}/{name}", root=folder / name, views=views)
+    state.split("test" if "test" in state.splits else "train")  # Read now: what a state is for.
+    return state
 
 
 def load_cameras(
@@ -108,7 +115,7 @@ def load_cameras(
         raise SceneError(
             f"scene file {path}: says no image size; add 'w' and 'h' to it or give width and height"
         )
-    return [(frame.name, transforms.camera(frame, *size)) for frame in transforms.frames]
+    return [(frame.name, transforms.camera(frame, size)) for frame in transforms.frames]
 
 
 def _folder(path: str | Path) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -51,6 +51,29 @@ class View:
         return self.image.rgba()[..., 3].clone()
 
 
+class SplitsOnDemand(Mapping[str, tuple[View, ...]]):
+    """Splits of a scene by name, each read once, when it is first asked for."""
+
+    def __init__(self, readers: Mapping[str, Callable[[], tuple[View, ...]]]) -> None:
+        """Remember how to read every split; reading raises SceneError for damaged files."""
+        self._readers = dict(readers)
+        self._known: dict[str, tuple[View, ...]] = {}
+
+    def __getitem__(self, name: str) -> tuple[View, ...]:
+        if name not in self._known:
+            self._known[name] = self._readers[name]()
+        return self._known[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._readers  # The inherited answer would read the split.
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._readers)
+
+    def __len__(self) -> int:
+        return len(self._readers)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scene:
     """Posed images of one object.
@@ -58,7 +81,8 @@ class Scene:
     Attributes:
         name: of the folder.
         root: folder that the images lie in.
-        views: split name -> views; at least one split, none of them empty.
+        views: split name -> views; at least one split, none of them empty. Loaders hand over
+            splits that are read when they are asked for.
         states: names of deformed states whose test views `load_state` reads.
 
     The region of the object comes from the poses of the training views alone (of all views when
@@ -68,7 +92,7 @@ class Scene:
 
     name: str
     root: Path
-    views: dict[str, tuple[View, ...]]
+    views: Mapping[str, tuple[View, ...]]
     states: tuple[str, ...] = ()
 
     @property
@@ -77,7 +101,11 @@ class Scene:
         return tuple(self.views)
 
     def split(self, name: str) -> tuple[View, ...]:
-        """Return the views of one split; SceneError when the scene has none of that name."""
+        """Return the views of one split.
+
+        Raises:
+            SceneError: the scene has none of that name, or its files are missing or damaged.
+        """
         if name not in self.views:
             raise SceneError(
                 f"scene {self.root}: no split {name!r}; it has {', '.join(self.views) or 'none'}"

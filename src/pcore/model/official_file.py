@@ -28,7 +28,10 @@ def read_tensors(path: Path) -> tuple[int | None, dict[str, Tensor]]:
 
 def _load_pickle(path: Path) -> Any:
     if not path.is_file():
-        raise CheckpointError(f"{path}: expected the original's model.pth, found no such file")
+        found = "a folder" if path.is_dir() else "no such file"
+        raise CheckpointError(
+            f"{path}: expected the original's model.pth, found {found}; check the path"
+        )
     try:
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a damaged or hostile pickle can make the reader raise anything

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -63,6 +64,14 @@ class PruneConfig:
     last: int = 150_000
     threshold: float = 0.0
     """Points whose influence is not above this are removed."""
+    raised: float | None = None
+    """Threshold of the steps after `raise_after`; None keeps the first."""
+    raise_after: int = 40_000
+    """Last step of the first threshold; a raised one waits until the influences have grown."""
+
+    def threshold_at(self, step: int) -> float:
+        """Threshold of a step."""
+        return self.threshold if self.raised is None or step <= self.raise_after else self.raised
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,11 +138,7 @@ class PretrainConfig:
         _check_positive(self, "steps", "points", "validate_every", "save_every")
         if self.hold_out < 2:
             raise InputError(f"pre-training: expected hold_out of at least 2, got {self.hold_out}")
-        if self.lpips_weight < 0 or self.opacity_weight < 0:
-            raise InputError(
-                "pre-training: expected weights of losses of 0 or more, got "
-                f"lpips_weight {self.lpips_weight}, opacity_weight {self.opacity_weight}"
-            )
+        _check_weights(self, "lpips_weight", "opacity_weight", "front_weight")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,6 +213,8 @@ class FinetuneConfig:
 
     def __post_init__(self) -> None:
         _check_positive(self, "steps", "validate_every", "save_every")
+        _check_weights(self, "geometry_weight", "texture_weight")
+        _check_weights(self, "lpips_weight", "opacity_weight", "front_weight")
         if not (self.points_only or self.rays_and_points):
             raise InputError(
                 "fine-tuning: expected at least one of points_only and rays_and_points"
@@ -222,7 +229,23 @@ class FinetuneConfig:
 
 
 def _check_positive(config: PretrainConfig | FinetuneConfig, *names: str) -> None:
+    """Refuse numbers below 1, and seeds that torch's generators do not take."""
     for name in names:
         value = getattr(config, name)
         if value < 1:
             raise InputError(f"{type(config).__name__}: expected {name} >= 1, got {value}")
+    if not 0 <= config.seed < 2**63 - 1:
+        raise InputError(
+            f"{type(config).__name__}: expected a seed from 0 to 2**63 - 2, got {config.seed}"
+        )
+
+
+def _check_weights(config: PretrainConfig | FinetuneConfig, *names: str) -> None:
+    """Refuse negative weights of losses, which would reward errors, and infinity and NaN."""
+    for name in names:
+        value = getattr(config, name)
+        if not 0 <= value < math.inf:
+            raise InputError(
+                f"{type(config).__name__}: expected {name} to be a finite number of 0 or more, got "
+                f"{value}; 0 leaves this loss out"
+            )

@@ -11,10 +11,10 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 from pcore.errors import DependencyError
+from pcore.training.closing import Closing
 from pcore.training.output import write_guard
 
 
@@ -115,7 +115,7 @@ def fan_out(*listeners: Listener) -> Listener:
     return tell
 
 
-class JsonLinesLog:
+class JsonLinesLog(Closing):
     """Appends every event as one line of JSON; `{"event": "step", "stage": ..., ...}`.
 
     Numbers that are not finite are written as null. Use it in a `with` statement.
@@ -149,19 +149,8 @@ class JsonLinesLog:
         with write_guard(self._path):
             self._file.close()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-
-class TensorBoardLog:
+class TensorBoardLog(Closing):
     """Writes losses, PSNR, points and rates for TensorBoard. Use it in a `with` statement."""
 
     def __init__(self, folder: Path, *, resumed: tuple[str, int] | None = None) -> None:
@@ -198,17 +187,6 @@ class TensorBoardLog:
         """Flush and close."""
         with write_guard(self._folder):
             self._writer.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _scalars(event: Event) -> dict[str, float]:

@@ -40,7 +40,10 @@ def read_manifest(path: Path) -> dict[str, Any]:
     try:
         data = json.loads(file.read_bytes())
     except ValueError as error:
-        raise CheckpointError(f"{file}: expected JSON, got something else ({error})") from error
+        raise CheckpointError(
+            f"{file}: expected JSON, got something else ({error}); the file is damaged, take it "
+            "from a copy of the run"
+        ) from error
     manifest = cast("dict[str, Any]", data) if isinstance(data, dict) else {}
     if manifest.get("format") != _FORMAT:
         raise CheckpointError(

@@ -8,8 +8,7 @@ import shutil
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from pcore.errors import CheckpointError, InputError, TrainingError
 from pcore.geometry.point_cloud import PointCloud
@@ -17,9 +16,11 @@ from pcore.model.atomic import PARTIAL_SUFFIX, remove_partials, write_atomically
 from pcore.model.checkpoint import MODEL_FILE, save_model
 from pcore.model.config import PaprConfig
 from pcore.model.provenance import Provenance, Stage
+from pcore.training.closing import Closing
 from pcore.training.lock import LOCK_FILE, FolderLock
 from pcore.training.manifest import MANIFEST_FILE, new_manifest, read_manifest, same_run
 from pcore.training.state import STATE_FILE, TrainingState, load_state, save_state
+from pcore.validation import first_names
 
 LOG_FILE = "log.jsonl"
 _BYTES_PER_NUMBER = 4
@@ -40,7 +41,7 @@ def bytes_needed(numbers: int, *, renders: int = 0) -> int:
     return 2 * (state + model) * _BYTES_PER_NUMBER + 16_000_000 + renders
 
 
-class RunFolder:
+class RunFolder(Closing):
     """A folder that holds one run: `run.json`, weights, state, logs, pictures.
 
     Make one with `create` (to train, in a `with` statement: it holds a lock) or `open` (to read).
@@ -185,17 +186,6 @@ class RunFolder:
             self._lock.release()
             self._lock = None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
 
 @contextmanager
 def write_guard(path: Path) -> Generator[None]:
@@ -245,10 +235,10 @@ def _check_content(path: Path, *, resume: bool) -> None:
             f"{path} holds a run already, which is not overwritten: continue it with --resume, "
             "or choose another folder with -o"
         )
-    foreign = sorted(item.name for item in path.iterdir() if not _is_leftover(item))
+    foreign = first_names(item.name for item in path.iterdir() if not _is_leftover(item))
     if foreign:
         raise InputError(
-            f"{path} holds other files ({', '.join(foreign[:3])}{', ...' * (len(foreign) > 3)}): "
+            f"{path} holds other files ({foreign}): "
             "expected a new or empty folder for the run; choose another one with -o"
         )
 

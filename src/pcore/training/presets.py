@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import get_args
+from typing import Literal, get_args
 
 from pcore.errors import InputError
 from pcore.model.config import MlpConfig, PaprConfig
@@ -56,6 +56,19 @@ PAPER = PretrainConfig(
 )
 """The original's sizes and schedule; asks for LPIPS weights (VGG-16)."""
 
+PAPER_LEGO = replace(
+    PAPER,
+    model=replace(
+        PAPER.model,
+        value=replace(PAPER.model.value, skip_after=5),
+        negative_slope=0.2,
+        background_score=3.0,
+    ),
+    rates=replace(_PAPER_RATES, points=Schedule(base=3e-3)),
+    prune=PruneConfig(raised=0.2),
+)
+"""The original's configuration for its scene `lego`."""
+
 FAST = PretrainConfig(
     model=_small_model(neighbours=12, width=128, unet=48),
     origin="reference",
@@ -88,17 +101,23 @@ TINY = PretrainConfig(
 )
 """For 2 CPU cores; asks for no weights."""
 
-_PRESETS: dict[PresetName, PretrainConfig] = {"tiny": TINY, "fast": FAST, "paper": PAPER}
+PretrainName = Literal[PresetName, "paper-lego"]
+_PRESETS: dict[PretrainName, PretrainConfig] = {
+    "tiny": TINY,
+    "fast": FAST,
+    "paper": PAPER,
+    "paper-lego": PAPER_LEGO,
+}
 
 
-def preset(name: PresetName) -> PretrainConfig:
+def preset(name: PretrainName) -> PretrainConfig:
     """Return the pre-training settings of that name.
 
     Raises:
         InputError: there is no such preset.
     """
     if name not in _PRESETS:
-        raise InputError(f"preset: expected one of {', '.join(get_args(PresetName))}, got {name!r}")
+        raise InputError(f"preset: expected one of {', '.join(_PRESETS)}, got {name!r}")
     return _PRESETS[name]
 
 

@@ -169,11 +169,12 @@ def _change_population(work: Trainable, config: PretrainConfig, listener: Listen
 
 
 def _prune(work: Trainable, config: PruneConfig) -> int:
-    keep = work.cloud.influence.detach() > config.threshold
+    threshold = config.threshold_at(work.step)
+    keep = work.cloud.influence.detach() > threshold
     kept = int(keep.sum())
     if kept == 0:
         raise TrainingError(
-            f"pruning at step {work.step}: no point has an influence above {config.threshold}, the "
+            f"pruning at step {work.step}: no point has an influence above {threshold}, the "
             "cloud would be empty; prune later, lower the threshold or the learning rates"
         )
     if kept < len(work.cloud):

@@ -1,0 +1,31 @@
+"""How options look in the help of a verb."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from tyro.conf import arg
+
+
+def optional(metavar: str, *aliases: str) -> Any:
+    """Describe an option whose text says itself what holds without it.
+
+    Args:
+        metavar: what stands for its value in the help.
+        aliases: short names, as "-o".
+    """
+    return arg(metavar=metavar, aliases=aliases, help_behavior_hint="")
+
+
+Count = Annotated[int | None, optional("N")]
+"""A whole number that may be left out."""
+
+Number = Annotated[float | None, optional("X")]
+"""A number that may be left out."""
+
+Folder = Annotated[Path | None, optional("FOLDER")]
+"""A folder that may be left out."""
+
+Output = Annotated[Path | None, optional("FOLDER", "-o")]
+"""Where results go; may be left out."""

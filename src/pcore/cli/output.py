@@ -1,0 +1,90 @@
+"""Folders that results go into: new, empty or ours, never taken from something else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+
+def pictures_folder(folder: Path, *, overwrite: bool) -> None:
+    """Make a folder for pictures; refuse one that holds other files.
+
+    Args:
+        folder: made with its parents.
+        overwrite: accept what is there; files of the same names are replaced, others stay.
+
+    Raises:
+        InputError: it is a file, a run, or holds files and `overwrite` is False.
+        OSError: it cannot be made.
+    """
+    from pcore.errors import InputError
+
+    there = _content(folder, "pictures")
+    if there and not overwrite:
+        raise InputError(
+            f"{folder} holds files already ({there}), which are not overwritten: use another -o, "
+            "or --overwrite to replace those of the same name"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+def results_folder(folder: Path, *, about: Path) -> None:
+    """Make a folder for results and write into it which run they are about.
+
+    Results of the same run are replaced, also those of an evaluation that did not come to its end.
+
+    Args:
+        folder: where the results go; made with its parents.
+        about: the run that they are about.
+
+    Raises:
+        InputError: it is a file, a run, or holds other files or the results of another run.
+        OSError: it cannot be made or written.
+    """
+    from pcore.cli.stages import relative
+    from pcore.errors import InputError
+    from pcore.evaluation.tables import SUMMARY_FILE, write_json
+
+    there, path = _content(folder, "results"), folder / SUMMARY_FILE
+    if path.exists():
+        subject = _subject(path)
+        if subject != str(about.resolve()):
+            raise InputError(
+                f"{folder} holds the results of {subject or 'something else'}, which are not "
+                f"overwritten by those of {about}; use another -o"
+            )
+        return
+    if there:
+        raise InputError(
+            f"{folder} holds other files ({there}): expected a new or empty folder for results, or "
+            f"one with results of {about}; use another -o"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(path, {"about": {"run": relative(about, folder)}, "status": "not finished"})
+
+
+def _content(folder: Path, kind: str) -> str:
+    """First names in a folder, empty when there are none; InputError for a file or a run."""
+    from pcore.errors import InputError
+    from pcore.training.manifest import MANIFEST_FILE
+    from pcore.validation import first_names
+
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is a file: expected a folder for {kind}; use another -o")
+    if (folder / MANIFEST_FILE).exists():
+        raise InputError(
+            f"{folder} holds a run: expected a folder for {kind} only; use another -o, or none "
+            "for one inside the run"
+        )
+    return first_names(item.name for item in folder.iterdir()) if folder.exists() else ""
+
+
+def _subject(path: Path) -> str | None:
+    """Run that a summary is about; None when it is no summary of ours."""
+    try:
+        record: Any = json.loads(path.read_text(encoding="utf-8"))
+        # As seen from the results, so that both can move together.
+        return str((path.parent / record["about"]["run"]).resolve())
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
