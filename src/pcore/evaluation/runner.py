@@ -137,9 +137,10 @@ def evaluate(
     done = 0
     for state in states:
         clouds = carry(methods, state)
+        mended = {name: one.frames and one.frames.mended for name, one in clouds.items()}
         for index in range(len(state.shots)):
             taken = _take(methods, clouds, state, index, draw)
-            rows += _score(taken, state, protocols, perceptual)
+            rows += _score(taken, state, protocols, perceptual, mended)
             done += len(methods)
             if progress is not None:
                 progress(done, total)
@@ -170,7 +171,11 @@ def _take(
 
 
 def _score(
-    taken: Taken, state: State, protocols: Sequence[Protocol], perceptual: Perceptual | None
+    taken: Taken,
+    state: State,
+    protocols: Sequence[Protocol],
+    perceptual: Perceptual | None,
+    mended: Mapping[str, Value],
 ) -> list[ImageRow]:
     """One row per method and protocol."""
     rows: list[ImageRow] = []
@@ -184,7 +189,7 @@ def _score(
                 kind=state.kind,
                 protocol=protocol.name,
                 view=taken.view,
-                scores={**images, **geometry},
+                scores={**images, **geometry, "mended_frames": mended[name]},
             )
             rows.append(row)
     return rows

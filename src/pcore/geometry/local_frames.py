@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+import torch
 from torch import Tensor
 
 from pcore.errors import InputError
+
+_FLATTEST = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +30,12 @@ class LocalFrames:
     rest: Tensor
     to_rest: Tensor
     mended: int = 0
+
+    @cached_property
+    def stretch(self) -> float:
+        """Largest factor by which a local map lengthens anything; at least 1."""
+        shortest = torch.linalg.matrix_norm(self.to_rest.detach().double(), ord=-2)
+        return max(1.0, 1.0 / float(shortest.clamp_min(_FLATTEST).min()))
 
     def __post_init__(self) -> None:
         shapes = tuple(self.rest.shape), tuple(self.to_rest.shape)

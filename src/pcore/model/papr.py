@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels.functional import nearest_to_rays, pull_back
@@ -79,35 +80,33 @@ class Papr(nn.Module):
 
     def attend(self, cloud: PointCloud, rays: RayBundle) -> tuple[Attended, Tensor]:
         """Nearest points and attention of (R,) rays; rays beyond the cut-off cost nothing."""
-        neighbours, seen = self._see(cloud, rays)
-        if self.config.cutoff is None:
+        neighbours, near, seen = self._see(cloud, rays)
+        if near is None:
             return self.attention(cloud, rays, neighbours, seen), neighbours
-        near = _within(cloud, neighbours, seen, self.config.cutoff)
-        part = self.attention(cloud, rays[near], neighbours[near], seen[near])
+        part = self.attention(cloud, rays[near], neighbours[near], seen)
         return _scatter(part, near, neighbours.shape), neighbours
 
-    def _see(self, cloud: PointCloud, rays: RayBundle) -> tuple[Tensor, RayBundle]:
-        """Neighbours (R, k), and the rays as the networks see them: (R,), or (R, k) with frames."""
-        k, frames, reference = self.config.neighbours, cloud.frames, self.config.reference
-        positions = cloud.positions.detach()
+    def _see(self, cloud: PointCloud, rays: RayBundle) -> tuple[Tensor, Tensor | None, RayBundle]:
+        """What the networks are to look at.
+
+        Returns:
+            Neighbours (R, k) of all rays; indices (M,) of the rays with a point within the cut-off,
+            None for all; these rays as the networks see them: (M,), or (M, k) with frames.
+        """
+        cutoff, k, reference = self.config.cutoff, self.config.neighbours, self.config.reference
+        positions, frames = cloud.positions.detach(), cloud.frames
+        near: Tensor | None = None
         if frames is None:
-            seen = rays
-            neighbours = nearest_to_rays(rays.origins, rays.directions, positions, k)
+            neighbours, seen = nearest_to_rays(rays.origins, rays.directions, positions, k), rays
+            if cutoff is not None:
+                near = _reached(positions, neighbours, rays, cutoff)
+                seen = rays[near]
         else:
-            candidates = nearest_to_rays(rays.origins, rays.directions, positions, _CANDIDATES * k)
-            neighbours, origins, directions = pull_back(
-                rays.origins,
-                rays.directions,
-                positions,
-                frames.rest,
-                frames.to_rest,
-                candidates,
-                min(k, len(cloud)),
-            )
-            seen = RayBundle(origins=origins, directions=directions)
+            # The nearest in the rest state are sought among more than k of the deformed state.
+            neighbours, near, seen = _pulled_back(positions, frames, rays, k, cutoff)
         if reference is not None:
             seen = seen.slid(positions.new_tensor(reference.center), reference.distance)
-        return neighbours, seen
+        return neighbours, near, seen
 
     def shade(self, features: Tensor, alpha: Tensor, background: Tensor | None = None) -> Tensor:
         """Colours (H, W, 3) of a feature map (H, W, C) over a background (3,)."""
@@ -118,16 +117,41 @@ class Papr(nn.Module):
         return colours * opacity + background * (1 - opacity)
 
 
-def _within(cloud: PointCloud, neighbours: Tensor, seen: RayBundle, cutoff: float) -> Tensor:
-    """Indices of the rays that have a point within the cut-off."""
-    with torch.no_grad():
-        # Neighbours come nearest first, so the first decides.
-        first = seen if len(seen.shape) == 1 else seen[:, 0]
-        rest = cloud.positions if cloud.frames is None else cloud.frames.rest
-        offset = rest[neighbours[:, 0]] - first.origins
-        along = (offset * first.directions).sum(dim=-1, keepdim=True)
-        distance = (offset - along * first.directions).square().sum(dim=-1)
-        return torch.nonzero(distance <= cutoff**2).squeeze(-1)
+def _pulled_back(
+    positions: Tensor, frames: LocalFrames, rays: RayBundle, k: int, cutoff: float | None
+) -> tuple[Tensor, Tensor | None, RayBundle]:
+    """Neighbours (R, k), near rays (M,) or None, and these rays (M, k) of the rest state."""
+    candidates = nearest_to_rays(rays.origins, rays.directions, positions, _CANDIDATES * k)
+    k = min(k, len(positions))
+    near: Tensor | None = None
+    if cutoff is not None:
+        # No point is farther from a ray in the deformed state than so many times in the rest state.
+        near = _reached(positions, candidates, rays, cutoff * frames.stretch)
+    some = rays if near is None else rays[near]
+    chosen, origins, directions = pull_back(
+        some.origins,
+        some.directions,
+        positions,
+        frames.rest,
+        frames.to_rest,
+        candidates if near is None else candidates[near],
+        k,
+    )
+    seen = RayBundle(origins=origins, directions=directions)
+    if near is None or cutoff is None:
+        return chosen, None, seen
+    answered = _reached(frames.rest, chosen, seen[:, 0], cutoff)
+    near = near[answered]
+    return candidates[:, :k].index_copy(0, near, chosen[answered]), near, seen[answered]
+
+
+@torch.no_grad()
+def _reached(points: Tensor, neighbours: Tensor, rays: RayBundle, distance: float) -> Tensor:
+    """Indices of the (R,) rays whose first, nearest neighbour (R, k) is within a distance."""
+    offset = points[neighbours[:, 0]] - rays.origins
+    along = (offset * rays.directions).sum(dim=-1, keepdim=True)
+    squared = (offset - along * rays.directions).square().sum(dim=-1)
+    return torch.nonzero(squared <= distance**2).squeeze(-1)
 
 
 def _scatter(part: Attended, rows: Tensor, shape: torch.Size) -> Attended:
