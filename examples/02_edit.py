@@ -13,6 +13,7 @@ import tyro
 
 import pcore
 from pcore.data.pictures import depth_picture, depth_range, write_png
+from pcore.editing.apply import deformed_cloud
 from pcore.geometry.orbit import fitting_distance, orbit_cameras
 
 ANGLE_X = 0.7
@@ -32,7 +33,7 @@ def main(run: Path, edit: Path, pictures: Path, /, size: int = 400) -> None:
 
     # Binding freezes the edit to the canonical points; the result is a map of all of space.
     deformation = pcore.load_edit(edit).bind(cloud.positions)
-    moved = cloud.moved(deformation(cloud.positions))
+    moved = deformed_cloud(cloud, deformation)
 
     lower, upper = cloud.extent()
     center = 0.5 * (lower + upper)

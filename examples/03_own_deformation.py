@@ -15,7 +15,7 @@ from torch import Tensor
 
 import pcore
 from pcore.data.pictures import write_png
-from pcore.deform import check_invertible
+from pcore.editing.apply import deformed_cloud
 from pcore.geometry.orbit import fitting_distance, orbit_cameras
 
 ANGLE_X = 0.7
@@ -43,10 +43,9 @@ def compare(run: Path, wave: Wave, size: int) -> Tensor:
     """Canonical and deformed rendering of a run side by side, (size, 2 size, 3)."""
     model = pcore.load_model(run)
     papr, cloud = model.papr(), model.cloud
-    check_invertible(wave, cloud.positions)
     determinant = torch.linalg.det(wave.jacobian(cloud.positions))
     print(f"{run}: det J from {float(determinant.min()):.3f} to {float(determinant.max()):.3f}")
-    moved = cloud.moved(wave(cloud.positions))
+    moved = deformed_cloud(cloud, wave)  # Raises EditError where the wave folds space.
     center = moved.positions.mean(dim=0)
     distance = fitting_distance(moved.positions, center, ANGLE_X)
     camera = orbit_cameras(

@@ -62,8 +62,9 @@ def test_options_change_the_preset(scene: Path, tmp_path: Path) -> None:
     save_points(tmp_path / "start.npy", start)
     run = tmp_path / "run"
     options = ("--init", tmp_path / "start.npy", "--background", "black", "--no-tensorboard")
-    assert call(scene, run, *options, steps=1) == 0
+    assert call(scene, run, *options, "--origin", "camera", steps=1) == 0
     model = load_model(run)
+    assert model.config.reference is None
     assert model.config.background == (0, 0, 0)
     assert model.cloud.positions.shape == (9, 3)
     assert float((model.cloud.positions - start).abs().max()) < 0.01

@@ -45,6 +45,10 @@ class TrainCommand:
     points: Count = None
     """Points at the start; default: those of the preset."""
 
+    origin: Literal["camera", "reference"] | None = None
+    """Where rays begin for the networks: camera (the original) or reference (the mean camera
+    distance, whatever camera renders); default: that of the preset."""
+
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of every random draw."""
 
@@ -127,7 +131,7 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     from pcore.training.presets import preset
 
     changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
-    for name in ("steps", "points", "background"):
+    for name in ("steps", "points", "background", "origin"):
         if getattr(command, name) is not None:
             changes[name] = getattr(command, name)
     if command.init in ("hull", "grid"):
