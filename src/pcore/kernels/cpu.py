@@ -1,4 +1,4 @@
-"""Kernels on the CPU by numba: no (rays x points) tensor, one pass per ray-point pair."""
+"""Ray-point pairs on the CPU by numba: one pass per pair."""
 
 from __future__ import annotations
 
@@ -9,67 +9,11 @@ import numba
 import numpy as np
 import torch
 from numba import prange
-from numba.core import config as numba_config
 from torch import Tensor
 
+from pcore.kernels.numba_bridge import as_float32 as _as_numpy
+from pcore.kernels.numba_bridge import use_torch_threads as _use_torch_threads
 from pcore.kernels.reference import LENGTH_GUARD, SHORTEST, per_pair
-
-_BUNDLE = 64
-"""Rays that one thread works through with the same scratch memory."""
-
-
-def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int) -> Tensor:
-    """Indices (R, k) of the points with the smallest distance to the lines of (R, 3) rays."""
-    _use_torch_threads()
-    columns = np.ascontiguousarray(_as_numpy(points).T)
-    return torch.from_numpy(_search(_as_numpy(origins), _as_numpy(directions), columns, k))
-
-
-def _use_torch_threads() -> None:
-    # numba fills its config in at import, where type checkers do not see it.
-    most: int = numba_config.NUMBA_NUM_THREADS  # pyright: ignore[reportAttributeAccessIssue]
-    numba.set_num_threads(min(torch.get_num_threads(), most))
-
-
-def _as_numpy(tensor: Tensor) -> np.ndarray:
-    return np.ascontiguousarray(tensor.detach().to(torch.float32).numpy())
-
-
-@numba.njit(cache=True)
-def _insert(best: np.ndarray, index: np.ndarray, distance: float, point: int) -> None:
-    """Insert into a sorted list; equal distances keep the order of the index."""
-    slot = best.shape[0] - 1
-    while slot > 0 and best[slot - 1] > distance:
-        best[slot] = best[slot - 1]
-        index[slot] = index[slot - 1]
-        slot -= 1
-    best[slot] = distance
-    index[slot] = point
-
-
-@numba.njit(cache=True, parallel=True)
-def _search(origins: np.ndarray, directions: np.ndarray, points: np.ndarray, k: int) -> np.ndarray:
-    rays, count = origins.shape[0], points.shape[1]
-    out = np.empty((rays, k), dtype=np.int64)
-    for bundle in prange((rays + _BUNDLE - 1) // _BUNDLE):
-        squared = np.empty(count, dtype=np.float32)
-        best = np.empty(k, dtype=np.float32)
-        index = np.empty(k, dtype=np.int64)
-        for ray in range(bundle * _BUNDLE, min(rays, (bundle + 1) * _BUNDLE)):
-            ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
-            dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-            for i in range(count):
-                vx, vy, vz = points[0, i] - ox, points[1, i] - oy, points[2, i] - oz
-                along = vx * dx + vy * dy + vz * dz
-                tx, ty, tz = vx - along * dx, vy - along * dy, vz - along * dz
-                squared[i] = tx * tx + ty * ty + tz * tz
-            best[:] = np.inf
-            index[:] = 0
-            for i in range(count):
-                if squared[i] < best[k - 1]:
-                    _insert(best, index, squared[i], i)
-            out[ray] = index
-    return out
 
 
 def pull_back(
@@ -98,6 +42,18 @@ def pull_back(
         seen_along.numpy(),
     )
     return chosen, seen_from, seen_along
+
+
+@numba.njit(cache=True)
+def _insert(best: np.ndarray, index: np.ndarray, distance: float, point: int) -> None:
+    """Insert into a sorted list; equal distances keep the order of the index."""
+    slot = best.shape[0] - 1
+    while slot > 0 and best[slot - 1] > distance:
+        best[slot] = best[slot - 1]
+        index[slot] = index[slot - 1]
+        slot -= 1
+    best[slot] = distance
+    index[slot] = point
 
 
 @numba.njit(cache=True, parallel=True)

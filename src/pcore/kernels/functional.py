@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
-from pcore.kernels import cpu, reference
+from pcore.kernels import cpu, cpu_search, reference
 
 BACKENDS = ("reference", "cpu")
 
@@ -45,7 +45,7 @@ def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int)
             f"points and k = {k}"
         )
     k = min(k, points.shape[0])
-    search = cpu if backend(points.device) == "cpu" else reference
+    search = cpu_search if backend(points.device) == "cpu" else reference
     flat = search.nearest_to_rays(origins.reshape(-1, 3), directions.reshape(-1, 3), points, k)
     return flat.reshape(*origins.shape[:-1], k)
 
