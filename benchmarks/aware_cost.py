@@ -1,6 +1,6 @@
 """What deformation-aware rays cost: CPU seconds of plain and aware pictures, alternating.
 
-    python benchmarks/aware_cost.py RUN [--size 200] [--rounds 6]
+python benchmarks/aware_cost.py RUN [--size 200] [--rounds 6]
 """
 
 from __future__ import annotations
