@@ -130,6 +130,12 @@ def path_distance(
     )
 
 
+def anchor_spacing(between: Tensor) -> float:
+    """Mean distance of M anchors from their nearest other anchor, from distances (M, M)."""
+    others = between + torch.diag(torch.full((len(between),), torch.inf, dtype=between.dtype))
+    return float(others.amin(dim=1).mean())
+
+
 def distance_weigher(distance: AnchorDistance, *, sigma: float, neighbours: int = 8) -> Weigher:
     """Gaussian weights by distance: the baseline of the paper, and its variant over the graph.
 

@@ -14,6 +14,8 @@ from torch import Tensor
 
 from pcore.errors import InputError
 
+_BRIDGE_NEIGHBOURS = 32
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -82,9 +84,9 @@ def neighbour_graph(points: Tensor, k: int) -> csr_array:
     rows, columns = np.repeat(np.arange(count), index.shape[1]), index.ravel()
     graph = _symmetric(places, rows, columns)
     pieces, label = connected_components(graph, directed=False)
-    while pieces > 1:
-        bridges = [_bridge(places, label == piece) for piece in range(pieces)]
-        links = np.array(bridges, dtype=np.int64)
+    around = KDTree(places).query(places, k=min(_BRIDGE_NEIGHBOURS, count)) if pieces > 1 else None
+    while around is not None and pieces > 1:
+        links = _bridges(places, label, around)
         rows = np.concatenate([rows, links[:, 0]])
         columns = np.concatenate([columns, links[:, 1]])
         graph = _symmetric(places, rows, columns)
@@ -113,6 +115,31 @@ def _symmetric(places: FloatArray, rows: IntArray, columns: IntArray) -> csr_arr
     length = np.maximum(length, np.finfo(np.float64).tiny)
     both = np.concatenate([low, high]), np.concatenate([high, low])
     return csr_array(coo_array((np.tile(length, 2), both), shape=(count, count)))
+
+
+def _bridges(
+    places: FloatArray, label: IntArray, around: tuple[FloatArray, Any]
+) -> NDArray[np.int64]:
+    """Shortest link (C, 2) from each of C pieces to the rest.
+
+    Clouds may fall into thousands of tiny pieces and a few large ones. For a tiny one the few
+    nearest points of its points tell; where they cannot, the exact search is made.
+    """
+    distance, index = around[0], np.asarray(around[1])
+    outside = label[index] != label[:, None]
+    column = np.where(outside, distance, np.inf).argmin(axis=1)
+    own = np.arange(len(places))
+    length = np.where(outside[own, column], distance[own, column], np.inf)
+    # A point that sees only its own piece is at least this far from all others.
+    blind = np.where(np.isinf(length), distance[:, -1], np.inf)
+    order = np.lexsort((length, label))
+    first = order[np.unique(label[order], return_index=True)[1]]
+    bound = np.full(len(first), np.inf)
+    np.minimum.at(bound, label, blind)
+    links = np.stack([first, index[first, column[first]]], axis=1)
+    for piece in np.flatnonzero(bound < length[first]):
+        links[piece] = _bridge(places, label == piece)
+    return links
 
 
 def _bridge(places: FloatArray, inside: NDArray[np.bool_]) -> tuple[int, int]:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 _FLATNESS = 1e-9
 
 
-@torch.no_grad()
 def nearest_rotation(matrices: Tensor) -> Tensor:
     """Rotations (..., 3, 3) nearest to matrices (..., 3, 3) in the Frobenius norm, det = +1.
 
     With matrix = U S V^T it is U diag(1, 1, det(U V^T)) V^T: the smallest singular direction is
     flipped where the nearest orthogonal matrix would be a mirror. Computed in float64.
     """
-    left, _, right = torch.linalg.svd(matrices.double())
-    sign = torch.det(left @ right).sign()
-    left = torch.cat([left[..., :2], left[..., 2:] * sign[..., None, None]], dim=-1)
-    return (left @ right).to(matrices.dtype)
+    # NumPy's batched SVD of small matrices takes half the time of torch's.
+    left, _, right = np.linalg.svd(matrices.detach().cpu().double().numpy())
+    left[..., 2] *= np.where(np.linalg.det(left @ right) < 0, -1.0, 1.0)[..., None]
+    return torch.from_numpy(left @ right).to(matrices)
 
 
 @torch.no_grad()
