@@ -35,7 +35,7 @@ def test_bad_input() -> None:
         farthest_points(torch.zeros(4, 3), 5)
     with pytest.raises(InputError, match="expected at least 3 different places, got 1"):
         farthest_points(torch.zeros(4, 3), 3)
-    with pytest.raises(InputError, match=r"expected points \(N, 3\), got \(4, 2\)"):
+    with pytest.raises(InputError, match=r"expected points \(N, 3\), at least one, got \(4, 2\)"):
         farthest_points(torch.zeros(4, 2), 1)
     with pytest.raises(InputError, match="got NaN or infinity"):
         farthest_points(torch.full((4, 3), torch.nan), 1)

@@ -72,7 +72,7 @@ def test_points_of_one_place_stay_linked() -> None:
 
 
 def test_bad_input() -> None:
-    with pytest.raises(InputError, match=r"expected points \(N, 3\), got \(0, 3\)"):
+    with pytest.raises(InputError, match=r"expected points \(N, 3\), at least one, got \(0, 3\)"):
         neighbour_graph(torch.zeros(0, 3), 3)
     with pytest.raises(InputError, match="got NaN or infinity"):
         neighbour_graph(torch.full((4, 3), torch.nan), 3)

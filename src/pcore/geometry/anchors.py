@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
+from pcore.geometry.neighbours import as_points
 from pcore.validation import check_count
 
 
@@ -27,11 +28,7 @@ def farthest_points(points: Tensor, count: int, *, seed: int = 0) -> Tensor:
         InputError: another shape, numbers that are not finite, or fewer than `count` places.
     """
     check_count("anchors: count", count)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"anchors: expected points (N, 3), got {tuple(points.shape)}")
-    places = points.detach().to(device="cpu", dtype=torch.float64)
-    if not bool(torch.isfinite(places).all()):
-        raise InputError("anchors: expected finite points, got NaN or infinity")
+    places = torch.from_numpy(as_points(points))
     if len(places) < count:
         raise InputError(
             f"anchors: expected at least {count} points to choose from, got {len(places)}; "

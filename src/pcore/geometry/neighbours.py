@@ -27,10 +27,10 @@ def as_points(points: Tensor) -> FloatArray:
         InputError: no points, another shape, NaN or infinity.
     """
     if points.ndim != 2 or points.shape[1] != 3 or points.shape[0] == 0:
-        raise InputError(f"neighbours: expected points (N, 3), got {tuple(points.shape)}")
+        raise InputError(f"expected points (N, 3), at least one, got {tuple(points.shape)}")
     places: FloatArray = points.detach().cpu().double().numpy()
     if not np.isfinite(places).all():
-        raise InputError("neighbours: expected finite points, got NaN or infinity")
+        raise InputError("expected finite points, got NaN or infinity")
     return places
 
 

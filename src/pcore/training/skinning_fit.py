@@ -18,7 +18,7 @@ from pcore.deform.base import Deformation
 from pcore.deform.sampler import DeformationRanges, sample_deformation
 from pcore.deform.skinning import SkinningWeights, pose_of, skin
 from pcore.errors import InputError, TrainingError
-from pcore.model.skinning import Skinning
+from pcore.model.skinning import Prior, Skinning
 from pcore.training.skinning_loss import position_loss
 from pcore.validation import check_count
 
@@ -73,17 +73,10 @@ def fit_skinning(
     fitted = replace(skinning, network=copy.deepcopy(skinning.network).train())
     prior = fitted.prior(points)
     generator = torch.Generator().manual_seed(config.seed)
-    lower, upper = points.amin(dim=0), points.amax(dim=0)
-    unit = float((upper - lower).norm())
     adam = torch.optim.Adam(fitted.network.parameters(), lr=config.rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, config.steps)
     for step in range(1, config.steps + 1):
-        rows = torch.randint(len(points), (config.batch,), generator=generator)
-        deformation = sample_deformation(generator, lower, upper, points, config.ranges)
-        chosen = points[rows]
-        weights = fitted.weights(chosen, prior.rows(rows))
-        moved = skin(chosen, weights, pose_of(deformation, fitted.distance.anchors))
-        loss = position_loss(moved.positions, chosen, deformation, unit)
+        loss = _loss(fitted, points, prior, config, generator)
         value = float(loss.detach())
         if not math.isfinite(value):
             raise TrainingError(
@@ -97,6 +90,23 @@ def fit_skinning(
         if progress is not None:
             progress(step, value)
     return replace(fitted, network=fitted.network.eval())
+
+
+def _loss(
+    skinning: Skinning,
+    points: Tensor,
+    prior: Prior,
+    config: SkinningFitConfig,
+    generator: torch.Generator,
+) -> Tensor:
+    """Direct term of some points of the cloud under one random deformation."""
+    lower, upper = points.amin(dim=0), points.amax(dim=0)
+    rows = torch.randint(len(points), (config.batch,), generator=generator)
+    deformation = sample_deformation(generator, lower, upper, points, config.ranges)
+    chosen = points[rows]
+    weights = skinning.weights(chosen, prior.rows(rows))
+    moved = skin(chosen, weights, pose_of(deformation, skinning.distance.anchors))
+    return position_loss(moved.positions, chosen, deformation, float((upper - lower).norm()))
 
 
 def skinning_error(
