@@ -115,7 +115,10 @@ def skin(points: Tensor, weights: SkinningWeights, pose: AnchorPose) -> Skinned:
     table = torch.cat([turn.flatten(1), shift], dim=1).to(points)
     # One fused gather and weighted sum: the (N, K, 12) table of motions is never built.
     mixed = F.embedding_bag(
-        weights.anchors, table, per_sample_weights=weights.values.to(points), mode="sum"
+        weights.anchors.to(points.device),
+        table,
+        per_sample_weights=weights.values.to(points),
+        mode="sum",
     )
     turned, moved = mixed[:, :9].unflatten(1, (3, 3)), mixed[:, 9:]
     x, y, z = points.unsqueeze(-1).unbind(dim=1)
@@ -179,7 +182,7 @@ class SkinnedDeformation(Deformation):
         return self.at(points).linear.reshape(*points.shape, 3)
 
     def _weights(self, points: Tensor) -> SkinningWeights:
-        known = points.shape == self.bound.shape and torch.equal(
-            points.detach().float(), self.bound.float()
-        )
-        return self.weights if known else self.weigher(points.detach())
+        # Neighbours are searched on the CPU, wherever the points are.
+        places = points.detach().cpu()
+        known = places.shape == self.bound.shape and torch.equal(places.float(), self.bound.float())
+        return self.weights if known else self.weigher(places)
