@@ -125,6 +125,33 @@ def test_lengths_are_kept_as_well_as_they_can_be() -> None:
     assert strain(pose.moved) < 0.6 * strain(blend)
 
 
+def test_a_rope_is_not_twisted_by_chance() -> None:
+    """Anchors on a line leave the turn about it open: none is taken."""
+    line = torch.linspace(-1, 1, 300)
+    rope = torch.stack([line, 0 * line, 0 * line], dim=1)
+    rig = rig_of(rope, count=20)
+    end, other = int(rig.graph.rest[:, 0].argmax()), int(rig.graph.rest[:, 0].argmin())
+    held = {
+        end: Handle(place=torch.tensor([0.8, 0.0, 0.5])),
+        other: Handle(place=rig.graph.rest[other]),
+    }
+    for pose in (
+        drag(rig.graph, held, reach=math.inf),
+        pose_from_places(rig.graph, rig.graph.rest * torch.tensor([0.9, 1.0, 1.0])),
+    ):
+        # The bend is in the plane of x and z, so y stays where it is.
+        across = pose.rotations[:, :, 1]
+        torch.testing.assert_close(
+            across, torch.tensor([0.0, 1.0, 0.0]).expand(20, 3), atol=1e-4, rtol=0
+        )
+
+
+def test_a_drag_to_where_it_is_changes_nothing() -> None:
+    held = {RIGHT: Handle(place=RIG.graph.rest[RIGHT]), LEFT: Handle(place=RIG.graph.rest[LEFT])}
+    moved = RIG.deformation(drag(RIG.graph, held, reach=math.inf))(BAR)
+    assert torch.equal(moved, BAR)
+
+
 def test_one_factorisation_serves_many_places() -> None:
     dragger = Dragger(RIG.graph, (RIGHT,), reach=1.0)
     for z in (0.1, 0.4):

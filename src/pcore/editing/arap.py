@@ -20,7 +20,7 @@ from torch import Tensor
 from pcore.deform.skinning import AnchorPose
 from pcore.editing.anchors import AnchorGraph
 from pcore.errors import EditError
-from pcore.geometry.rotation import nearest_rotation
+from pcore.geometry.rotation import nearest_rotation, procrustes
 
 FloatArray = NDArray[np.float64]
 _ROUNDS = 12
@@ -135,7 +135,7 @@ class _System:
         index, weights = self.graph.rows
         rest = self.graph.rest.double()
         self._index, self._rows = index, torch.from_numpy(self.free)
-        self._pulls = (rest.unsqueeze(1) - rest[index]) * weights.double().unsqueeze(-1)
+        self._offsets, self._weights = rest.unsqueeze(1) - rest[index], weights.double()
         count = len(rest)
         links, w = self.graph.links.numpy(), self.graph.weights.double().numpy()
         i, j = links[:, 0], links[:, 1]
@@ -153,7 +153,7 @@ class _System:
             return places
         free = self._rows
         both = 0.5 * (turns[free].unsqueeze(1) + turns[self._index[free]])
-        pulls = both @ self._pulls[free].unsqueeze(-1)
+        pulls = both @ (self._weights.unsqueeze(-1) * self._offsets)[free].unsqueeze(-1)
         known: FloatArray = places.numpy()[self.fixed]
         wanted: FloatArray = pulls.sum(dim=1).squeeze(-1).numpy()
         result = places.clone()
@@ -178,5 +178,5 @@ class _System:
         """Rotations of some anchors that fit the places best; the others stay."""
         now = places[turning].unsqueeze(1) - places[self._index[turning]]
         result = turns.clone()
-        result[turning] = nearest_rotation(now.transpose(1, 2) @ self._pulls[turning])
+        result[turning] = procrustes(self._offsets[turning], now, self._weights[turning])
         return result
