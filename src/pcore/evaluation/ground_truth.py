@@ -174,7 +174,7 @@ def load_truth(root: Path) -> DeformedTruth:
         SceneError: the file is missing, damaged or inconsistent.
     """
     path = root / "meshes.npz"
-    arrays = _read_arrays(path)
+    arrays = read_arrays(path)
     canonical = _vertices(path, "canonical", arrays.get("canonical"), None)
     faces = arrays.get("faces")
     if faces is None or faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
@@ -261,7 +261,8 @@ def _face_frames(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.stack([first, second, unit], axis=2), 0.5 * length
 
 
-def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Read all arrays of a NumPy archive; SceneError when it is missing or damaged."""
     try:
         with path.open("rb") as stream:
             if not zipfile.is_zipfile(stream):

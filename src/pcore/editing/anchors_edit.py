@@ -1,0 +1,131 @@
+"""The edit "anchors": handles on a cloud's anchors that are dragged and turned."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import torch
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from torch import Tensor
+
+from pcore.deform.base import Deformation
+from pcore.deform.motion import rigid
+from pcore.editing.anchors import ANCHORS, AnchorRig, rig_of
+from pcore.editing.arap import Handle, drag
+from pcore.editing.edits import Angle, Axis, Edit, Number, Triple
+from pcore.errors import EditError
+
+_REACH = 0.25
+_NEAR = 0.15
+
+
+class HandleEdit(BaseModel):
+    """One handle: which anchor, where it goes, how it turns.
+
+    A handle given by `near` shifts the anchor nearest to that place by `to - near`, so that the
+    file means the same on a cloud whose anchors lie elsewhere.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    anchor: Annotated[int, Field(strict=True, ge=0)] | None = None
+    near: Triple | None = None
+    to: Triple
+    axis: Axis | None = None
+    angle_deg: Angle = 0.0
+
+    @model_validator(mode="after")
+    def _one_way_to_say_which(self) -> HandleEdit:
+        if (self.anchor is None) == (self.near is None):
+            raise ValueError('a handle needs "anchor" (its number) or "near" ([x, y, z]), not both')
+        if self.axis is None and self.angle_deg != 0.0:
+            raise ValueError('a handle with "angle_deg" needs an "axis" to turn about')
+        return self
+
+    @property
+    def rotation(self) -> Tensor | None:
+        """(3, 3) the turn that the handle carries; None when it gives no axis."""
+        if self.axis is None:
+            return None
+        return rigid(self.axis, math.radians(self.angle_deg)).matrix
+
+
+class AnchorsEdit(Edit):
+    """Drag anchors; the others follow as rigidly as they can, those out of reach stay.
+
+    `near` and `to` are measured from `origin`.
+    """
+
+    type: Literal["anchors"] = "anchors"
+    handles: Annotated[
+        tuple[HandleEdit, ...],
+        Field(
+            min_length=1,
+            description='a list of handles {"anchor": number or "near": [x, y, z], '
+            '"to": [x, y, z]} with an optional "axis" and "angle_deg"',
+        ),
+    ]
+    reach: Annotated[
+        Number | None,
+        Field(gt=0, description="a number above 0: path length along the object, world units"),
+    ] = None
+    count: Annotated[
+        int, Field(strict=True, ge=2, description="a whole number of anchors, at least 2")
+    ] = ANCHORS
+    seed: Annotated[int, Field(strict=True, ge=0, description="a whole number, 0 or more")] = 0
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`; weights are those by path length."""
+        return self.bind_to(rig_of(points, count=self.count, seed=self.seed))
+
+    def bind_to(self, rig: AnchorRig) -> Deformation:
+        """Pose a rig that is known already, such as one with learned weights.
+
+        Raises:
+            EditError: an unknown anchor, a place far from the object, or two handles on one anchor.
+        """
+        reach = _REACH * rig.size if self.reach is None else self.reach
+        return rig.deformation(drag(rig.graph, self.placed(rig), reach=reach))
+
+    def placed(self, rig: AnchorRig) -> dict[int, Handle]:
+        """Return the handles by anchor index, in world units; errors as `bind_to`."""
+        rest, origin = rig.graph.rest, torch.tensor(self.origin)
+        found: dict[int, Handle] = {}
+        for number, handle in enumerate(self.handles, start=1):
+            target = origin + torch.tensor(handle.to)
+            if handle.near is None:
+                index = -1 if handle.anchor is None else handle.anchor
+                _check_known(number, index, len(rest))
+            else:
+                near = origin + torch.tensor(handle.near)
+                index = _nearest_anchor(number, near, rig)
+                target = rest[index] + (target - near)
+            if index in found:
+                raise EditError(
+                    f"handle {number}: expected every handle on an anchor of its own, got anchor "
+                    f"{index} twice; move the handles apart or ask for more anchors"
+                )
+            found[index] = Handle(place=target, rotation=handle.rotation)
+        return found
+
+
+def _check_known(number: int, index: int, count: int) -> None:
+    if not 0 <= index < count:
+        raise EditError(
+            f"handle {number}: expected an anchor from 0 to {count - 1}, got {index}; "
+            'after retraining name it by its place: "near": [x, y, z]'
+        )
+
+
+def _nearest_anchor(number: int, near: Tensor, rig: AnchorRig) -> int:
+    """Index of the anchor nearest to a place (3,), which must lie on or beside the object."""
+    distance = (rig.graph.rest - near).norm(dim=1)
+    index = int(distance.argmin())
+    if float(distance[index]) > _NEAR * rig.size:
+        raise EditError(
+            f"handle {number}: expected a place on the object, got {near.tolist()}, which is "
+            f"{float(distance[index]):.3g} from the nearest anchor (object size {rig.size:.3g}); "
+            "is it in world units?"
+        )
+    return index

@@ -1,0 +1,43 @@
+"""Rotations that fit best: to a matrix, and to how neighbours moved. None carries a gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+_FLATNESS = 1e-9
+
+
+def nearest_rotation(matrices: Tensor) -> Tensor:
+    """Rotations (..., 3, 3) nearest to matrices (..., 3, 3) in the Frobenius norm, det = +1.
+
+    With matrix = U S V^T it is U diag(1, 1, det(U V^T)) V^T: the smallest singular direction is
+    flipped where the nearest orthogonal matrix would be a mirror. Computed in float64.
+    """
+    # NumPy's batched SVD of small matrices takes half the time of torch's.
+    left, _, right = np.linalg.svd(matrices.detach().cpu().double().numpy())
+    left[..., 2] *= np.where(np.linalg.det(left @ right) < 0, -1.0, 1.0)[..., None]
+    return torch.from_numpy(left @ right).to(matrices)
+
+
+@torch.no_grad()
+def procrustes(before: Tensor, after: Tensor, weights: Tensor) -> Tensor:
+    """Rotations (..., 3, 3) that best turn offsets `before` into offsets `after`.
+
+    R minimises sum_k w_k |R before_k - after_k|^2 (Kabsch, Umeyama): the rotation nearest to
+    sum_k w_k after_k before_k^T. Offsets along one line leave the turn about it open; a vanishing
+    multiple of the identity in the matrix then chooses one.
+
+    Args:
+        before: (..., K, 3) offsets at rest.
+        after: (..., K, 3) the same offsets now.
+        weights: (..., K) not negative.
+    """
+    weighted = (weights.unsqueeze(-1) * after).double()
+    matrix = weighted.transpose(-1, -2) @ before.double()
+    size = (weights * before.square().sum(dim=-1)).sum(dim=-1).double()
+    eye = torch.eye(3, dtype=torch.float64)
+    # Relative to the offsets, so that units do not matter.
+    matrix = matrix + _FLATNESS * size[..., None, None] * eye
+    return nearest_rotation(matrix).to(before.dtype)
