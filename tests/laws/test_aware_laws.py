@@ -20,6 +20,7 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.config import MlpConfig, PaprConfig, ReferenceOrigin
 from pcore.model.papr import Papr, Rendering
+from pcore.model.render import render
 
 CONFIG = PaprConfig(
     neighbours=5,
@@ -183,6 +184,20 @@ def test_a_fold_is_an_error_and_plain_rays_still_move_the_points(cloud: PointClo
     with pytest.raises(EditError, match="at 200 of 200 points"):
         deformed_cloud(cloud, mirror)
     assert deformed_cloud(cloud, mirror, aware=False).frames is None
+
+
+@pytest.mark.parametrize("part", ["position", "rest position", "local map"])
+def test_nan_is_an_error_and_no_black_picture(cloud: PointCloud, part: str) -> None:
+    moved = deformed_cloud(cloud, uniform_scale(2.0))
+    assert moved.frames is not None
+    values = {
+        "position": moved.positions,
+        "rest position": moved.frames.rest,
+        "local map": moved.frames.to_rest,
+    }[part]
+    values[3:5] = torch.nan
+    with pytest.raises(InputError, match=f"NaN or infinity in the {part} of 2 of 200"):
+        render(network(None), moved, camera())
 
 
 def test_frames_of_another_cloud_are_refused(cloud: PointCloud) -> None:

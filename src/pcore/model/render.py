@@ -76,7 +76,8 @@ def render(
         progress: told between chunks which share of the work is done, in (0, 1].
 
     Raises:
-        InputError: an image, tile or chunk that is too small, or an empty cloud.
+        InputError: an image, tile or chunk that is too small, an empty cloud, or one with NaN or
+            infinity in its positions or frames.
         RenderCancelledError: `cancel` said so.
     """
     if camera.height < ALIGNMENT or camera.width < ALIGNMENT:
@@ -87,6 +88,7 @@ def render(
     check_count("render: tile", tile, minimum=ALIGNMENT)
     if tile % ALIGNMENT:
         raise InputError(f"render: expected a tile that is a multiple of {ALIGNMENT}, got {tile}")
+    _check_finite(cloud)
     chunk = check_count("render: max_rays", max_rays or rays_within(papr.config, _ATTENTION_BYTES))
     device = next(papr.parameters()).device
     rays, size = camera.rays().flat(), (camera.height, camera.width)
@@ -104,6 +106,21 @@ def render(
         steps.done()
     surface = surface.unflatten(0, size)
     return Picture(rgb=rgb, alpha=opacity.cpu(), depth=camera.depth(surface), surface=surface)
+
+
+def _check_finite(cloud: PointCloud) -> None:
+    """Raise rather than draw a black picture of a cloud that a deformation has torn to NaN."""
+    frames = cloud.frames
+    parts = {"position": cloud.positions}
+    if frames is not None:
+        parts |= {"rest position": frames.rest, "local map": frames.to_rest}
+    for name, values in parts.items():
+        bad = int((~torch.isfinite(values).flatten(1).all(dim=1)).sum())
+        if bad:
+            raise InputError(
+                f"render: expected finite points, got NaN or infinity in the {name} of {bad} of "
+                f"{len(cloud)}; lower the amount of the deformation, or check its file"
+            )
 
 
 def rays_within(config: PaprConfig, memory: int) -> int:
