@@ -42,6 +42,13 @@ def test_draws_all_kinds_equally():
     assert all(240 < count < 360 for count in counts.values())
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_scales_are_drawn_as_often_as_asked(share: float):
+    sampled = draws(cloud((1.0, 0.8, 1.2)), 400, scale_share=share)
+    # Standard deviation at most 10.
+    assert abs(sum(isinstance(d, Affine) for d in sampled) - 400 * share) <= 40 * (share == 0.5)
+
+
 def test_magnitudes_fill_their_ranges():
     points = cloud((1.0, 0.8, 1.2))
     sampled = draws(points, 1200)
@@ -126,6 +133,7 @@ def test_a_bend_that_must_fold_is_made_smaller():
         ({"scale": (2.0, 0.5)}, r"0 < least <= greatest for scale, got \(2.0, 0.5\)"),
         ({"twist_degrees": -1.0}, "twist_degrees of 0 or more, got -1.0"),
         ({"bend_degrees": math.nan}, "bend_degrees of 0 or more, got nan"),
+        ({"scale_share": 1.5}, r"scale_share in \[0, 1\], got 1.5"),
         ({"profile": "blender"}, 'profile "axial" or "volume", got \'blender\''),
     ],
 )

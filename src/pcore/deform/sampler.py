@@ -44,6 +44,10 @@ class DeformationRanges:
     scale: tuple[float, float] = (0.5, 2.0)
     """Least and greatest uniform scale."""
 
+    scale_share: float = 0.25
+    """Chance of a uniform scale; stretch, twist and bend share the rest equally. A quarter makes all
+    four alike, as in the paper."""
+
     profile: Literal["axial", "volume"] = "axial"
     """Cross-section under stretch: "axial" keeps it, "volume" shrinks it so that volume is kept."""
 
@@ -59,6 +63,10 @@ class DeformationRanges:
                 raise InputError(
                     f"deformation ranges: expected {name}_degrees of 0 or more, got {degrees}"
                 )
+        if not 0 <= self.scale_share <= 1:
+            raise InputError(
+                f"deformation ranges: expected scale_share in [0, 1], got {self.scale_share}"
+            )
         if self.profile not in ("axial", "volume"):
             raise InputError(
                 f'deformation ranges: expected profile "axial" or "volume", got {self.profile!r}'
@@ -72,7 +80,7 @@ def sample_deformation(
     points: Tensor,
     ranges: DeformationRanges,
 ) -> Deformation:
-    """Draw one deformation: stretch, twist, bend or uniform scale with equal chance.
+    """Draw one deformation: stretch, twist, bend or uniform scale.
 
     It acts about the centre of the bounding box along a direction uniform on the sphere, with the
     extent of the canonical points along that direction, and keeps det J > 0 at all of them: a
@@ -99,8 +107,9 @@ def sample_deformation(
         lambda: _stretch(generator, center, points, ranges),
         lambda: _twist(generator, center, points, ranges.twist_degrees),
         lambda: _bend(generator, center, points, ranges.bend_degrees),
-        lambda: uniform_scale(_uniform(generator, *ranges.scale), center),
     )
+    if _uniform(generator, 0.0, 1.0) < ranges.scale_share:
+        return uniform_scale(_uniform(generator, *ranges.scale), center)
     return draws[_choice(generator, len(draws))]()
 
 

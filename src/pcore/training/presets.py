@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal, get_args
 
+from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
 from pcore.model.config import MlpConfig, PaprConfig
 from pcore.training.config import (
@@ -145,6 +146,7 @@ _SMALL_FINETUNE = FinetuneConfig(
     keep_distance=True,
     opacity_weight=0.1,
     front_weight=0.3,
+    ranges=DeformationRanges(scale_share=0.5),
     largest_loss=0.5,
 )
 _FINETUNE: dict[PresetName, FinetuneConfig] = {
