@@ -45,8 +45,8 @@ class DeformationRanges:
     """Least and greatest uniform scale."""
 
     scale_share: float = 0.25
-    """Chance of a uniform scale; stretch, twist and bend share the rest equally. A quarter makes all
-    four alike, as in the paper."""
+    """Chance of a uniform scale; stretch, twist and bend share the rest equally. A quarter makes
+    all four alike, as in the paper."""
 
     profile: Literal["axial", "volume"] = "axial"
     """Cross-section under stretch: "axial" keeps it, "volume" shrinks it so that volume is kept."""
