@@ -9,6 +9,7 @@ import yaml
 from pcore.cli import doctor
 from pcore.cli.main import main
 from pcore.geometry.point_cloud import PointCloud
+from pcore.kernels import functional
 from pcore.model.checkpoint import load_model
 from pcore.model.config import MlpConfig, PaprConfig
 from pcore.model.official import to_official_state
@@ -107,6 +108,23 @@ def test_doctor_says_what_would_be_slow(monkeypatch: pytest.MonkeyPatch) -> None
     assert "use `tiny`" in found["device"].advice
     assert "of 64 usable cores" in found["threads"].value
     assert "slower than it could be" in found["threads"].advice
+
+
+def test_doctor_says_which_kernels_are_used_and_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PCORE_KERNELS", raising=False)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert doctor._search().value.startswith("cpu for cpu (numba ")
+    monkeypatch.setenv("PCORE_KERNELS", "cpu")
+    assert "chosen by PCORE_KERNELS" in doctor._search().value
+    monkeypatch.delenv("PCORE_KERNELS")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(functional, "has_triton", lambda: True)
+    assert doctor._search().value.startswith("triton for cuda (triton ")
+    monkeypatch.setattr(functional, "has_triton", lambda: False)
+    missing = doctor._search()
+    assert missing.value == "reference for cuda (plain PyTorch)"
+    assert not missing.good
+    assert "pip install triton" in missing.advice
 
 
 def test_a_container_with_less_memory_than_the_machine(tmp_path: Path) -> None:

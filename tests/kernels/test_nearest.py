@@ -8,7 +8,10 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
-from pcore.kernels.functional import BACKENDS, backend, nearest_to_rays
+from pcore.kernels import functional
+from pcore.kernels.functional import backend, nearest_to_rays, usable
+
+BACKENDS = usable(torch.device("cpu"))
 
 
 @pytest.fixture(params=BACKENDS, autouse=True)
@@ -138,6 +141,24 @@ def test_empty_cloud_and_k(points: int, k: int) -> None:
     message = rf"expected at least one point and k >= 1, got {points} points and k = {k}"
     with pytest.raises(InputError, match=message):
         nearest_to_rays(*rays(2), torch.ones(points, 3), k)
+
+
+@pytest.mark.parametrize("name", ["cpu", "triton"])
+def test_backend_that_cannot_work_on_the_device(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PCORE_KERNELS", name)
+    monkeypatch.setattr(functional, "has_triton", lambda: True)
+    kind = "cuda" if name == "cpu" else "cpu"
+    with pytest.raises(InputError, match=rf"PCORE_KERNELS: .* tensors on {kind}, got '{name}'"):
+        backend(torch.device(kind))
+
+
+def test_the_best_usable_backend_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PCORE_KERNELS")
+    assert backend(torch.device("cpu")) == "cpu"
+    for there, expected in ((True, "triton"), (False, "reference")):
+        monkeypatch.setattr(functional, "has_triton", lambda there=there: there)
+        assert backend(torch.device("cuda")) == expected
+        assert backend(torch.device("mps")) == "reference"
 
 
 def test_unknown_backend(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.kernels.functional import BACKENDS
+from pcore.kernels.functional import usable
 from pcore.kernels.reference import encode
 from pcore.model.attention import Mlp
 from pcore.model.config import MlpConfig, PaprConfig
@@ -46,7 +46,7 @@ def view(width: int = 9, height: int = 6) -> RayBundle:
     return Camera.from_fov(pose, width=width, height=height, angle_x=0.8).rays()
 
 
-@pytest.fixture(params=BACKENDS, autouse=True)
+@pytest.fixture(params=usable(torch.device("cpu")), autouse=True)
 def kernels(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setenv("PCORE_KERNELS", request.param)
     return request.param

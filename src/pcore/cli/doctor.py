@@ -159,19 +159,25 @@ def _disk(folder: Path) -> Finding:
 
 
 def _search() -> Finding:
-    """Say which backend searches and encodes neighbours; compiled, it is several times faster."""
+    """Say which backend searches and encodes neighbours, and why that one."""
     import torch
 
     from pcore.kernels.functional import backend
 
     kind = "cuda" if torch.cuda.is_available() else "cpu"
     used = backend(torch.device(kind))
-    slow = kind == "cpu" and used == "reference"
+    package = {"cpu": "numba", "triton": "triton"}.get(used)
+    reason = f"{package} {installed(package)}" if package else "plain PyTorch"
+    if "PCORE_KERNELS" in os.environ:
+        reason += ", chosen by PCORE_KERNELS"
+    advice = ""
+    if used == "reference":
+        mend = (
+            "unset PCORE_KERNELS" if kind == "cpu" else "`pip install triton`, PCORE_KERNELS unset"
+        )
+        advice = f"the reference kernels are slow: {mend}"
     return Finding(
-        name="kernels",
-        value=f"{used} (numba {installed('numba') or 'not installed'})",
-        good=not slow,
-        advice="the reference kernels are slow on a CPU: unset PCORE_KERNELS" if slow else "",
+        name="kernels", value=f"{used} for {kind} ({reason})", good=not advice, advice=advice
     )
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from functools import cache
+from importlib.util import find_spec
 
 import torch
 from torch import Tensor
@@ -10,18 +13,41 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.kernels import cpu, cpu_search, reference
 
-BACKENDS = ("reference", "cpu")
+BACKENDS = ("reference", "cpu", "triton")
 
 
 def backend(device: torch.device) -> str:
     """Name of the backend that the kernels use on a device.
 
-    PCORE_KERNELS=reference|cpu overrides the choice.
+    PCORE_KERNELS=reference|cpu|triton overrides the choice.
+
+    Raises:
+        InputError: the variable names no backend, or one that cannot work on the device.
     """
     wanted = os.environ.get("PCORE_KERNELS")
-    if wanted is not None and wanted not in BACKENDS:
+    if wanted is None:
+        return usable(device)[-1]
+    if wanted not in BACKENDS:
         raise InputError(f"PCORE_KERNELS: expected one of {', '.join(BACKENDS)}, got {wanted!r}")
-    return wanted or ("cpu" if device.type == "cpu" else "reference")
+    if wanted not in usable(device):
+        raise InputError(
+            f"PCORE_KERNELS: expected one of {', '.join(usable(device))} for tensors on "
+            f"{device.type}, got {wanted!r}; unset it, or see what `pcore doctor` says"
+        )
+    return wanted
+
+
+def usable(device: torch.device) -> tuple[str, ...]:
+    """Backends that can work on a device, the best last."""
+    if device.type == "cpu":
+        return ("reference", "cpu")
+    return ("reference", "triton") if device.type == "cuda" and has_triton() else ("reference",)
+
+
+@cache
+def has_triton() -> bool:
+    """Whether Triton can be imported; torch for CUDA brings it along on Linux."""
+    return find_spec("triton") is not None
 
 
 def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int) -> Tensor:
@@ -45,9 +71,18 @@ def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int)
             f"points and k = {k}"
         )
     k = min(k, points.shape[0])
-    search = cpu_search if backend(points.device) == "cpu" else reference
-    flat = search.nearest_to_rays(origins.reshape(-1, 3), directions.reshape(-1, 3), points, k)
+    search = _search(backend(points.device))
+    flat = search(origins.reshape(-1, 3), directions.reshape(-1, 3), points, k)
     return flat.reshape(*origins.shape[:-1], k)
+
+
+def _search(name: str) -> Callable[[Tensor, Tensor, Tensor, int], Tensor]:
+    if name == "triton":
+        # Triton is no dependency: it is looked for where it is used.
+        from pcore.kernels import triton_search
+
+        return triton_search.nearest_to_rays
+    return cpu_search.nearest_to_rays if name == "cpu" else reference.nearest_to_rays
 
 
 def encode_pairs(

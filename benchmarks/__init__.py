@@ -1,0 +1,1 @@
+"""What pcore costs, measured: `python -m benchmarks speed` and `python -m benchmarks gpu`."""

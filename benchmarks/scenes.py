@@ -1,0 +1,59 @@
+"""Points and rays that look like learned ones, of any number: made, so that no data is needed."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from pcore.deform.frame import axis_frame
+from pcore.deform.simple import Twist
+from pcore.geometry.camera import Camera
+from pcore.geometry.orbit import orbit_cameras
+from pcore.geometry.rays import RayBundle
+
+_DISTANCE = 4.0
+_ANGLE = 0.6911
+"""Distance and field of view of the cameras of NeRF-Synthetic, whose objects have this size."""
+
+
+def cloud(count: int) -> Tensor:
+    """Points (N, 3) of a bumpy surface with a little thickness."""
+    generator = torch.Generator().manual_seed(0)
+    d = normalize(torch.randn(count, 3, generator=generator), dim=-1)
+    bumps = 0.25 * torch.sin(5 * d[:, :1]) * torch.cos(4 * d[:, 1:2]) + 0.15 * torch.sin(
+        9 * d[:, 2:]
+    )
+    noise = 0.002 * torch.randn(count, 3, generator=generator)
+    return d * (0.6 + bumps) * torch.tensor([1.0, 0.7, 1.1]) + noise
+
+
+def camera(size: int) -> Camera:
+    """Look at the cloud from the side and from above."""
+    return orbit_cameras(
+        torch.zeros(3), _DISTANCE, 8, elevation=0.45, width=size, height=size, angle_x=_ANGLE
+    )[1]
+
+
+def patch(side: int, size: int) -> RayBundle:
+    """Rays (side, side) of the middle of an image of `size` pixels a side."""
+    corner = (size - side) // 2
+    return camera(size).rays(corner, corner, side, side)
+
+
+def near_surface(side: int, size: int, points: Tensor) -> tuple[RayBundle, Tensor]:
+    """Rays with an origin each, shortly before the points, and the points, both twisted.
+
+    What fine-tuning passes in its rays-and-points mode.
+    """
+    rays = patch(side, size).flat()
+    # Any surface will do: the half of the points that faces the camera, nearest in angle.
+    front = points[(points * rays.origins[0]).sum(dim=-1) > 0]
+    seen = normalize(front - rays.origins[0], dim=-1)
+    ends = torch.cat([front[(part @ seen.T).argmax(dim=-1)] for part in rays.directions.split(256)])
+    along = ((ends - rays.origins) * rays.directions).sum(dim=-1, keepdim=True)
+    ends = rays.origins + along * rays.directions
+    twist = Twist(rotation=axis_frame("z"), origin=torch.zeros(3), extent=(-1.0, 1.0), value=1.5)
+    ends, origins = twist(ends), twist(ends - 0.1 * _DISTANCE * rays.directions)
+    moved = RayBundle(origins=origins, directions=normalize(ends - origins, dim=-1))
+    return moved, twist(points)
