@@ -97,12 +97,21 @@ def test_two_runs_of_one_kind_are_told_apart(run: Path, scene: Path, tmp_path: P
 
 def test_scaling_by_two_costs_nothing_with_aware_rays(run: Path) -> None:
     """Points and camera centres scaled together: the canonical picture, to rounding."""
-    assert main(["eval", str(run), "--state", "scale:2", "--protocol", "standard"]) == 0
+    words = ["--state", "scale:2", "scale:0.5", "--protocol", "standard"]
+    assert main(["eval", str(run), *words]) == 0
     rows = rows_of(run / "eval")
+    assert all(
+        row["mended_frames"] == "0"
+        for row in rows
+        if row["method"] == "aware" and row["state"] != "canonical"
+    )
     psnr = {(row["method"], row["state"], row["view"]): float(row["psnr"]) for row in rows}
-    for (method, state, view), value in psnr.items():
-        if method == "aware" and state == "scale:2":
-            assert value == pytest.approx(psnr["aware", "canonical", view], abs=0.01)
+    views = {view for _, _, view in psnr}
+    assert len(views) == 2
+    for view in views:
+        for state in ("scale:2", "scale:0.5"):
+            found = psnr["aware", state, view]
+            assert found == pytest.approx(psnr["aware", "canonical", view], abs=0.01)
 
 
 def test_results_are_replaced_by_the_same_run_only(

@@ -57,7 +57,7 @@ def test_a_similarity_is_estimated_exactly() -> None:
     rest, move = sphere(), similarity()
     frames = estimated_frames(rest, move(rest))
     assert float(errors(frames, move).max()) < 1e-3
-    assert frames.mended == 0
+    assert len(frames.mended) == 0
 
 
 def test_an_affine_map_is_estimated_along_the_surface() -> None:
@@ -88,13 +88,50 @@ def test_a_part_that_leaves_keeps_its_own_frame() -> None:
     assert float(wrong[~seam].quantile(0.95)) < 0.05
 
 
-def test_frames_never_turn_space_inside_out_and_mending_is_counted() -> None:
-    rest = torch.rand(200, 3)
-    mirrored = rest * torch.tensor([1.0, 1.0, -1.0])
-    frames = estimated_frames(rest, mirrored)
-    assert frames.mended > 0
+@pytest.mark.parametrize("rest", [sphere(2000), torch.rand(500, 3)], ids=["surface", "solid"])
+def test_a_mirrored_object_is_refused(rest: Tensor) -> None:
+    with pytest.raises(EditError, match="the move mirrors the object"):
+        estimated_frames(rest, rest * torch.tensor([1.0, 1.0, -1.0]))
+
+
+def test_a_flattened_part_has_frames_of_bounded_anisotropy() -> None:
+    rest = torch.rand(800, 3)
+    part = rest[:, 0] > 0.6
+    moved = torch.where(part[:, None], rest * torch.tensor([1.0, 1.0, 1e-3]), rest)
+    frames = estimated_frames(rest, moved)
+    sizes = torch.linalg.svdvals(frames.to_rest[part])
+    # The exact map squashes by a factor of 1,000.
+    assert float((sizes[:, 0] / sizes[:, 2]).max()) < 100
+    assert float(torch.linalg.det(frames.to_rest).min()) > 0
+
+
+def test_folds_inside_an_object_are_mended_and_listed() -> None:
+    """Layers of a solid change places: the fit there turns space inside out."""
+    rest = torch.rand(1500, 3)
+    middle = (rest[:, 2] > 0.3) & (rest[:, 2] < 0.7)
+    moved = rest.clone()
+    moved[middle, 2] = 1.0 - moved[middle, 2]
+    frames = estimated_frames(rest, moved)
+    assert len(frames.mended) > 0
+    assert bool(middle[frames.mended].float().mean() > 0.8)
+    assert float(torch.linalg.det(frames.to_rest).min()) > 0
+
+
+def test_a_collapsed_part_has_finite_frames_and_is_listed() -> None:
+    rest = torch.rand(800, 3)
+    part = rest[:, 0] > 0.6
+    moved = torch.where(part[:, None], torch.tensor([0.9, 0.5, 0.5]), rest)
+    frames = estimated_frames(rest, moved)
     assert bool(torch.isfinite(frames.to_rest).all())
     assert float(torch.linalg.det(frames.to_rest).min()) > 0
+
+
+def test_tiny_and_huge_objects_are_estimated_alike() -> None:
+    rest = sphere()
+    for scale in (1e-5, 1e5):
+        frames = estimated_frames(rest, scale * rest)
+        expected = torch.eye(3).expand(600, 3, 3) / scale
+        torch.testing.assert_close(frames.to_rest, expected, rtol=1e-3, atol=1e-3 / scale)
 
 
 def test_points_that_coincide_have_finite_frames() -> None:
@@ -110,6 +147,7 @@ def test_points_that_coincide_have_finite_frames() -> None:
         (torch.rand(9, 3), torch.rand(8, 3), r"one shape \(N, 3\), got \(9, 3\) and \(8, 3\)"),
         (torch.rand(3, 3), torch.rand(3, 3), "at least 4 points to estimate from, got 3"),
         (torch.rand(9, 3), torch.full((9, 3), math.nan), "finite deformed points, got NaN"),
+        (torch.rand(9, 3), torch.ones(9, 3), "points that extend in space, got all 9 in one place"),
     ],
 )
 def test_bad_clouds_are_refused(rest: Tensor, moved: Tensor, message: str) -> None:

@@ -1,6 +1,7 @@
 """States of a scene, and scoring of methods on them with a renderer that is perfect."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -30,7 +31,9 @@ def states(scene: Path) -> SceneStates:
 
 @pytest.fixture
 def perfect() -> Method:
-    return Method(name="true", papr=Papr(tiny_scene.CONFIG), cloud=tiny_scene.corner_cloud())
+    return Method(
+        name="true", papr=Papr(tiny_scene.CONFIG), cloud=tiny_scene.corner_cloud(), aware=False
+    )
 
 
 def test_a_perfect_renderer_is_perfect_in_every_state(states: SceneStates, perfect: Method) -> None:
@@ -104,7 +107,7 @@ def test_without_a_mesh_only_opacity_is_judged(tmp_path: Path, perfect: Method) 
 def test_shows_pictures_and_counts(states: SceneStates, perfect: Method) -> None:
     shown: list[Taken] = []
     counted: list[tuple[int, int]] = []
-    other = Method(name="other", papr=perfect.papr, cloud=perfect.cloud)
+    other = replace(perfect, name="other")
     rows = evaluate(
         [perfect, other],
         states.select(["walk"]),

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pcore.deform.base import Affine, Compose, Deformation, Identity
-from pcore.deform.local_frames import analytic_frames, estimated_frames
+from pcore.deform.local_frames import analytic_frames, estimated_frames, unchecked_frames
 from pcore.deform.motion import rigid
 from pcore.deform.simple import uniform_scale
 from pcore.editing.apply import deformed_cloud
@@ -169,10 +169,7 @@ def test_gradients_reach_the_points_through_the_rest_state(cloud: PointCloud) ->
         positions = cloud.positions.clone().requires_grad_()
         now = replace(cloud, positions=positions)
         if aware:
-            frames = analytic_frames(deformation, positions)
-            now = now.moved(
-                deformation(positions), LocalFrames(rest=positions, to_rest=frames.to_rest)
-            )
+            now = now.moved(deformation(positions), unchecked_frames(deformation, positions))
         seen = carried(rays, matrix, torch.zeros(3)) if aware else rays
         gradients.append(torch.autograd.grad(papr(now, seen).features.square().sum(), positions)[0])
     largest = float(gradients[0].abs().max())
@@ -198,6 +195,15 @@ def test_nan_is_an_error_and_no_black_picture(cloud: PointCloud, part: str) -> N
     values[3:5] = torch.nan
     with pytest.raises(InputError, match=f"NaN or infinity in the {part} of 2 of 200"):
         render(network(None), moved, camera())
+
+
+def test_frames_that_fold_space_are_not_drawn(cloud: PointCloud) -> None:
+    maps = torch.eye(3).repeat(200, 1, 1)
+    maps[7:10, 2, 2] = -1.0
+    maps[11] = 0.0
+    folded = cloud.moved(cloud.positions, LocalFrames(rest=cloud.positions, to_rest=maps))
+    with pytest.raises(InputError, match=r"det > 0\), got 4 of 200 that do not"):
+        render(network(None), folded, camera())
 
 
 def test_frames_of_another_cloud_are_refused(cloud: PointCloud) -> None:

@@ -164,7 +164,8 @@ def _methods(run: Run, output: Path, device: str) -> list[Method]:
 
     tuned = [(v.title, open_run(output / v.folder, device=device)) for v in VARIANTS]
     pairs = [(VANILLA, run), *tuned]
-    return [Method(name=name, papr=one.papr, cloud=one.cloud) for name, one in pairs]
+    # The paper's question is what its losses do; aware rays would answer for them.
+    return [Method(name=name, papr=one.papr, cloud=one.cloud, aware=False) for name, one in pairs]
 
 
 def _score(

@@ -16,6 +16,7 @@ from pcore.cli.demo_story import (
     BASELINE,
     CANONICAL_VIDEO,
     DEFORMED_VIDEO,
+    FILMED,
     METHOD,
     METHODS,
     filmed_state,
@@ -140,7 +141,7 @@ def _videos(path: Path) -> tuple[Figure, ...]:
     name = _NAMES.get(state, state)
     titles = {
         CANONICAL_VIDEO: f"Canonical, {METHOD}",
-        DEFORMED_VIDEO: f"{name}: {', '.join(METHODS)} from left to right",
+        DEFORMED_VIDEO: f"{name}: {', '.join(FILMED)} from left to right",
     }
     return tuple(
         Figure(

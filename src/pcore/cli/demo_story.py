@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,8 +34,9 @@ if TYPE_CHECKING:
     from pcore.geometry.camera import Camera
 
 BASELINE, METHOD, AWARE = "PAPR", "P-CORE", "aware + P-CORE"
-METHODS = (BASELINE, METHOD, AWARE)
+METHODS = (BASELINE, METHOD, "aware", AWARE)
 STATES = ("twist60", "bend60", "stretch", "scale2x")
+FILMED = (BASELINE, METHOD, AWARE)
 CANONICAL_VIDEO, DEFORMED_VIDEO = "canonical.mp4", "deformed.mp4"
 _FPS = 16
 
@@ -76,14 +76,14 @@ def evaluate_demo(
 
 
 def panel(output: Path, state: str, view: int, number: int) -> Path:
-    """File of a picture: colours of the truth and of METHODS (0 to 3), then their depth maps."""
+    """File of a picture: colours of the truth and of METHODS (0 to 4), then their depth maps."""
     return output / f"{state}-{view}-{number}.png"
 
 
 def film_demo(
     folder: DemoFolder, settings: DemoSettings, models: dict[str, Run], console: Console
 ) -> None:
-    """Write two videos: P-CORE canonical; all methods in the state that differs most."""
+    """Write two videos: P-CORE canonical; PAPR, P-CORE and aware in the state that differs most."""
     stamp = _stamp(folder, settings.frames)
     videos = [folder.path / name for name in (CANONICAL_VIDEO, DEFORMED_VIDEO)]
     if folder.done("videos", stamp) and all(video.is_file() for video in videos):
@@ -91,7 +91,8 @@ def film_demo(
     states = _states(folder)
     canonical, deformed = states.select([filmed_state(folder.path / "eval")])
     methods = _methods(models)
-    stories = [(canonical, methods[1:2]), (deformed, methods)]
+    filmed = [one for one in methods if one.name in FILMED]
+    stories = [(canonical, methods[1:2]), (deformed, filmed)]
     total = len(stories) * settings.frames
     with folder.timed("videos", stamp), counting(console, "frames") as tell:
         for number, (video, (state, shown)) in enumerate(zip(videos, stories, strict=True)):
@@ -102,17 +103,20 @@ def film_demo(
 
 
 def filmed_state(output: Path) -> str:
-    """Deformed state in which P-CORE closes most holes, by the summary in `output`."""
+    """Deformed state in which the default closes most holes, by the summary in `output`."""
     means, _ = read_summary(output / SUMMARY_FILE)
     holes = {(one.state, one.method): one.scores.get("hole_rate") or 0.0 for one in means}
     states = dict.fromkeys(one.state for one in means if one.kind != "canonical")
-    return max(states, key=lambda name: holes[name, BASELINE] - holes[name, METHOD])
+    return max(states, key=lambda name: holes[name, BASELINE] - holes[name, AWARE])
 
 
 def _methods(models: dict[str, Run]) -> list[Method]:
-    """Both runs with plain rays, and the tuned one with rays that know of the deformation."""
-    plain = [Method(name=n, papr=run.papr, cloud=run.cloud) for n, run in models.items()]
-    return [*plain, replace(plain[-1], name=AWARE, aware=True)]
+    """Both runs with plain rays, then both with rays that know of the deformation."""
+    runs = [(aware, run) for aware in (False, True) for run in models.values()]
+    return [
+        Method(name=name, papr=run.papr, cloud=run.cloud, aware=aware)
+        for name, (aware, run) in zip(METHODS, runs, strict=True)
+    ]
 
 
 def _states(folder: DemoFolder) -> SceneStates:

@@ -53,6 +53,10 @@ class FinetuneCommand:
     losses: Annotated[LossOptions, arg(name="")] = field(default_factory=LossOptions)
     """Weights of the losses; default: those of the preset."""
 
+    rays: Literal["plain", "aware"] = "plain"
+    """How the losses draw deformed states: plain as in the paper (better, ADR 5), or aware of the
+    deformation."""
+
     resume: bool = False
     """Go on exactly where the run in the output folder was interrupted."""
 
@@ -148,7 +152,11 @@ def _config(
     from pcore.cli.models import finetune_config
 
     name, config = finetune_config(run, saved, command.preset)
-    changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
+    changes: dict[str, Any] = {
+        "seed": command.seed,
+        "aware": command.rays == "aware",
+        **command.losses.changes(),
+    }
     if command.steps is not None:
         changes["steps"] = command.steps
     return name, replace(config, **changes)

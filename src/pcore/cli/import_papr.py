@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.errors import InputError
 from pcore.model.config import ReferenceOrigin
 
 
@@ -31,8 +32,8 @@ class ImportPaprCommand:
     that edits and cameras at other distances look right: the mean distance of the training cameras
     (4.031 for NeRF-Synthetic). Default: the original's rays, from the camera."""
 
-    reference_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Middle of the scene for --reference-distance, world units."""
+    reference_center: tuple[float, float, float] | None = None
+    """Middle of the scene for --reference-distance, world units; default: the origin."""
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder to make; it must be new or empty."""
@@ -44,8 +45,9 @@ class ImportPaprCommand:
         from pcore.model.records import to_dict
         from pcore.training.output import RunFolder, bytes_needed
 
+        reference = self._reference()
         official = load_official(self.model, self.config)
-        config = replace(official.config, reference=self._reference())
+        config = replace(official.config, reference=reference)
         scene, step = str(official.provenance["scene"]), int(official.provenance["step"] or 0)
         numbers = sum(value.numel() for value in official.state.values())
         with RunFolder.create(
@@ -67,5 +69,8 @@ class ImportPaprCommand:
 
     def _reference(self) -> ReferenceOrigin | None:
         if self.reference_distance is None:
+            if self.reference_center is not None:
+                raise InputError("--reference-center is for --reference-distance: give both")
             return None
-        return ReferenceOrigin(center=self.reference_center, distance=self.reference_distance)
+        center = self.reference_center or (0.0, 0.0, 0.0)
+        return ReferenceOrigin(center=center, distance=self.reference_distance)

@@ -7,7 +7,7 @@ import torch
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from pcore.deform.base import SINGULAR, Deformation
+from pcore.deform.base import Deformation
 from pcore.deform.checks import check_invertible
 from pcore.errors import EditError
 from pcore.geometry.local_frames import LocalFrames
@@ -16,7 +16,10 @@ _NEIGHBOURS = 16
 _RIDGE = 0.03
 _TOLERANCES = (0.4, 0.3, 0.3, 0.2, 0.2, 0.2)
 _FEWEST = 4
-_LEAST_SCALE = 1e-6
+_FLATTEST = 0.05
+"""A cloud that extends so much less in one direction than in another is a sheet."""
+_COLLAPSED = 1e-4
+"""A neighbourhood that shrinks by so much more than the whole cloud has collapsed."""
 
 
 def analytic_frames(deformation: Deformation, points: Tensor) -> LocalFrames:
@@ -25,14 +28,17 @@ def analytic_frames(deformation: Deformation, points: Tensor) -> LocalFrames:
     Raises:
         EditError: the map folds space or leaves the finite numbers at some of the points.
     """
-    check_invertible(deformation, points)
+    check_invertible(deformation, points.detach().double())
     return unchecked_frames(deformation, points)
 
 
 def unchecked_frames(deformation: Deformation, points: Tensor) -> LocalFrames:
-    """As `analytic_frames`, for a deformation that is known to fold nowhere."""
-    rest = points.detach()
-    return LocalFrames(rest=rest, to_rest=_inverse(deformation.jacobian(rest)))
+    """As `analytic_frames`, for a deformation that is known to fold nowhere.
+
+    The maps are computed in double precision and have no gradient; the rest positions keep theirs.
+    """
+    jacobian = deformation.jacobian(points.detach().double())
+    return LocalFrames(rest=points, to_rest=_inverse(jacobian).to(points))
 
 
 def _inverse(matrices: Tensor) -> Tensor:
@@ -56,25 +62,26 @@ def estimated_frames(rest: Tensor, moved: Tensor) -> LocalFrames:
     Around every point the linear map that takes its neighbours' offsets to where they are now, by
     least squares, pulled towards a similarity (neighbours lie on a surface and say little across
     it). Neighbours that went elsewhere, on another part that only touched, lose their say by
-    iterative reweighting. Where the fit turns space inside out it is replaced by the
-    similarity, and counted in `mended`.
+    iterative reweighting. The pull also keeps the frame of a flattened neighbourhood
+    from being singular. Where the fit turns space inside out it is replaced by the similarity, and
+    listed in `mended`. A part that is mirrored, or folded over,
+    looks like one that was turned: only a mirror of the whole is found out.
 
     Args:
         rest: (N, 3) canonical points, world units.
         moved: (N, 3) the same points after the deformation.
 
     Raises:
-        EditError: the clouds differ in size, hold fewer than four points, or NaN or infinity.
+        EditError: the clouds differ in size, hold fewer than four points, NaN or infinity, or have
+            no extent; or the move mirrors the whole.
     """
     _check(rest, moved)
     before, after = rest.detach().cpu().double(), moved.detach().cpu().double()
     linear, similar = _fit(before, after)
-    determinant = torch.linalg.det(linear)
-    size = torch.linalg.det(similar)
-    bad = ~(determinant > SINGULAR * size)
+    bad = ~(torch.linalg.det(linear) > 0)
     linear = torch.where(bad[:, None, None], similar, linear)
     to_rest = torch.linalg.inv(linear).to(rest)
-    return LocalFrames(rest=rest.detach(), to_rest=to_rest, mended=int(bad.sum()))
+    return LocalFrames(rest=rest.detach(), to_rest=to_rest, mended=torch.nonzero(bad).squeeze(-1))
 
 
 def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
@@ -89,7 +96,8 @@ def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
     near = torch.where(length > tiny, 1.0 / length.clamp_min(tiny), tiny)
     # The middle neighbour's change of length is a scale that torn-off neighbours cannot sway.
     ratio = torch.where(length > tiny, image.norm(dim=-1) / length.clamp_min(tiny), torch.nan)
-    scale = ratio.nanmedian(dim=-1).values.nan_to_num(nan=1.0).clamp_min(_LEAST_SCALE)
+    scale = ratio.nanmedian(dim=-1).values.nan_to_num(nan=1.0)
+    scale = scale.clamp_min(_COLLAPSED * _size(after) / _size(before))
     length = length.clamp_min(tiny)
     trust = torch.ones_like(near)
     linear = similar = torch.empty(0)
@@ -105,6 +113,11 @@ def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
         miss = (image - offset @ linear.mT).norm(dim=-1) / (scale[:, None] * length)
         trust = (1 + (miss / tolerance).square()).pow(-2)
     return linear, similar
+
+
+def _size(points: Tensor) -> float:
+    """Diagonal of the bounding box."""
+    return float((points.amax(dim=0) - points.amin(dim=0)).norm())
 
 
 def _rotation(matrices: Tensor) -> Tensor:
@@ -132,3 +145,24 @@ def _check(rest: Tensor, moved: Tensor) -> None:
                 f"local frames: expected finite {name} points, got NaN or infinity in {bad} of "
                 f"{len(points)}"
             )
+        if not _size(points) > 0:
+            raise EditError(
+                f"local frames: expected {name} points that extend in space, got all "
+                f"{len(points)} in one place"
+            )
+    if _mirrored(rest, moved):
+        raise EditError(
+            "local frames: the move mirrors the object, which turns its inside out; rays cannot be "
+            "pulled back. Turn it instead, or render with plain rays"
+        )
+
+
+def _mirrored(rest: Tensor, moved: Tensor) -> bool:
+    """Whether the affine map nearest to the whole move keeps three dimensions and flips one."""
+    before, after = (points.detach().cpu().double() for points in (rest, moved))
+    before, after = before - before.mean(dim=0), after - after.mean(dim=0)
+    if float(torch.linalg.svdvals(before)[2]) < _FLATTEST * float(torch.linalg.svdvals(before)[0]):
+        return False  # A sheet turned over and a sheet mirrored are the same.
+    linear = torch.linalg.lstsq(before, after).solution
+    sizes = torch.linalg.svdvals(linear)
+    return bool(torch.linalg.det(linear) < 0) and bool(sizes[2] > _FLATTEST * sizes[0])

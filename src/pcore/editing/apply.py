@@ -6,7 +6,6 @@ import torch
 
 from pcore.deform.base import Deformation, Identity
 from pcore.deform.local_frames import analytic_frames
-from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 
 
@@ -32,9 +31,8 @@ def deformed_cloud(
     moved = deformation(exact).to(positions)
     if not aware or _stays(deformation, exact):
         return cloud.moved(moved)
-    exact_frames = analytic_frames(deformation, exact)
-    frames = LocalFrames(rest=positions, to_rest=exact_frames.to_rest.to(positions))
-    return cloud.moved(moved, frames)
+    frames = analytic_frames(deformation, positions.cpu())
+    return cloud.to("cpu").moved(moved.cpu(), frames).to(positions.device)
 
 
 def _stays(deformation: Deformation, points: torch.Tensor) -> bool:

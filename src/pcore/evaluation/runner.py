@@ -10,11 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pcore.errors import InputError
+from pcore.errors import EditError, InputError
 from pcore.evaluation.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
 from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
+from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 
@@ -53,13 +54,13 @@ class Method:
         name: for tables; unique among the methods.
         papr: the networks, which have been trained on white or render on white.
         cloud: canonical points, world units.
-        aware: render deformed states with deformation-aware rays.
+        aware: render deformed states with deformation-aware rays, else with plain ones.
     """
 
     name: str
     papr: Papr
     cloud: PointCloud
-    aware: bool = False
+    aware: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,14 +131,16 @@ def evaluate(
 
     Raises:
         InputError: no method, names that repeat, or a picture that cannot be measured.
+        EditError: a state folds space where a method draws with aware rays.
     """
     _check_names(methods)
     total = len(methods) * sum(len(state.shots) for state in states)
     rows: list[ImageRow] = []
     done = 0
-    for state in states:
-        clouds = carry(methods, state)
-        mended = {name: one.frames and one.frames.mended for name, one in clouds.items()}
+    # All clouds first: a state that cannot be drawn must not cost the pictures of those before.
+    carried = [carry(methods, state) for state in states]
+    for state, clouds in zip(states, carried, strict=True):
+        mended = {name: one.frames and len(one.frames.mended) for name, one in clouds.items()}
         for index in range(len(state.shots)):
             taken = _take(methods, clouds, state, index, draw)
             rows += _score(taken, state, protocols, perceptual, mended)
@@ -212,9 +215,16 @@ def carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
         if key not in known:
             rest = method.cloud.positions.detach()
             moved = state.move(rest.cpu())
-            frames = state.frames(rest.cpu(), moved) if method.aware else None
+            frames = _frames(state, rest.cpu(), moved) if method.aware else None
             known[key] = method.cloud.detached().moved(moved, frames).to(rest.device)
     return {m.name: known[id(m.cloud), m.aware] for m in methods}
+
+
+def _frames(state: State, rest: Tensor, moved: Tensor) -> LocalFrames | None:
+    try:
+        return state.frames(rest, moved)
+    except EditError as error:
+        raise EditError(f"state {state.name}: {error}; plain rays can draw it") from error
 
 
 def _geometry(photo: Photo, taken: Taken, state: State) -> Mapping[str, Value]:

@@ -154,8 +154,9 @@ class SceneStates:
             name=name,
             kind="skeletal" if formula is None else "analytic",
             shots=tuple(self._shot(view, name) for view in scene.split("test")),
-            move=lambda points: self._carrier(points, name),
-            frames=estimated_frames if formula is None else _by_formula(formula),
+            # A formula says where all of space goes, as an edit does; the mesh only its surface.
+            move=_carried_by(formula) if formula else lambda points: self._carrier(points, name),
+            frames=_by_formula(formula) if formula else estimated_frames,
             object_size=truth.object_size(name),
         )
 
@@ -171,7 +172,7 @@ class SceneStates:
             name=name,
             kind="analytic",
             shots=tuple(shots),
-            move=lambda points: points * scale,
+            move=_carried_by(uniform_scale(scale)),
             frames=_by_formula(uniform_scale(scale)),
             object_size=None if self._size is None else scale * self._size,
         )
@@ -249,6 +250,10 @@ def _scale_factor(name: str) -> float:
 
 def _times(depth: Callable[[], Tensor], scale: float) -> Callable[[], Tensor]:
     return lambda: depth() * scale
+
+
+def _carried_by(formula: Deformation) -> Callable[[Tensor], Tensor]:
+    return lambda points: formula(points.double()).to(points)
 
 
 def _by_formula(formula: Deformation) -> Callable[[Tensor, Tensor], LocalFrames]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import torch
@@ -23,13 +23,13 @@ class LocalFrames:
     Attributes:
         rest: (N, 3) positions p_i before the deformation, world units.
         to_rest: (N, 3, 3) inverses of the local maps: x - p_i = to_rest_i (x' - p'_i).
-        mended: how many frames are a similarity instead of the local map, because the map that was
-            estimated there would turn space inside out.
+        mended: (M,) indices of points whose frame is a similarity instead of the local map,
+            because the map that was estimated there would turn space inside out.
     """
 
     rest: Tensor
     to_rest: Tensor
-    mended: int = 0
+    mended: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
 
     @cached_property
     def stretch(self) -> float:

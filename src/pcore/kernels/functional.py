@@ -156,6 +156,7 @@ def pull_back(
         Indices (R, k), nearest first in the rest state; origins (R, k, 3) and unit directions
         (R, k, 3) of the rays of the rest state.
     """
-    work = cpu if backend(positions.device) == "cpu" else reference
+    single = positions.dtype == torch.float32
+    work = cpu if single and backend(positions.device) == "cpu" else reference
     with torch.no_grad():
         return work.pull_back(origins, directions, positions, rest, to_rest, candidates, k)

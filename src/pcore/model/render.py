@@ -77,7 +77,7 @@ def render(
 
     Raises:
         InputError: an image, tile or chunk that is too small, an empty cloud, or one with NaN or
-            infinity in its positions or frames.
+            infinity in its positions or frames, or frames that fold space.
         RenderCancelledError: `cancel` said so.
     """
     if camera.height < ALIGNMENT or camera.width < ALIGNMENT:
@@ -88,7 +88,7 @@ def render(
     check_count("render: tile", tile, minimum=ALIGNMENT)
     if tile % ALIGNMENT:
         raise InputError(f"render: expected a tile that is a multiple of {ALIGNMENT}, got {tile}")
-    _check_finite(cloud)
+    _check_cloud(cloud)
     chunk = check_count("render: max_rays", max_rays or rays_within(papr.config, _ATTENTION_BYTES))
     device = next(papr.parameters()).device
     rays, size = camera.rays().flat(), (camera.height, camera.width)
@@ -108,7 +108,7 @@ def render(
     return Picture(rgb=rgb, alpha=opacity.cpu(), depth=camera.depth(surface), surface=surface)
 
 
-def _check_finite(cloud: PointCloud) -> None:
+def _check_cloud(cloud: PointCloud) -> None:
     """Raise rather than draw a black picture of a cloud that a deformation has torn to NaN."""
     frames = cloud.frames
     parts = {"position": cloud.positions}
@@ -121,6 +121,12 @@ def _check_finite(cloud: PointCloud) -> None:
                 f"render: expected finite points, got NaN or infinity in the {name} of {bad} of "
                 f"{len(cloud)}; lower the amount of the deformation, or check its file"
             )
+    folded = 0 if frames is None else int((~(torch.linalg.det(frames.to_rest) > 0)).sum())
+    if folded:
+        raise InputError(
+            f"render: expected local maps that keep space right side out (det > 0), got {folded} "
+            f"of {len(cloud)} that do not; estimate frames from the points, or use plain rays"
+        )
 
 
 def rays_within(config: PaprConfig, memory: int) -> int:
