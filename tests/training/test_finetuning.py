@@ -23,6 +23,7 @@ from small_training import (
 import pcore.data.images
 from pcore.data.load import load_scene
 from pcore.data.scene import Scene
+from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
 from pcore.model.checkpoint import load_model
 from pcore.model.papr import Papr
@@ -98,6 +99,24 @@ def test_the_surface_learns_to_follow(box: Scene, monkeypatch: pytest.MonkeyPatc
     before = measure(opaque_model())
     after = measure(finetune(box, opaque_model(), settings))
     assert 0 < after < 0.8 * before
+
+
+def test_aware_rays_leave_nothing_of_affine_deformations(
+    box: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Uniform scales and rays that are scaled along: the geometry loss is rounding alone."""
+    every_step(monkeypatch)
+    ranges = DeformationRanges(scale_share=1.0)
+    geometry: dict[bool, float] = {}
+    for aware in (False, True):
+        heard = Heard()
+        config = finetune_config(
+            aware=aware, ranges=ranges, points_only=False, steps=1, origin_distance=1.0
+        )
+        finetune(box, box_model(), config, listener=heard)
+        geometry[aware] = heard.of(StepReport)[0].losses["geo_rays"]
+    assert geometry[True] < 1e-6
+    assert geometry[False] > 100 * geometry[True]
 
 
 def test_only_training_views_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,7 +118,8 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         "scene": relative(places.path, output),
         "factor": places.factor,
     }
-    finish(console, output, rows, about=about, perceptual=perceptual, note=places.left_out)
+    notes = [*([places.left_out] if places.left_out else []), *_mended(rows, methods)]
+    finish(console, output, rows, about=about, perceptual=perceptual, notes=notes)
 
 
 def finish(
@@ -128,7 +129,7 @@ def finish(
     *,
     about: Mapping[str, Any],
     perceptual: Perceptual,
-    note: str | None = None,
+    notes: Sequence[str] = (),
 ) -> None:
     """Write rows and summary into `output` and print the table; the first method is the baseline.
 
@@ -142,8 +143,20 @@ def finish(
     means = state_means(rows)
     found = gains(means, means[0].method)
     write_tables(output, rows, summary_record(means, found, about=about, perceptual=perceptual))
-    show_results(console, means, found, perceptual=perceptual, notes=[note] if note else [])
+    show_results(console, means, found, perceptual=perceptual, notes=notes)
     console.print(Text(f"written to {output}"), soft_wrap=True)
+
+
+def _mended(rows: Sequence[ImageRow], methods: Sequence[Method]) -> list[str]:
+    """Say where estimated frames had to be replaced, once per state and method."""
+    points = {method.name: len(method.cloud) for method in methods}
+    found = {(row.state, row.method): row.scores["mended_frames"] for row in rows}
+    return [
+        f"state {state}, {method}: {count:.0f} of {points[method]:,} local frames were estimated "
+        "inside out and replaced by a similarity"
+        for (state, method), count in found.items()
+        if count
+    ]
 
 
 def _methods(run: Run, base: Run | None, rays: str) -> list[Method]:
