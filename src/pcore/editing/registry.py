@@ -16,9 +16,19 @@ from pcore.editing.edits import (
     TwistEdit,
 )
 from pcore.editing.part import PartEdit
+from pcore.editing.shapes import CageEdit, DisplacementEdit, MeshEdit
 
 AnyEdit = Annotated[
-    TwistEdit | BendEdit | TaperEdit | StretchEdit | ScaleEdit | RigidEdit | PartEdit,
+    TwistEdit
+    | BendEdit
+    | TaperEdit
+    | StretchEdit
+    | ScaleEdit
+    | RigidEdit
+    | PartEdit
+    | CageEdit
+    | MeshEdit
+    | DisplacementEdit,
     Field(discriminator="type"),
 ]
 
@@ -35,4 +45,7 @@ FIRST_TYPES: dict[str, type[Edit]] = {
 EDIT_TYPES: dict[str, type[Edit]] = {
     **FIRST_TYPES,
     "part": PartEdit,
+    "cage": CageEdit,
+    "mesh": MeshEdit,
+    "displacement": DisplacementEdit,
 }
