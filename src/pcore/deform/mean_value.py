@@ -93,12 +93,11 @@ def carried(
                 )
                 here = _mean(weight, moves)
             sum_weight = weight.sum()
-            for i in range(3):
-                for j in range(3):
-                    change = 0.0
-                    for v in range(count):
-                        change += (moves[v, i] - here[i]) * slope[v, j]
-                    turn[n, i, j] = change / sum_weight
+            for v in range(count):
+                for i in range(3):
+                    share = (moves[v, i] - here[i]) / sum_weight
+                    for j in range(3):
+                        turn[n, i, j] += share * slope[v, j]
     return way, turn
 
 
@@ -230,58 +229,65 @@ def _add_face(
     """Add one triangle: N_k . m / D to the weights of its corners, and the derivatives."""
     mx, my, mz = 0.0, 0.0, 0.0
     for k in range(3):
-        n = scratch[opposite[f, k]]
-        half = 0.5 * n[3] * sense[f, k]
-        mx += half * n[0]
-        my += half * n[1]
-        mz += half * n[2]
+        e = opposite[f, k]
+        half = 0.5 * scratch[e, 3] * sense[f, k]
+        mx += half * scratch[e, 0]
+        my += half * scratch[e, 1]
+        mz += half * scratch[e, 2]
     for k in range(3):
-        n = scratch[opposite[f, k]]
-        value = sense[f, k] * (n[0] * mx + n[1] * my + n[2] * mz) / determinant
-        weight[faces[f, k]] += value
-        if slope.shape[0] > 0:
-            m = (mx, my, mz)
-            _add_slope(f, k, faces, opposite, sense, offset, determinant, value, slope, scratch, m)
+        e = opposite[f, k]
+        along = scratch[e, 0] * mx + scratch[e, 1] * my + scratch[e, 2] * mz
+        weight[faces[f, k]] += sense[f, k] * along / determinant
+    if slope.shape[0] > 0:
+        _add_slopes(f, faces, opposite, sense, offset, determinant, (mx, my, mz), slope, scratch)
 
 
 @numba.njit(cache=True, nogil=True)
-def _add_slope(
+def _add_slopes(
     f: int,
-    k: int,
     faces: IntArray,
     opposite: IntArray,
     sense: IntArray,
     offset: FloatArray,
     determinant: float,
-    value: float,
+    m: tuple[float, float, float],
     slope: FloatArray,
     scratch: FloatArray,
-    m: tuple[float, float, float],
 ) -> None:
-    """Add grad (N_k . m / D) = (grad (N_k . m) + (N_k . m / D) (area normal)) / D."""
-    s = sense[f, k]
-    n = scratch[opposite[f, k]]
-    nx, ny, nz = s * n[0], s * n[1], s * n[2]
-    p, q = faces[f, (k + 1) % 3], faces[f, (k + 2) % 3]
-    ex, ey = offset[q, 0] - offset[p, 0], offset[q, 1] - offset[p, 1]
-    ez = offset[q, 2] - offset[p, 2]
-    gx, gy, gz = m[1] * ez - m[2] * ey, m[2] * ex - m[0] * ez, m[0] * ey - m[1] * ex
-    area_x, area_y, area_z = 0.0, 0.0, 0.0
+    """Add grad (N_k . m / D) = (grad (N_k . m) + (N_k . m / D) (area normal)) / D at the corners.
+
+    With the edge vectors E_k and g = theta / |N|, grad (N_k . m) is
+    m x E_k + 1/2 sum_j ((N_j . N_k) grad g_j + g_j N_k x E_j).
+    """
+    ax, ay, az, sx, sy, sz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(3):
-        t = sense[f, j]
-        o = scratch[opposite[f, j]]
-        ox, oy, oz = t * o[0], t * o[1], t * o[2]
-        area_x += ox
-        area_y += oy
-        area_z += oz
-        a, b = faces[f, (j + 1) % 3], faces[f, (j + 2) % 3]
-        fx, fy = offset[b, 0] - offset[a, 0], offset[b, 1] - offset[a, 1]
-        fz = offset[b, 2] - offset[a, 2]
-        dot, half = 0.5 * (ox * nx + oy * ny + oz * nz), 0.5 * o[3]
-        gx += dot * o[4] + half * (ny * fz - nz * fy)
-        gy += dot * o[5] + half * (nz * fx - nx * fz)
-        gz += dot * o[6] + half * (nx * fy - ny * fx)
-    v = faces[f, k]
-    slope[v, 0] += (gx + value * area_x) / determinant
-    slope[v, 1] += (gy + value * area_y) / determinant
-    slope[v, 2] += (gz + value * area_z) / determinant
+        e, t = opposite[f, j], sense[f, j]
+        p, q = faces[f, (j + 1) % 3], faces[f, (j + 2) % 3]
+        half = 0.5 * scratch[e, 3]
+        ax += t * scratch[e, 0]
+        ay += t * scratch[e, 1]
+        az += t * scratch[e, 2]
+        sx += half * (offset[q, 0] - offset[p, 0])
+        sy += half * (offset[q, 1] - offset[p, 1])
+        sz += half * (offset[q, 2] - offset[p, 2])
+    for k in range(3):
+        e, s = opposite[f, k], sense[f, k]
+        nx, ny, nz = s * scratch[e, 0], s * scratch[e, 1], s * scratch[e, 2]
+        p, q = faces[f, (k + 1) % 3], faces[f, (k + 2) % 3]
+        ex, ey = offset[q, 0] - offset[p, 0], offset[q, 1] - offset[p, 1]
+        ez = offset[q, 2] - offset[p, 2]
+        gx = m[1] * ez - m[2] * ey + ny * sz - nz * sy
+        gy = m[2] * ex - m[0] * ez + nz * sx - nx * sz
+        gz = m[0] * ey - m[1] * ex + nx * sy - ny * sx
+        for j in range(3):
+            o = opposite[f, j]
+            dot = nx * scratch[o, 0] + ny * scratch[o, 1] + nz * scratch[o, 2]
+            dot *= 0.5 * sense[f, j]
+            gx += dot * scratch[o, 4]
+            gy += dot * scratch[o, 5]
+            gz += dot * scratch[o, 6]
+        value = (nx * m[0] + ny * m[1] + nz * m[2]) / determinant
+        v = faces[f, k]
+        slope[v, 0] += (gx + value * ax) / determinant
+        slope[v, 1] += (gy + value * ay) / determinant
+        slope[v, 2] += (gz + value * az) / determinant

@@ -15,6 +15,7 @@ from pcore.deform.base import Deformation
 from pcore.deform.checks import check_invertible
 from pcore.editing.binding import Bound, begin
 from pcore.editing.edits import Edit
+from pcore.editing.keyframes import is_animated
 from pcore.editing.reading import parse_entry, parse_region, quoted, read_edit_file, shown
 from pcore.editing.regions import AnyRegion
 from pcore.editing.registry import EDIT_TYPES, FIRST_TYPES, AnyEdit
@@ -157,6 +158,11 @@ def parse_edit(
         EditError: as for `load_edit`.
     """
     content, version = check_top(data, source)
+    if version > 1 and is_animated(content):
+        raise EditError(
+            f"{source}: expected an edit that stands still, got one with keyframes; use `pcore "
+            "animate`, `pcore edit apply --time`, or load_animation(...).at(time) in Python"
+        )
     where = None if folder is None else Path(folder)
     edits = list(content["edits"])
     parsed: list[Edit] = []
