@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, cast
 
 from pcore.errors import EditError
@@ -73,7 +74,7 @@ def _sample(track: dict[str, Any], time: float) -> Any:
     keys = _keys(track)
     if time <= keys[0][0]:
         return keys[0][1]
-    for (start, old), (end, new) in zip(keys, keys[1:], strict=False):
+    for (start, old), (end, new) in pairwise(keys):
         if time < end:
             share = EASINGS[track.get("easing", "linear")]((time - start) / (end - start))
             return _between(old, new, share)
