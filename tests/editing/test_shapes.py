@@ -155,7 +155,7 @@ def test_a_mesh_elsewhere_is_refused():
     mesh.vertices *= 100
     mesh.export("large.ply")
     text = bind_message(type="mesh", before="large.ply", after="large.ply")
-    assert "expected a mesh that lies at the points" in text
+    assert "mesh: expected one that lies at the points" in text
     assert 'check its units and the axis that is "up"' in text
 
 

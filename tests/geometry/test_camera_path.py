@@ -11,9 +11,7 @@ from pcore.geometry.orbit import orbit_cameras
 
 
 def orbit(count: int) -> list:
-    return orbit_cameras(
-        torch.zeros(3), 4.0, count, elevation=0.0, width=8, height=6, angle_x=0.7
-    )
+    return orbit_cameras(torch.zeros(3), 4.0, count, elevation=0.0, width=8, height=6, angle_x=0.7)
 
 
 def test_the_given_cameras_are_on_the_path():

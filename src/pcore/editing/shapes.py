@@ -19,8 +19,6 @@ from pcore.editing.fields import Positive, StoredFile
 from pcore.errors import EditError
 from pcore.geometry.neighbours import nearest
 
-FAR = 0.2
-"""Median distance from a proxy mesh, as a share of the object's size, that means a wrong place."""
 SAME = 1e-4
 NEAR = 0.02
 """How far a point may be from the one it is matched with, as a share of the object's size: by id,
@@ -81,18 +79,7 @@ class MeshEdit(MeshPair):
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`."""
         before, after = self.meshes()
-        size = _size(points)
-        motion = follow_mesh(points, before.vertices, after.vertices, before.faces)
-        away, _ = _distance(points, before.vertices)
-        middle = float(away.median())
-        spread = float((before.vertices.amax(dim=0) - before.vertices.amin(dim=0)).norm())
-        if middle > FAR * max(size, spread):
-            raise EditError(
-                f"{self.before}: expected a mesh that lies at the points, got one whose vertices "
-                f"are {middle:.3g} world units away in the middle, the object being {size:.3g} "
-                'large; check its units and the axis that is "up"'
-            )
-        return motion
+        return follow_mesh(points, before.vertices, after.vertices, before.faces)
 
 
 class DisplacementEdit(Edit):
