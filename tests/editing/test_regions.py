@@ -303,3 +303,31 @@ def test_a_fold_in_a_seam_names_the_points():
     away = {**over, "region": None, "translation": [0, 0, 0.5]}
     assert "(numbers " in bind_message(away, freeze=[SPHERE])
     assert isinstance(script(SHIFT, freeze=[SPHERE]).bind(points), Held)
+
+
+def test_many_edits_are_as_good_as_the_one_they_make():
+    points = cloud().double()
+    twist = {"type": "twist", "axis": "z", "angle_deg": 6, "extent": [-0.5, 0.5]}
+    many = script(*[twist] * 10).bind(points)(points)
+    whole = script({**twist, "angle_deg": 60}).bind(points)(points)
+    torch.testing.assert_close(many, whole, rtol=0, atol=1e-14)
+
+
+def test_a_dragged_hand_leaves_the_rest_of_the_knight_alone(shared_data: Path):
+    path = shared_data / "deformed" / "knight" / "meshes.npz"
+    if not path.is_file():
+        pytest.skip(f"{path} is absent")
+    with np.load(path) as arrays:
+        corners = arrays["canonical"][arrays["faces"][arrays["sample_face"]]]
+        places = (arrays["sample_barycentric"][..., None] * corners).sum(axis=1)
+        points = torch.from_numpy(places[arrays["sample_visible"]][::8]).float()
+    size = float((points.amax(dim=0) - points.amin(dim=0)).norm())
+    hand = points[points[:, 0].argmax()]
+    ball = {"shape": "geodesic", "center": hand.tolist(), "radius": 0.1 * size}
+    part = {"type": "part", "region": {**ball, "falloff": 0.2 * size}}
+    moved = script({**part, "translation": [0, 0, 0.05 * size]}).bind(points)(points)
+    way = (moved - points).norm(dim=-1)
+    assert float(way.max()) == pytest.approx(0.05 * size, rel=1e-3)
+    far = (points - hand).norm(dim=-1) > 0.4 * size
+    assert int(far.sum()) > 1000
+    assert float(way[far].max()) <= 0.01 * size
