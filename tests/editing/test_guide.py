@@ -35,7 +35,7 @@ def test_every_example_of_the_guide_works(here: torch.Tensor):
     edits = [json.loads(line) for line in re.findall(r"^    (\{.*\})$", text, re.MULTILINE)]
     assert {edit["type"] for edit in edits} == {
         "twist", "bend", "taper", "stretch", "scale", "rigid",
-        "part", "cage", "mesh", "displacement",
+        "part", "cage", "mesh", "displacement", "anchors",
     }  # fmt: skip
     whole = [json.loads(one) for one in re.findall(r"```json\n(.*?)```", text, re.DOTALL)]
     assert len(whole) == 3

@@ -5,18 +5,17 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.options import Count, Folder, Number, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from pcore.editing.animation import Animation
     from pcore.geometry.camera import Camera
     from pcore.geometry.point_cloud import PointCloud
@@ -31,35 +30,38 @@ class AnimateCommand:
     run_or_file: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a run, or a model.safetensors."""
 
-    edit: Path
+    edit: Annotated[Path, arg(metavar="FILE")]
     """Edit file (JSON, version 2) with keyframes; the first frame shows the first of them."""
 
-    frames: int = 60
+    frames: Annotated[int, arg(metavar="N")] = 60
     """How many frames, evenly from the first keyframe to the last."""
 
-    output: Annotated[Path | None, arg(aliases=["-o"])] = None
-    """The video, .mp4; replaced if it exists. None writes no video and needs --points."""
+    output: Annotated[Path | None, optional("VIDEO", "-o")] = None
+    """The video, .mp4; replaced if it exists. Without it there must be --points."""
 
-    points: Path | None = None
+    points: Folder = None
     """Folder for the points of every frame as frame_NNN.ply."""
 
     orbit: bool = False
     """Go once around the object meanwhile; without, the camera stands still."""
 
-    cameras: Path | None = None
+    cameras: Annotated[Path | None, optional("FILE")] = None
     """Take the cameras of this transforms file as a path; frames between them are interpolated."""
 
-    fps: int = 30
+    fps: Annotated[int, arg(metavar="N")] = 30
     """Frames per second."""
 
-    size: tuple[int, int] | None = None
+    size: Annotated[tuple[int, int] | None, optional("W H")] = None
     """Width and height in pixels; default: that of the scene's images."""
 
-    scene: Path | None = None
+    scene: Folder = None
     """Folder of the scene the orbit is fitted to; default: the one the run was trained on."""
 
-    elevation: float | None = None
+    elevation: Number = None
     """Height of the camera above the horizon in degrees; default: mean of the training cameras."""
+
+    rays: Literal["aware", "plain"] = "aware"
+    """How deformed points are seen: aware of the deformation, or plain as in the paper."""
 
     overwrite: bool = False
     """Write points into a folder that holds files already."""
@@ -67,7 +69,7 @@ class AnimateCommand:
     device: DeviceName = "auto"
     """Where to compute; auto takes a GPU where there is one."""
 
-    threads: int | None = None
+    threads: Count = None
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:
@@ -86,7 +88,8 @@ def animate(command: AnimateCommand, console: Console) -> None:
         InputError: contradicting options, or an output folder in use.
         DependencyError: a video is asked for and its package is missing.
     """
-    from pcore.cli.runtime import open_model, pick_device, prepare_output, prepare_torch
+    from pcore.cli.output import pictures_folder
+    from pcore.cli.runtime import open_model, pick_device, prepare_torch
     from pcore.data.video import require_video
     from pcore.editing.animation import load_animation
 
@@ -97,22 +100,14 @@ def animate(command: AnimateCommand, console: Console) -> None:
     device = pick_device(command.device)
     saved, run = open_model(command.run_or_file)
     animation = load_animation(command.edit)
-    moved = _frames(animation, saved.cloud.positions, command.frames, console)
+    moved = _frames(animation, saved.cloud, command, console)
     if command.points is not None:
-        prepare_output(command.points, overwrite=command.overwrite)
+        pictures_folder(command.points, overwrite=command.overwrite)
         _write_points(command.points, moved)
         console.print(Text(f"{len(moved)} files of points in {command.points}"), soft_wrap=True)
     if command.output is not None:
         cameras = _cameras(command, run, saved.cloud, moved)
-        _film(
-            command.output,
-            command.fps,
-            saved.papr().to(device),
-            saved.cloud,
-            moved,
-            cameras,
-            console,
-        )
+        _film(command.output, command.fps, saved.papr().to(device), moved, cameras, console)
         console.print(Text(f"{len(moved)} frames in {command.output}"), soft_wrap=True)
 
 
@@ -130,31 +125,34 @@ def _check(command: AnimateCommand) -> None:
         )
 
 
-def _frames(animation: Animation, points: Tensor, count: int, console: Console) -> list[Tensor]:
-    """Places (N, 3) of the points in every frame; equal times are computed once."""
+def _frames(
+    animation: Animation, cloud: PointCloud, command: AnimateCommand, console: Console
+) -> list[PointCloud]:
+    """The cloud in every frame; equal times are computed once."""
     from pcore.cli.results import counting
+    from pcore.editing.apply import deformed_cloud
 
-    known: dict[float, Tensor] = {}
-    times = animation.times(count)
+    known: dict[float, PointCloud] = {}
+    times = animation.times(command.frames)
     with counting(console, "edits") as tell:
         for number, time in enumerate(times, start=1):
             if time not in known:
-                deformation = animation.at(time).bind(points)
-                known[time] = deformation(points.double()).to(points.dtype)
-            tell(number, count)
+                deformation = animation.at(time).bind(cloud.positions)
+                known[time] = deformed_cloud(cloud, deformation, aware=command.rays == "aware")
+            tell(number, len(times))
     return [known[time] for time in times]
 
 
-def _write_points(folder: Path, moved: list[Tensor]) -> None:
+def _write_points(folder: Path, moved: list[PointCloud]) -> None:
     from pcore.data.points import save_points
 
     digits = max(3, len(str(len(moved) - 1)))
-    for number, points in enumerate(moved):
-        save_points(folder / f"frame_{number:0{digits}}.ply", points)
+    for number, cloud in enumerate(moved):
+        save_points(folder / f"frame_{number:0{digits}}.ply", cloud.positions)
 
 
 def _cameras(
-    command: AnimateCommand, run: RunFolder | None, cloud: PointCloud, moved: list[Tensor]
+    command: AnimateCommand, run: RunFolder | None, cloud: PointCloud, moved: list[PointCloud]
 ) -> list[Camera]:
     import torch
 
@@ -174,11 +172,11 @@ def _cameras(
     )
     folder = command.scene or recorded_scene(run)
     if folder is None:
-        views = cameras.orbit_of_cloud(torch.cat(moved), wish)
+        views = cameras.orbit_of_cloud(torch.cat([one.positions for one in moved]), wish)
     else:
         scene = load_scene(folder, factor=recorded_factor(run))
         # One distance for all frames: the farthest that any of them needs.
-        reach = max(growth(cloud.positions, points, scene.center) for points in moved)
+        reach = max(growth(cloud.positions, one.positions, scene.center) for one in moved)
         views = cameras.orbit_of_scene(scene, wish, scale=reach)
     return path_through([camera for _, camera in views], len(moved))
 
@@ -187,8 +185,7 @@ def _film(
     output: Path,
     fps: int,
     papr: Papr,
-    cloud: PointCloud,
-    moved: list[Tensor],
+    moved: list[PointCloud],
     cameras: list[Camera],
     console: Console,
 ) -> None:
@@ -199,6 +196,6 @@ def _film(
     with ExitStack() as stack:
         video = stack.enter_context(VideoWriter(output, fps=fps))
         tell = stack.enter_context(counting(console, "frames"))
-        for number, (points, camera) in enumerate(zip(moved, cameras, strict=True), start=1):
-            video.add(render(papr, cloud.moved(points), camera).rgb)
+        for number, (cloud, camera) in enumerate(zip(moved, cameras, strict=True), start=1):
+            video.add(render(papr, cloud, camera).rgb)
             tell(number, len(moved))

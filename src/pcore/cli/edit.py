@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.options import Number, optional
 from pcore.errors import EditError, InputError
 
 if TYPE_CHECKING:
@@ -29,20 +30,20 @@ class ApplyCommand:
     source: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a run, a model.safetensors, or points in a .npy or .ply file."""
 
-    edit: Path
+    edit: Annotated[Path, arg(metavar="FILE")]
     """Edit file (JSON)."""
 
-    output: Annotated[Path, arg(aliases=["-o"])]
+    output: Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
     """Where to write the moved points: .npy or .ply. Replaced if it exists."""
 
-    time: float | None = None
+    time: Number = None
     """For an edit file with keyframes: the time to apply."""
 
     colors: Literal["none", "strain"] = "none"
     """Colour the points of a .ply by strain: grey calm, red stretched, blue squeezed, violet where
     the surface meets itself."""
 
-    picture: Path | None = None
+    picture: Annotated[Path | None, optional("PNG")] = None
     """Also write a PNG of the points in these colours, seen from the side."""
 
     def run(self) -> None:
@@ -54,7 +55,7 @@ class ApplyCommand:
 class ListCommand:
     """Say what an edit file does, edit by edit."""
 
-    edit: Positional[Path]
+    edit: Annotated[Positional[Path], arg(metavar="FILE")]
     """Edit file (JSON)."""
 
     def run(self) -> None:
@@ -76,10 +77,12 @@ class ListCommand:
 class ValidateCommand:
     """Check an edit file, and that it fits the points of a run."""
 
-    edit: Positional[Path]
+    edit: Annotated[Positional[Path], arg(metavar="FILE")]
     """Edit file (JSON)."""
 
-    run_or_file: Annotated[Path | None, arg(name="run")] = None
+    run_or_file: Annotated[Path | None, arg(name="run", metavar="RUN", help_behavior_hint="")] = (
+        None
+    )
     """Folder of a run, a model.safetensors, or points (.npy, .ply) that it is to fit."""
 
     def run(self) -> None:
@@ -101,10 +104,10 @@ class ValidateCommand:
 class UpgradeCommand:
     """Write an edit file in the newest version, which means the same."""
 
-    edit: Positional[Path]
+    edit: Annotated[Positional[Path], arg(metavar="FILE")]
     """Edit file (JSON) without keyframes, which only the newest version has."""
 
-    output: Annotated[Path | None, arg(aliases=["-o"])] = None
+    output: Annotated[Path | None, optional("FILE", "-o")] = None
     """Where to write; default: the file itself."""
 
     def run(self) -> None:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.edits import (
     BendEdit,
     Edit,
@@ -28,7 +29,8 @@ AnyEdit = Annotated[
     | PartEdit
     | CageEdit
     | MeshEdit
-    | DisplacementEdit,
+    | DisplacementEdit
+    | AnchorsEdit,
     Field(discriminator="type"),
 ]
 
@@ -48,4 +50,5 @@ EDIT_TYPES: dict[str, type[Edit]] = {
     "cage": CageEdit,
     "mesh": MeshEdit,
     "displacement": DisplacementEdit,
+    "anchors": AnchorsEdit,
 }
