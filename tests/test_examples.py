@@ -13,6 +13,7 @@ import torch
 from PIL import Image
 
 import tiny_scene
+from pcore.editing.script import load_edit
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.checkpoint import describe_model, save_model
 from pcore.model.papr import Papr
@@ -85,7 +86,18 @@ def test_own_deformation(model: Path, tmp_path: Path) -> None:
     assert not np.array_equal(pixels[:, :SIZE], pixels[:, SIZE:])
 
 
+def test_session(model: Path, tmp_path: Path) -> None:
+    edit, picture = tmp_path / "edit.json", tmp_path / "strain.png"
+    out = run_example("04_session.py", model, edit, picture, "--size", SIZE)
+    kept, still = map(int, re.findall(r"kept (\d+) steps, (\d+) points", out)[0])
+    assert kept >= 1
+    assert 30 < still < 150  # A quarter of 300.
+    assert len(load_edit(edit).edits) == kept
+    with Image.open(picture) as shown:
+        assert shown.size == (SIZE, SIZE)
+
+
 def test_examples_are_short() -> None:
     files = sorted(EXAMPLES.glob("[0-9][0-9]_*.py"))
-    assert [file.name[:2] for file in files] == ["01", "02", "03"]
+    assert [file.name[:2] for file in files] == ["01", "02", "03", "04"]
     assert all(len(file.read_text().splitlines()) <= 80 for file in files)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pcore.data.scene import Scene
     from pcore.deform.base import Deformation
     from pcore.editing.script import load_edit
+    from pcore.editing.session import EditSession
     from pcore.errors import PcoreError
     from pcore.geometry.camera import Camera
     from pcore.geometry.point_cloud import PointCloud
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Camera",
     "Deformation",
+    "EditSession",
     "Papr",
     "PcoreError",
     "PointCloud",
@@ -51,6 +53,7 @@ __all__ = [
 _HOMES = {
     "Camera": "pcore.geometry.camera",
     "Deformation": "pcore.deform.base",
+    "EditSession": "pcore.editing.session",
     "Papr": "pcore.model.papr",
     "PcoreError": "pcore.errors",
     "PointCloud": "pcore.geometry.point_cloud",

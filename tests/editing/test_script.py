@@ -192,12 +192,13 @@ def test_a_byte_order_mark_is_fine(tmp_path: Path):
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        ([], 'edit.json: expected an object {"version": 1, "edits": [...]}, got []'),
+        ([], 'edit.json: expected an object {"version": 2, "edits": [...]}, got []'),
         (None, "got null"),
-        ({"edits": []}, 'expected "version": 1, got no such key'),
-        ({"version": 2, "edits": []}, 'expected "version": 1, got 2; this pcore reads only'),
-        ({"version": "1", "edits": []}, 'expected "version": 1, got "1"'),
-        ({"version": True, "edits": []}, 'expected "version": 1, got true'),
+        ({"edits": []}, 'expected "version": 1 or 2, got no such key'),
+        ({"version": 3, "edits": []}, 'expected "version": 1 or 2, got 3; this pcore reads no'),
+        ({"version": [2], "edits": []}, 'expected "version": 1 or 2, got [2]'),
+        ({"version": "1", "edits": []}, 'expected "version": 1 or 2, got "1"'),
+        ({"version": True, "edits": []}, 'expected "version": 1 or 2, got true'),
         ({"version": 1}, 'expected "edits": a list of edits, got no such key'),
         ({"version": 1, "edits": {}}, 'expected "edits": a list of edits, got {}'),
         (

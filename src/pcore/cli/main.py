@@ -48,8 +48,13 @@ VERBS: tuple[Verb, ...] = (
     Verb("train", "pcore.cli.train", "TrainCommand", "learn a scene from its photos"),
     Verb("finetune", "pcore.cli.finetune", "FinetuneCommand", "make a run ready to be deformed"),
     Verb("render", "pcore.cli.render", "RenderCommand", "take pictures of a run, also deformed"),
+    Verb("animate", "pcore.cli.animate", "AnimateCommand", "film a run under keyframes"),
     Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),
     Verb("ablate", "pcore.cli.ablate", "AblateCommand", "fine-tune with parts left out, compare"),
+    Verb("edit apply", "pcore.cli.edit", "ApplyCommand", "move points, say how the edit does"),
+    Verb("edit list", "pcore.cli.edit", "ListCommand", "say what an edit file does"),
+    Verb("edit validate", "pcore.cli.edit", "ValidateCommand", "check an edit file"),
+    Verb("edit upgrade", "pcore.cli.edit", "UpgradeCommand", "write the newest version of it"),
     Verb("deform", "pcore.cli.deform", "DeformCommand", "apply an edit file to any points"),
     Verb(
         "import papr",

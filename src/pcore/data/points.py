@@ -57,15 +57,22 @@ def read_point_file(path: Path | str) -> PointFile:
     """
     path = Path(path)
     check_point_path(path)
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; expected a .npy or .ply of points") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the file of points: {error.strerror}") from error
+    content = _content(path)
     if path.suffix.lower() == ".npy":
         return PointFile(positions=_checked(path, _parse_npy(path, content)))
     return _parse_ply(path, content)
+
+
+def read_array(path: Path | str) -> NDArray[Any]:
+    """Read one NumPy array of any shape and type from a `.npy` file, never a pickle.
+
+    Raises:
+        InputError: missing file, another suffix, damaged content.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".npy":
+        raise InputError(f"{path}: expected a NumPy array in a .npy file")
+    return _parse_npy(path, _content(path))
 
 
 def save_points(
@@ -113,6 +120,15 @@ def check_point_path(path: Path) -> None:
             f"{path}: expected a file of points that ends in .npy or .ply, "
             f"got {path.suffix or 'no ending'!r}"
         )
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file; expected a .npy or .ply of points") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the file of points: {error.strerror}") from error
 
 
 def _parse_npy(path: Path, content: bytes) -> NDArray[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -33,21 +34,7 @@ class Deformation(ABC):
         moves by itself, the gradient of a sum over points is one row of all Jacobians. It
         costs about three backward passes; subclasses with a short formula override it.
         """
-        check_points(points)
-        keep_graph = torch.is_grad_enabled() and points.requires_grad
-        with torch.inference_mode(mode=False), torch.enable_grad():
-            inputs = points if keep_graph else points.detach().clone().requires_grad_()
-            rows = [
-                torch.autograd.grad(
-                    coordinate.sum(),
-                    inputs,
-                    retain_graph=True,
-                    create_graph=keep_graph,
-                    materialize_grads=True,
-                )[0]
-                for coordinate in self(inputs).unbind(dim=-1)
-            ]
-        return torch.stack(rows, dim=-2)
+        return gradients(self, points)
 
     def folded(self, points: Tensor) -> Tensor:
         """Where space is flattened or turned inside out: bool (...,) at points (..., 3).
@@ -149,6 +136,32 @@ class Compose(Deformation):
             result = result | step.folded(points)
             points = step(points)
         return result
+
+
+def gradients(function: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
+    """Derivatives (..., C, 3) of a function (..., 3) -> (..., C) that takes every point by itself.
+
+    Row by row by automatic differentiation: because every point counts for itself, the gradient of
+    a sum over points holds one row for all of them. Differentiable when the points are.
+    """
+    check_points(points)
+    keep_graph = torch.is_grad_enabled() and points.requires_grad
+    with torch.inference_mode(mode=False), torch.enable_grad():
+        inputs = points if keep_graph else points.detach().clone().requires_grad_()
+        outputs = function(inputs)
+        if not outputs.requires_grad:  # A constant has no graph to walk back.
+            return outputs.new_zeros(*outputs.shape, 3)
+        rows = [
+            torch.autograd.grad(
+                column.sum(),
+                inputs,
+                retain_graph=True,
+                create_graph=keep_graph,
+                materialize_grads=True,
+            )[0]
+            for column in outputs.unbind(dim=-1)
+        ]
+    return torch.stack(rows, dim=-2)
 
 
 def orientation(deformation: Deformation, points: Tensor) -> Tensor:

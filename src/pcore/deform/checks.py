@@ -25,25 +25,35 @@ def check_invertible(
 
     Raises:
         EditError: det J <= 0, or nearly so, at some of the points (at all of them if folds are
-            allowed), or the map leaves the finite numbers; the message counts the points.
+            allowed), or the map leaves the finite numbers; the message counts the points and
+            gives the numbers of the first few, from 0.
     """
     total = points.reshape(-1, 3).shape[0]
-    lost = int((~torch.isfinite(deformation(points.detach())).all(dim=-1)).sum())
-    if lost:
+    lost = ~torch.isfinite(deformation(points.detach())).all(dim=-1).reshape(-1)
+    if bool(lost.any()):
         raise EditError(
-            f"the deformation sends {lost} of {total} points to NaN or infinity, expected finite "
-            "positions; lower the amount"
+            f"the deformation sends {int(lost.sum())} of {total} points to NaN or infinity "
+            f"({_numbers(lost)}), expected finite positions; lower the amount"
         )
     if allow_folds:
         upright = orientation(deformation, points.detach()) > SINGULAR
-        folded = 0 if bool(upright.any()) else total
+        folded = ~upright.reshape(-1)
+        folded = folded if bool(folded.all()) else torch.zeros_like(folded)
     else:
-        folded = count_folded(deformation, points)
-    if folded == 0:
+        folded = deformation.folded(points.detach()).reshape(-1)
+    if not bool(folded.any()):
         return
     raise EditError(
         f"singular deformation: expected space to keep its orientation (det J > 0) at all points, "
-        f"got det J <= 0 or nearly 0 at {folded} of {total} points, where space is flattened or "
-        "turned inside out; lower the angle or factor, widen the limits or extent, move the "
-        'origin, or for a stretch use the profile "axial" or "volume"'
+        f"got det J <= 0 or nearly 0 at {int(folded.sum())} of {total} points "
+        f"({_numbers(folded)}), where space is flattened or turned inside out; lower the angle or "
+        "factor, widen the limits, the extent or the falloff of the region, move the origin, or "
+        'for a stretch use the profile "axial" or "volume"'
     )
+
+
+def _numbers(mask: torch.Tensor, most: int = 5) -> str:
+    """Say which points, by number from 0: "numbers 3, 17, 20, ..."."""
+    chosen = mask.nonzero().reshape(-1)
+    listed = ", ".join(str(int(number)) for number in chosen[:most])
+    return f"number{'s' * (len(chosen) > 1)} {listed}{', ...' * (len(chosen) > most)}"

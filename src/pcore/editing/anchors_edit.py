@@ -13,7 +13,8 @@ from pcore.deform.base import Deformation
 from pcore.deform.motion import rigid
 from pcore.editing.anchors import ANCHORS, AnchorRig, rig_of
 from pcore.editing.arap import Handle, drag
-from pcore.editing.edits import Angle, Axis, Edit, Number, Triple
+from pcore.editing.edits import PlacedEdit
+from pcore.editing.fields import Angle, Axis, Number, Triple
 from pcore.errors import EditError
 
 _REACH = 0.25
@@ -51,7 +52,7 @@ class HandleEdit(BaseModel):
         return rigid(self.axis, math.radians(self.angle_deg)).matrix
 
 
-class AnchorsEdit(Edit):
+class AnchorsEdit(PlacedEdit):
     """Drag anchors; the others follow as rigidly as they can, those out of reach stay.
 
     `near` and `to` are measured from `origin`.

@@ -1,4 +1,4 @@
-"""The kinds of edit that an edit file can list, and the deformation that each one means.
+"""What an entry of an edit file is, and the entries that need nothing but numbers.
 
 The `description` of a field completes the sentence "expected ..." in error messages, so that the
 rule and its message stand together.
@@ -8,22 +8,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Annotated, Literal, NamedTuple
 
 import torch
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    PlainValidator,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 from torch import Tensor
 
 from pcore.deform.base import Deformation, apply_matrix
-from pcore.deform.frame import AXIS_NAMES, axis_frame, axis_vector, bend_frame
+from pcore.deform.frame import AXIS_NAMES, axis_frame, bend_frame
 from pcore.deform.simple import (
     AlongAxis,
     AxialStretch,
@@ -35,57 +27,19 @@ from pcore.deform.simple import (
     rigid,
     uniform_scale,
 )
-from pcore.errors import EditError, InputError
-
-
-def _axis(value: Any) -> str | tuple[float, float, float]:
-    if isinstance(value, (list, tuple)):
-        items = cast("list[Any]", list(value))
-        if any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
-            raise ValueError("not numbers")
-        try:
-            value = tuple(float(item) for item in items)
-        except OverflowError as error:
-            raise ValueError("integer too large") from error
-    elif not isinstance(value, str):
-        raise ValueError("neither a name nor a vector")
-    try:
-        axis_vector(value)
-    except InputError as error:
-        raise ValueError(str(error)) from error
-    return value
-
-
-def _limits(value: tuple[float, float]) -> tuple[float, float]:
-    if not 0.0 <= value[0] < value[1] <= 1.0:
-        raise ValueError("limits out of order")
-    return value
-
-
-def _extent(value: tuple[float, float]) -> tuple[float, float]:
-    if not value[0] < value[1]:
-        raise ValueError("extent out of order")
-    return value
-
-
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Triple = tuple[Number, Number, Number]
-_AXIS = '"x", "y", "z" or a non-zero vector [x, y, z] of finite numbers'
-_EXTENT = "two finite numbers [lo, hi] with lo < hi, world units from the origin"
-# Serialised as it is: pydantic knows nothing about what a plain validator returns.
-Axis = Annotated[
-    str | tuple[float, float, float],
-    PlainValidator(_axis),
-    PlainSerializer(lambda axis: axis, return_type=Any),
-]
-Limits = Annotated[
-    tuple[Number, Number],
-    AfterValidator(_limits),
-    Field(description="two numbers [first, second] with 0 <= first < second <= 1"),
-]
-Extent = Annotated[tuple[Number, Number], AfterValidator(_extent)]
-Angle = Annotated[Number, Field(description="a finite number of degrees")]
-Factor = Annotated[Number, Field(description="a finite number")]
+from pcore.editing.fields import (
+    AXIS,
+    EXTENT,
+    Angle,
+    Axis,
+    Extent,
+    Factor,
+    Limits,
+    Positive,
+    Triple,
+)
+from pcore.editing.regions import REGION, AnyRegion, Setting
+from pcore.errors import EditError
 
 
 class _Placement(NamedTuple):
@@ -98,31 +52,47 @@ class _Placement(NamedTuple):
 
 
 class Edit(BaseModel, ABC):
-    """One entry of an edit file; world units."""
+    """One entry of an edit file; world units.
+
+    Attributes:
+        region: where it acts, with a seam; None is everywhere.
+        freeze: where it does not act, whatever `region` says.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    origin: Annotated[Triple, Field(description="three finite numbers [x, y, z]")] = (0.0, 0.0, 0.0)
+    region: Annotated[AnyRegion | None, Field(description=REGION)] = None
+    freeze: Annotated[tuple[AnyRegion, ...], Field(description=f"a list, each {REGION}")] = ()
 
     @abstractmethod
     def bind(self, points: Tensor) -> Deformation:
-        """Deformation of this edit, frozen to points (N, 3) float64 as they arrive at it.
+        """Deformation of this edit in all of space, frozen to points (N, 3) float64 as they arrive.
 
         Raises:
-            EditError: the points have no extent to freeze and the edit gives none.
-            InputError: an amount that no map can have.
+            EditError: the points do not fit the edit, such as no extent to freeze.
+            InputError: an amount that no map can have, or a file that cannot be read.
         """
 
+    def place(self, setting: Setting) -> Deformation:
+        """Do the same where an edit needs to know more than the points; without its region."""
+        return self.bind(setting.points)
 
-class SimpleEdit(Edit):
+
+class PlacedEdit(Edit):
+    """What all edits share that are made about a point."""
+
+    origin: Annotated[Triple, Field(description="three finite numbers [x, y, z]")] = (0.0, 0.0, 0.0)
+
+
+class SimpleEdit(PlacedEdit):
     """What twist, bend, taper and stretch share."""
 
-    axis: Annotated[Axis, Field(description=_AXIS)]
+    axis: Annotated[Axis, Field(description=AXIS)]
     limits: Limits = (0.0, 1.0)
     lock: Annotated[
         tuple[Literal["x", "y", "z"], ...], Field(description='a list of "x", "y", "z"')
     ] = ()
-    extent: Extent | None = Field(default=None, description=_EXTENT)
+    extent: Extent | None = Field(default=None, description=EXTENT)
 
     @model_validator(mode="after")
     def _lock_needs_name(self) -> SimpleEdit:
@@ -217,27 +187,22 @@ class StretchEdit(SimpleEdit):
         return self._along_axis(_STRETCHES[self.profile], self.factor, points)
 
 
-class ScaleEdit(Edit):
+class ScaleEdit(PlacedEdit):
     """Multiply distances from the origin by `factor`."""
 
     type: Literal["scale"] = "scale"
-    factor: Annotated[
-        Number,
-        Field(
-            gt=0, description="a finite number above 0 (0 is a singular deformation, less mirrors)"
-        ),
-    ]
+    factor: Positive
 
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`."""
         return uniform_scale(self.factor, self.origin)
 
 
-class RigidEdit(Edit):
+class RigidEdit(PlacedEdit):
     """Turn by `angle_deg` about the axis through the origin, then translate."""
 
     type: Literal["rigid"] = "rigid"
-    axis: Axis | None = Field(default=None, description=_AXIS)
+    axis: Axis | None = Field(default=None, description=AXIS)
     angle_deg: Angle = 0.0
     translation: Annotated[Triple, Field(description="three finite numbers [x, y, z]")] = (
         0.0,
@@ -258,16 +223,6 @@ class RigidEdit(Edit):
         """See `Edit.bind`."""
         axis = "z" if self.axis is None else self.axis
         return rigid(axis, math.radians(self.angle_deg), self.translation, self.origin)
-
-
-EDIT_TYPES: dict[str, type[Edit]] = {
-    "twist": TwistEdit,
-    "bend": BendEdit,
-    "taper": TaperEdit,
-    "stretch": StretchEdit,
-    "scale": ScaleEdit,
-    "rigid": RigidEdit,
-}
 
 
 def _measure(points: Tensor, direction: Tensor) -> tuple[float, float]:

@@ -3,39 +3,29 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Any, Literal, cast
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError
+from pydantic import BaseModel, ConfigDict, PrivateAttr
 from torch import Tensor
 
-from pcore.deform.base import Compose, Deformation, Identity
+from pcore.deform.base import Deformation
 from pcore.deform.checks import check_invertible
-from pcore.editing.edits import (
-    EDIT_TYPES,
-    BendEdit,
-    Edit,
-    RigidEdit,
-    ScaleEdit,
-    StretchEdit,
-    TaperEdit,
-    TwistEdit,
-)
+from pcore.editing.binding import Bound, begin
+from pcore.editing.edits import Edit
+from pcore.editing.keyframes import is_animated
+from pcore.editing.reading import parse_entry, parse_region, quoted, read_edit_file, shown
+from pcore.editing.regions import AnyRegion
+from pcore.editing.registry import EDIT_TYPES, FIRST_TYPES, AnyEdit
 from pcore.errors import EditError, InputError
 
-__all__ = ["EditScript", "check_invertible", "load_edit", "parse_edit"]
+__all__ = ["EditScript", "check_invertible", "load_edit", "parse_edit", "parse_one"]
 
-_VERSION = 1
-_HINTS = {
-    ("scale", "axis"): 'a scale is uniform; for one direction use a stretch with profile "axial"',
-    ("rigid", "factor"): "a rigid edit keeps sizes; use a scale",
-}
-
-AnyEdit = Annotated[
-    TwistEdit | BendEdit | TaperEdit | StretchEdit | ScaleEdit | RigidEdit,
-    Field(discriminator="type"),
-]
+VERSION = 2
+_KEYS = {1: ["version", "edits"], 2: ["version", "edits", "freeze"]}
+_SINCE_2 = ("region", "freeze")
 
 
 class EditScript(BaseModel):
@@ -47,16 +37,24 @@ class EditScript(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    version: Literal[1] = 1
+    version: Literal[1, 2] = VERSION
     edits: tuple[AnyEdit, ...]
+    freeze: tuple[AnyRegion, ...] = ()
     _source: str = PrivateAttr(default="edit script")
 
     def __eq__(self, other: object) -> bool:
-        """Compare edits; where a script was read from does not matter."""
-        return isinstance(other, EditScript) and self.edits == other.edits
+        """Compare edits and frozen regions; where a script was read from does not matter."""
+        if not isinstance(other, EditScript):
+            return False
+        return self.edits == other.edits and self.freeze == other.freeze
 
     def __hash__(self) -> int:
-        return hash(self.edits)
+        return hash((self.edits, self.freeze))
+
+    @property
+    def source(self) -> str:
+        """What messages call the script, such as its file."""
+        return self._source
 
     def named(self, source: str) -> EditScript:
         """Return the same script under the name that its error messages use, such as its file."""
@@ -64,11 +62,15 @@ class EditScript(BaseModel):
         copy._source = source
         return copy
 
+    def upgraded(self) -> EditScript:
+        """Return the same script as one of the newest version, which means the same."""
+        return self.model_copy(update={"version": VERSION})
+
     def bind(self, points: Tensor, *, allow_folds: bool = False) -> Deformation:
         """Freeze the script to points (N, 3), world units, and return its deformation.
 
         An edit without `extent` takes it from these points as they arrive at that edit, after
-        the ones before it, as Blender's modifier stack does.
+        the ones before it, as Blender's modifier stack does; so do regions.
 
         Args:
             points: (N, 3) the canonical cloud of a run, or whatever is to be deformed.
@@ -76,31 +78,39 @@ class EditScript(BaseModel):
                 moving bare points, not for rendering.
 
         Raises:
-            EditError: no extent to take, or a singular deformation (see `check_invertible`).
+            EditError: an edit does not fit the points (no extent to take, an empty region, a file
+                of other points), or a singular deformation (see `check_invertible`).
         """
+        return self.bound(points, allow_folds=allow_folds).deformation
+
+    def bound(self, points: Tensor, *, allow_folds: bool = False) -> Bound:
+        """Do the same and keep the steps apart, so that more can be added; see `bind`."""
         if points.ndim != 2 or points.shape[-1] != 3:
             raise EditError(f"{self._source}: expected points (N, 3), got {tuple(points.shape)}")
-        moving = points.detach().to(device="cpu", dtype=torch.float64)
-        steps: list[Deformation] = []
+        resting = points.detach().to(device="cpu", dtype=torch.float64)
+        try:
+            bound = begin(resting, self.freeze, allow_folds=allow_folds)
+        except (EditError, InputError) as error:
+            raise EditError(f"{self._source}: freeze: {error}") from error
         for number, edit in enumerate(self.edits, start=1):
             try:
-                step = edit.bind(moving)
-                check_invertible(step, moving, allow_folds=allow_folds)
+                bound = bound.then(edit)
             except (EditError, InputError) as error:
                 raise EditError(f"{_place(self._source, number, edit.type)}: {error}") from error
-            moving = step(moving)
-            steps.append(step)
-        if not steps:
-            return Identity()
-        return steps[0] if len(steps) == 1 else Compose(*steps)
+        return bound
 
-    def to_json(self) -> str:
-        """Text of an edit file that reads back as an equal script."""
-        edits = [
-            {"type": edit.type, **edit.model_dump(mode="json", exclude_none=True)}
-            for edit in self.edits
-        ]
-        return json.dumps({"version": self.version, "edits": edits}, indent=2) + "\n"
+    def to_json(self, folder: Path | str | None = None) -> str:
+        """Text of an edit file that reads back as an equal script.
+
+        Args:
+            folder: where the file will be; files in it and below are then named as seen from it.
+        """
+        context = {"folder": folder}
+        content: dict[str, Any] = {"version": self.version}
+        if self.freeze:
+            content["freeze"] = [_dumped(region, "shape", context) for region in self.freeze]
+        content["edits"] = [_dumped(edit, "type", context) for edit in self.edits]
+        return json.dumps(content, indent=2) + "\n"
 
     def save(self, path: Path | str) -> None:
         """Write `to_json` to a file; an existing file is replaced in one step.
@@ -113,7 +123,7 @@ class EditScript(BaseModel):
             raise EditError(f"{path}: expected an existing folder to write to, got {path.parent}")
         partial = path.with_name(f".{path.name}.partial")
         try:
-            partial.write_text(self.to_json(), encoding="utf-8")
+            partial.write_text(self.to_json(path.parent), encoding="utf-8")
             partial.replace(path)
         except OSError as error:
             partial.unlink(missing_ok=True)
@@ -131,118 +141,147 @@ def load_edit(path: Path | str) -> EditScript:
             message names the file, the edit by number from 1, and the key.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise EditError(f"{path}: edit file not found; expected a JSON file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise EditError(
-            f"{path}: cannot read the edit file, expected JSON text: {error}"
-        ) from error
-    try:
-        data = json.loads(text, object_pairs_hook=_without_duplicates)
-    except EditError as error:
-        raise EditError(f"{path}: {error}") from error
-    except (ValueError, RecursionError) as error:
-        raise EditError(
-            f"{path}: expected an edit file in JSON, got invalid JSON: {error}"
-        ) from error
-    return parse_edit(data, source=str(path))
+    return parse_edit(read_edit_file(path), source=str(path), folder=path.parent)
 
 
-def parse_edit(data: Any, *, source: str = "edit script") -> EditScript:
+def parse_edit(
+    data: Any, *, source: str = "edit script", folder: Path | str | None = None
+) -> EditScript:
     """Check the content of an edit file (parsed JSON) and return it as a script.
 
     Args:
         data: the object of the file.
         source: what messages call it.
+        folder: where relative paths in it begin; None is the working directory.
 
     Raises:
         EditError: as for `load_edit`.
     """
+    content, version = check_top(data, source)
+    if version > 1 and is_animated(content):
+        raise EditError(
+            f"{source}: expected an edit that stands still, got one with keyframes; use `pcore "
+            "animate`, `pcore edit apply --time`, or load_animation(...).at(time) in Python"
+        )
+    where = None if folder is None else Path(folder)
+    edits = list(content["edits"])
+    parsed: list[Edit] = []
+    for number, item in enumerate(edits, start=1):
+        place = f"{source}: edit {number}"
+        parsed.append(parse_one(item, place=place, folder=where, version=version))
+    freeze = _parse_freeze(content.get("freeze", []), source, where)
+    script = EditScript(
+        version=cast("Any", version), edits=cast("Any", tuple(parsed)), freeze=cast("Any", freeze)
+    )
+    return script.named(source)
+
+
+def check_top(data: Any, source: str) -> tuple[dict[str, Any], int]:
+    """Check all of an edit file but its entries; return it with its version."""
     if not isinstance(data, dict):
         raise EditError(
-            f'{source}: expected an object {{"version": 1, "edits": [...]}}, got {_shown(data)}'
+            f'{source}: expected an object {{"version": {VERSION}, "edits": [...]}}, '
+            f"got {shown(data)}"
         )
     content = cast("dict[str, Any]", data)
-    unknown = sorted(set(content) - {"version", "edits"})
-    if unknown:
-        raise EditError(
-            f'{source}: unknown key {_quoted(unknown)}, expected only "version" and "edits"'
-        )
     version = content.get("version")
-    if isinstance(version, bool) or version != _VERSION:
-        got = "no such key" if "version" not in content else _shown(version)
+    if isinstance(version, bool) or not isinstance(version, int) or version not in _KEYS:
+        got = "no such key" if "version" not in content else shown(version)
         raise EditError(
-            f'{source}: expected "version": {_VERSION}, got {got}; this pcore reads only '
-            f"version {_VERSION} of the edit file"
+            f'{source}: expected "version": 1 or 2, got {got}; this pcore reads no other version '
+            "of the edit file"
+        )
+    keys = _KEYS[version]
+    unknown = sorted(set(content) - set(keys))
+    if unknown:
+        newer = ' (they need "version": 2)' if set(unknown) <= set(_KEYS[VERSION]) else ""
+        raise EditError(
+            f"{source}: unknown key {quoted(unknown)}, expected only {quoted(keys[:-1])} and "
+            f"{quoted(keys[-1:])}{newer}"
         )
     edits = content.get("edits")
     if not isinstance(edits, (list, tuple)):
-        got = "no such key" if "edits" not in content else _shown(edits)
+        got = "no such key" if "edits" not in content else shown(edits)
         raise EditError(f'{source}: expected "edits": a list of edits, got {got}')
-    items = cast("list[Any]", list(edits))
-    parsed = [_parse_one(item, number, source) for number, item in enumerate(items, start=1)]
-    return EditScript(edits=cast("Any", tuple(parsed))).named(source)
+    return content, version
 
 
-def _parse_one(item: Any, number: int, source: str) -> Edit:
-    if not isinstance(item, dict):
-        raise EditError(f"{source}: edit {number}: expected an object, got {_shown(item)}")
-    raw = cast("dict[str, Any]", item)
+def parse_one(
+    item: Any, *, place: str = "edit", folder: Path | None = None, version: int = VERSION
+) -> Edit:
+    """Check one edit (parsed JSON).
+
+    Args:
+        item: the object; an edit that was checked already is returned as it is.
+        place: what messages call it.
+        folder: where relative paths in it begin.
+        version: of the edit file.
+
+    Raises:
+        EditError: it is not valid; the message names the key.
+    """
+    if isinstance(item, Edit):
+        return item
+    if not isinstance(item, Mapping):
+        raise EditError(f"{place}: expected an object, got {shown(item)}")
+    raw = dict(cast("Mapping[str, Any]", item))
     name = raw.get("type")
-    if not isinstance(name, str) or name not in EDIT_TYPES:
-        got = "no such key" if "type" not in raw else _shown(name)
-        raise EditError(
-            f'{source}: edit {number}: key "type": expected one of {_quoted(EDIT_TYPES)}, got {got}'
-        )
+    known = FIRST_TYPES if version == 1 else EDIT_TYPES
+    if not isinstance(name, str) or name not in known:
+        got = "no such key" if "type" not in raw else shown(name)
+        newer = '; it needs "version": 2' if isinstance(name, str) and name in EDIT_TYPES else ""
+        raise EditError(f'{place}: key "type": expected one of {quoted(known)}, got {got}{newer}')
+    kind, place = known[name], f"{place} ({name})"
+    allowed = [key for key in kind.model_fields if version > 1 or key not in _SINCE_2]
     try:
-        return EDIT_TYPES[name].model_validate(raw)
-    except ValidationError as error:
-        kinds: dict[str, str] = {}
-        for detail in error.errors():
-            key = str(detail["loc"][0]) if detail["loc"] else ""
-            kinds.setdefault(key, detail["type"])
-            if not key:
-                kinds[key] = str(detail["msg"]).removeprefix("Value error, ")
-        problems = [_problem(EDIT_TYPES[name], raw, key, kind) for key, kind in kinds.items()]
-        raise EditError(f"{_place(source, number, name)}: {'; '.join(problems)}") from error
+        if version > 1:
+            _parse_regions(raw, folder)
+        return parse_entry(kind, raw, name, allowed=allowed, folder=folder)
+    except EditError as error:
+        newer = '; regions need "version": 2' if version == 1 and set(raw) & set(_SINCE_2) else ""
+        raise EditError(f"{place}: {error}{newer}") from error
 
 
-def _problem(kind: type[Edit], raw: dict[str, Any], key: str, error: str) -> str:
-    """Say what is wrong with one key; an empty key stands for several keys together."""
-    if not key:
-        return error
-    name = str(raw["type"])
-    if error == "extra_forbidden":
-        allowed = _quoted(list(kind.model_fields))
-        hint = _HINTS.get((name, key))
-        return f'unknown key "{key}" for a {name}, expected only {allowed}' + (
-            f" ({hint})" if hint else ""
-        )
-    expected = kind.model_fields[key].description
-    got = _shown(raw[key]) if key in raw else "no such key"
-    return f'key "{key}": expected {expected}, got {got}'
+def _parse_regions(raw: dict[str, Any], folder: Path | None) -> None:
+    """Replace the regions of an edit by what they mean."""
+    if raw.get("region") is not None:
+        try:
+            raw["region"] = parse_region(raw["region"], folder)
+        except EditError as error:
+            raise EditError(f'key "region": {error}') from error
+    if "freeze" in raw:
+        raw["freeze"] = _regions(raw["freeze"], folder)
+
+
+def _parse_freeze(raw: Any, source: str, folder: Path | None) -> tuple[Any, ...]:
+    try:
+        return _regions(raw, folder)
+    except EditError as error:
+        raise EditError(f"{source}: {error}") from error
+
+
+def _regions(raw: Any, folder: Path | None) -> tuple[Any, ...]:
+    if not isinstance(raw, (list, tuple)):
+        raise EditError(f'key "freeze": expected a list of regions, got {shown(raw)}')
+    regions: list[Any] = []
+    for number, item in enumerate(cast("tuple[Any, ...]", tuple(raw)), start=1):
+        try:
+            regions.append(parse_region(item, folder))
+        except EditError as error:
+            raise EditError(f'key "freeze", region {number}: {error}') from error
+    return tuple(regions)
+
+
+def _dumped(entry: BaseModel, first: str, context: dict[str, Any]) -> dict[str, Any]:
+    """An edit or region as JSON values: its kind first, no key that says that there is nothing."""
+    plain = entry.model_dump(mode="json", exclude_none=True, context=context)
+    for key in _SINCE_2:
+        if key in plain:
+            value: Any = getattr(entry, key)
+            if not value:
+                del plain[key]
+    return {first: plain[first], **plain}
 
 
 def _place(source: str, number: int, name: str) -> str:
     return f"{source}: edit {number} ({name})"
-
-
-def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """JSON would silently keep the last of two equal keys."""
-    result: dict[str, Any] = {}
-    for key, value in pairs:
-        if key in result:
-            raise EditError(f'expected every key once, got "{key}" twice in one object')
-        result[key] = value
-    return result
-
-
-def _shown(value: Any) -> str:
-    text = json.dumps(value, default=repr)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _quoted(names: Any) -> str:
-    return ", ".join(f'"{name}"' for name in names)

@@ -24,8 +24,8 @@ from torch import Tensor
 from pcore.deform.base import Deformation
 from pcore.errors import DependencyError, InputError, SceneError
 from pcore.evaluation.deformation_record import DeformationRecord
-from pcore.evaluation.surface_search import SurfacePoints, SurfaceSearch
 from pcore.geometry.camera import Camera
+from pcore.geometry.surface_search import SurfacePoints, SurfaceSearch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

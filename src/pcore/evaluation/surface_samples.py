@@ -9,7 +9,7 @@ import numpy as np
 
 from pcore.errors import SceneError
 from pcore.evaluation.ground_truth import DeformedTruth, FloatArray, read_arrays
-from pcore.evaluation.surface_search import IntArray
+from pcore.geometry.surface_search import IntArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

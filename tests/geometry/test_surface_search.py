@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pcore.evaluation.surface_search import SurfaceSearch, closest_on_triangles
+from pcore.geometry.surface_search import SurfaceSearch, closest_on_triangles
 
 
 def soup(rng, count, spread):

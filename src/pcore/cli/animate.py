@@ -1,0 +1,201 @@
+"""`pcore animate RUN`: a video of a run under an edit file with keyframes."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from rich.console import Console
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from pcore.cli.options import Count, Folder, Number, optional
+from pcore.cli.runtime import DeviceName
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.editing.animation import Animation
+    from pcore.geometry.camera import Camera
+    from pcore.geometry.point_cloud import PointCloud
+    from pcore.model.papr import Papr
+    from pcore.training.output import RunFolder
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnimateCommand:
+    """Film a run while its edit goes through its keyframes."""
+
+    run_or_file: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a run, or a model.safetensors."""
+
+    edit: Annotated[Path, arg(metavar="FILE")]
+    """Edit file (JSON, version 2) with keyframes; the first frame shows the first of them."""
+
+    frames: Annotated[int, arg(metavar="N")] = 60
+    """How many frames, evenly from the first keyframe to the last."""
+
+    output: Annotated[Path | None, optional("VIDEO", "-o")] = None
+    """The video, .mp4; replaced if it exists. Without it there must be --points."""
+
+    points: Folder = None
+    """Folder for the points of every frame as frame_NNN.ply."""
+
+    orbit: bool = False
+    """Go once around the object meanwhile; without, the camera stands still."""
+
+    cameras: Annotated[Path | None, optional("FILE")] = None
+    """Take the cameras of this transforms file as a path; frames between them are interpolated."""
+
+    fps: Annotated[int, arg(metavar="N")] = 30
+    """Frames per second."""
+
+    size: Annotated[tuple[int, int] | None, optional("W H")] = None
+    """Width and height in pixels; default: that of the scene's images."""
+
+    scene: Folder = None
+    """Folder of the scene the orbit is fitted to; default: the one the run was trained on."""
+
+    elevation: Number = None
+    """Height of the camera above the horizon in degrees; default: mean of the training cameras."""
+
+    rays: Literal["aware", "plain"] = "aware"
+    """How deformed points are seen: aware of the deformation, or plain as in the paper."""
+
+    overwrite: bool = False
+    """Write points into a folder that holds files already."""
+
+    device: DeviceName = "auto"
+    """Where to compute; auto takes a GPU where there is one."""
+
+    threads: Count = None
+    """Threads of the CPU; default: all cores."""
+
+    def run(self) -> None:
+        """Do it; raises PcoreError subclasses for what the user can mend."""
+        animate(self, Console())
+
+
+def animate(command: AnimateCommand, console: Console) -> None:
+    """Move the points through all frames, film them, write them.
+
+    Every frame is bound before the first is rendered, so that a bad one costs no waiting.
+
+    Raises:
+        CheckpointError: no model there, or it is damaged.
+        EditError: the edit file is not valid, or folds space in one of the frames.
+        InputError: contradicting options, or an output folder in use.
+        DependencyError: a video is asked for and its package is missing.
+    """
+    from pcore.cli.output import pictures_folder
+    from pcore.cli.runtime import open_model, pick_device, prepare_torch
+    from pcore.data.video import require_video
+    from pcore.editing.animation import load_animation
+
+    _check(command)
+    if command.output is not None:
+        require_video()
+    prepare_torch(command.threads)
+    device = pick_device(command.device)
+    saved, run = open_model(command.run_or_file)
+    animation = load_animation(command.edit)
+    moved = _frames(animation, saved.cloud, command, console)
+    if command.points is not None:
+        pictures_folder(command.points, overwrite=command.overwrite)
+        _write_points(command.points, moved)
+        console.print(Text(f"{len(moved)} files of points in {command.points}"), soft_wrap=True)
+    if command.output is not None:
+        cameras = _cameras(command, run, saved.cloud, moved)
+        _film(command.output, command.fps, saved.papr().to(device), moved, cameras, console)
+        console.print(Text(f"{len(moved)} frames in {command.output}"), soft_wrap=True)
+
+
+def _check(command: AnimateCommand) -> None:
+    if command.output is None and command.points is None:
+        raise InputError("expected -o VIDEO.mp4 or --points FOLDER, or both, got neither")
+    if command.output is not None and command.output.suffix.lower() != ".mp4":
+        raise InputError(f"{command.output}: expected a video that ends in .mp4")
+    if command.orbit and command.cameras is not None:
+        raise InputError("expected one of --orbit and --cameras, got both")
+    if command.output is not None and not command.output.absolute().parent.is_dir():
+        raise InputError(
+            f"{command.output}: expected an existing folder to write to, got "
+            f"{command.output.parent}"
+        )
+
+
+def _frames(
+    animation: Animation, cloud: PointCloud, command: AnimateCommand, console: Console
+) -> list[PointCloud]:
+    """The cloud in every frame; equal times are computed once."""
+    from pcore.cli.results import counting
+    from pcore.editing.apply import deformed_cloud
+
+    known: dict[float, PointCloud] = {}
+    times = animation.times(command.frames)
+    with counting(console, "edits") as tell:
+        for number, time in enumerate(times, start=1):
+            if time not in known:
+                deformation = animation.at(time).bind(cloud.positions)
+                known[time] = deformed_cloud(cloud, deformation, aware=command.rays == "aware")
+            tell(number, len(times))
+    return [known[time] for time in times]
+
+
+def _write_points(folder: Path, moved: list[PointCloud]) -> None:
+    from pcore.data.points import save_points
+
+    digits = max(3, len(str(len(moved) - 1)))
+    for number, cloud in enumerate(moved):
+        save_points(folder / f"frame_{number:0{digits}}.ply", cloud.positions)
+
+
+def _cameras(
+    command: AnimateCommand, run: RunFolder | None, cloud: PointCloud, moved: list[PointCloud]
+) -> list[Camera]:
+    import torch
+
+    from pcore.cli import cameras
+    from pcore.cli.runtime import recorded_factor, recorded_scene
+    from pcore.data.load import load_scene
+    from pcore.geometry.camera_path import path_through
+    from pcore.geometry.orbit import growth
+
+    if command.cameras is not None:
+        given = cameras.cameras_of_file(command.cameras, command.size)
+        return path_through([camera for _, camera in given], len(moved))
+    wish = cameras.OrbitWish(
+        count=len(moved) if command.orbit else 1,
+        size=command.size,
+        elevation_degrees=command.elevation,
+    )
+    folder = command.scene or recorded_scene(run)
+    if folder is None:
+        views = cameras.orbit_of_cloud(torch.cat([one.positions for one in moved]), wish)
+    else:
+        scene = load_scene(folder, factor=recorded_factor(run))
+        # One distance for all frames: the farthest that any of them needs.
+        reach = max(growth(cloud.positions, one.positions, scene.center) for one in moved)
+        views = cameras.orbit_of_scene(scene, wish, scale=reach)
+    return path_through([camera for _, camera in views], len(moved))
+
+
+def _film(
+    output: Path,
+    fps: int,
+    papr: Papr,
+    moved: list[PointCloud],
+    cameras: list[Camera],
+    console: Console,
+) -> None:
+    from pcore.cli.results import counting
+    from pcore.data.video import VideoWriter
+    from pcore.model.render import render
+
+    with ExitStack() as stack:
+        video = stack.enter_context(VideoWriter(output, fps=fps))
+        tell = stack.enter_context(counting(console, "frames"))
+        for number, (cloud, camera) in enumerate(zip(moved, cameras, strict=True), start=1):
+            video.add(render(papr, cloud, camera).rgb)
+            tell(number, len(moved))

@@ -1,0 +1,227 @@
+"""`pcore edit ...`: apply, list, check and upgrade edit files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from rich.console import Console
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from pcore.cli.options import Number, optional
+from pcore.errors import EditError, InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from pcore.editing.diagnosis import Diagnosis
+    from pcore.editing.script import EditScript
+
+_DETAILS = ("region", "freeze")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ApplyCommand:
+    """Apply an edit file to the points of a run, write them and say how the edit does."""
+
+    source: Annotated[Positional[Path], arg(metavar="RUN")]
+    """Folder of a run, a model.safetensors, or points in a .npy or .ply file."""
+
+    edit: Annotated[Path, arg(metavar="FILE")]
+    """Edit file (JSON)."""
+
+    output: Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
+    """Where to write the moved points: .npy or .ply. Replaced if it exists."""
+
+    time: Number = None
+    """For an edit file with keyframes: the time to apply."""
+
+    colors: Literal["none", "strain"] = "none"
+    """Colour the points of a .ply by strain: grey calm, red stretched, blue squeezed, violet where
+    the surface meets itself."""
+
+    picture: Annotated[Path | None, optional("PNG")] = None
+    """Also write a PNG of the points in these colours, seen from the side."""
+
+    def run(self) -> None:
+        """Do it; raises PcoreError subclasses for what the user can mend."""
+        apply_edit(self, Console())
+
+
+@dataclass(frozen=True, kw_only=True)
+class ListCommand:
+    """Say what an edit file does, edit by edit."""
+
+    edit: Annotated[Positional[Path], arg(metavar="FILE")]
+    """Edit file (JSON)."""
+
+    def run(self) -> None:
+        """Print one line for each edit; raises EditError when the file is not valid."""
+        from pcore.editing.animation import load_animation
+
+        animation = load_animation(self.edit)
+        console = Console()
+        for line in lines_of(animation.at(animation.start)):
+            console.print(Text(line), soft_wrap=True)
+        if animation.end > animation.start:
+            span = (
+                f"animated from time {animation.start:g} to {animation.end:g}; shown at the start"
+            )
+            console.print(Text(span), soft_wrap=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidateCommand:
+    """Check an edit file, and that it fits the points of a run."""
+
+    edit: Annotated[Positional[Path], arg(metavar="FILE")]
+    """Edit file (JSON)."""
+
+    run_or_file: Annotated[Path | None, arg(name="run", metavar="RUN", help_behavior_hint="")] = (
+        None
+    )
+    """Folder of a run, a model.safetensors, or points (.npy, .ply) that it is to fit."""
+
+    def run(self) -> None:
+        """Print that it is valid; raises EditError otherwise."""
+        from pcore.editing.animation import load_animation
+
+        animation = load_animation(self.edit)
+        count = len(animation.at(animation.start).edits)
+        what = f"{self.edit}: valid, {count} edit{'s' * (count != 1)}"
+        if self.run_or_file is not None:
+            points = read_source(self.run_or_file)
+            for time in sorted({animation.start, animation.end}):
+                animation.at(time).bind(points)
+            what += f"; fits the {len(points):,} points of {self.run_or_file}"
+        Console().print(Text(what), soft_wrap=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpgradeCommand:
+    """Write an edit file in the newest version, which means the same."""
+
+    edit: Annotated[Positional[Path], arg(metavar="FILE")]
+    """Edit file (JSON) without keyframes, which only the newest version has."""
+
+    output: Annotated[Path | None, optional("FILE", "-o")] = None
+    """Where to write; default: the file itself."""
+
+    def run(self) -> None:
+        """Do it; raises EditError when the file is not valid or cannot be written."""
+        from pcore.editing.script import load_edit
+
+        script = load_edit(self.edit)
+        newer = script.upgraded()
+        output = self.output or self.edit
+        newer.save(output)
+        what = f"{output}: version {script.version} -> {newer.version}"
+        Console().print(Text(what), soft_wrap=True)
+
+
+def apply_edit(command: ApplyCommand, console: Console) -> None:
+    """Move the points, write them, print what happened.
+
+    Raises:
+        CheckpointError: no model there.
+        EditError: the edit file is not valid or does not fit the points.
+        InputError: points or pictures that cannot be read or written.
+    """
+    from pcore.data.points import check_point_path, save_points
+    from pcore.editing.animation import load_animation
+    from pcore.editing.diagnosis import diagnose
+
+    check_point_path(command.output)
+    if command.colors != "none" and command.output.suffix.lower() != ".ply":
+        raise InputError(f"{command.output}: expected a .ply for --colors, a .npy has no colours")
+    animation = load_animation(command.edit)
+    if command.time is None and animation.end > animation.start:
+        raise EditError(
+            f"{command.edit}: expected --time between {animation.start:g} and {animation.end:g}, "
+            "because it has keyframes, got none; or use `pcore animate`"
+        )
+    script = animation.at(animation.start if command.time is None else command.time)
+    points = read_source(command.source)
+    moved = script.bind(points)(points.double()).to(points.dtype)
+    found = diagnose(points, moved)
+    save_points(command.output, moved, found.colors() if command.colors == "strain" else None)
+    for line in [*lines_of(script), *report(points, moved, found)]:
+        console.print(Text(line), soft_wrap=True)
+    if command.picture is not None:
+        _write_picture(command.picture, moved, found)
+    console.print(Text(f"written to {command.output}"), soft_wrap=True)
+
+
+def read_source(path: Path) -> Tensor:
+    """Canonical points (N, 3) of a run or model, or the points of a file.
+
+    Raises:
+        CheckpointError: no model there.
+        InputError: a file of points that cannot be read.
+    """
+    from pcore.data.points import POINT_SUFFIXES, read_point_file
+
+    if path.suffix.lower() in POINT_SUFFIXES:
+        return read_point_file(path).positions
+    from pcore.cli.runtime import open_model
+
+    return open_model(path)[0].cloud.positions
+
+
+def lines_of(script: EditScript) -> list[str]:
+    """Describe a script in one line per edit and frozen region."""
+    content: dict[str, Any] = json.loads(script.to_json())
+    lines: list[str] = []
+    for number, edit in enumerate(content["edits"], start=1):
+        own = {key: value for key, value in edit.items() if key not in ("type", *_DETAILS)}
+        line = f"{number}. {edit['type']}: {_said(own)}"
+        if edit.get("region"):
+            line += f"; in a {_region(edit['region'])}"
+        for region in edit.get("freeze", []):
+            line += f"; not in a {_region(region)}"
+        lines.append(line)
+    lines += [f"frozen: {_region(region)}" for region in content.get("freeze", [])]
+    return lines or ["no edit"]
+
+
+def report(points: Tensor, moved: Tensor, found: Diagnosis) -> list[str]:
+    """Say how far the points went and what may be going wrong."""
+    way = (moved - points).norm(dim=-1)
+    numbers = found.numbers()
+    return [
+        f"{len(points):,} points moved by {float(way.mean()):.4g} on average, "
+        f"{float(way.max()):.4g} at most; {int((way == 0).sum()):,} did not move",
+        f"strain: {numbers['strain_median']:.2f} in the middle, {numbers['strain_99']:.2f} at 99 "
+        f"percent, {numbers['strain_max']:.2f} at most",
+        f"hole score: {100 * numbers['hole_score']:.1f} % of the points stand twice as far apart",
+        f"self-intersection: {100 * numbers['self_intersection']:.1f} % of the points met another "
+        "part",
+    ]
+
+
+def _write_picture(path: Path, points: Tensor, found: Diagnosis) -> None:
+    from pcore.cli.cameras import OrbitWish, orbit_of_cloud
+    from pcore.data.pictures import write_png
+    from pcore.data.splat import point_picture
+
+    if path.suffix.lower() != ".png":
+        raise InputError(f"{path}: expected a picture that ends in .png")
+    ((_, camera),) = orbit_of_cloud(points, OrbitWish(count=1))
+    write_png(path, point_picture(points, found.colors(), camera))
+
+
+def _region(region: dict[str, Any]) -> str:
+    rest = {key: value for key, value in region.items() if key != "shape"}
+    return f"{region['shape']} ({_said(rest)})"
+
+
+def _said(values: dict[str, Any]) -> str:
+    return ", ".join(f"{key} {_value(value)}" for key, value in values.items()) or "no change"
+
+
+def _value(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,87 @@
+"""Points that follow a mesh near them, from one shape of it to another."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pcore.deform.scattered import PointMotion
+from pcore.errors import InputError
+from pcore.geometry.neighbours import as_points
+from pcore.geometry.surface_search import SurfaceSearch
+
+FloatArray = NDArray[np.float64]
+
+FAR = 0.2
+"""Median distance from the mesh, as a share of the object's size, that means a wrong place."""
+
+
+def follow_mesh(points: Tensor, before: Tensor, after: Tensor, faces: Tensor) -> PointMotion:
+    """Motion of points with a mesh, extended to space around them.
+
+    Every vertex gets a linear map: the mean over its triangles, by area, of the map that carries
+    the edges of a triangle and its unit normal times the root of its area ratio. A point goes with
+    the vertices of the triangle nearest to it, by barycentric weights b: p' = sum b (v' + A (p -
+    v)).
+
+    Args:
+        points: (N, 3) world units.
+        before: (V, 3) vertices of the mesh that lies at the points.
+        after: (V, 3) the same vertices in the other shape.
+        faces: (F, 3) vertex numbers.
+
+    Raises:
+        InputError: no triangle has an area, or the mesh lies elsewhere.
+    """
+    places, rest, posed = as_points(points), as_points(before), as_points(after)
+    corners = faces.cpu().numpy()
+    linear = _vertex_maps(rest, posed, corners)
+    found = SurfaceSearch(rest, corners).closest(places)
+    size = float(np.linalg.norm(np.ptp(places, axis=0)))
+    middle = float(np.median(found.distance))
+    if middle > FAR * size:
+        raise InputError(
+            f"mesh: expected one that lies at the points, got one that half of them are more than "
+            f"{middle:.3g} world units away from, the object being {size:.3g} large; check its "
+            'units and the axis that is "up"'
+        )
+    vertices, share = corners[found.face], found.barycentric
+    offset = places[:, None] - rest[vertices]
+    carried = posed[vertices] + np.einsum("nkij,nkj->nki", linear[vertices], offset)
+    moved = np.einsum("nk,nki->ni", share, carried)
+    slopes = np.einsum("nk,nkij->nij", share, linear[vertices])
+    return PointMotion(points, torch.from_numpy(moved), torch.from_numpy(slopes))
+
+
+def _vertex_maps(rest: FloatArray, posed: FloatArray, faces: NDArray[np.int64]) -> FloatArray:
+    old, area = _frames(rest[faces])
+    new, new_area = _frames(posed[faces])
+    sound = area > 1e-12 * area.max()
+    if not sound.any():
+        raise InputError(
+            "mesh: expected triangles with an area, got none; is it a line or a point?"
+        )
+    ratio = np.sqrt(new_area[sound] / area[sound])
+    new = new[sound]
+    new[:, :, 2] *= ratio[:, None]
+    maps = new @ np.linalg.inv(old[sound])
+    total = np.zeros((len(rest), 3, 3))
+    weight = np.zeros(len(rest))
+    for k in range(3):
+        np.add.at(total, faces[sound, k], area[sound, None, None] * maps)
+        np.add.at(weight, faces[sound, k], area[sound])
+    used = weight > 0
+    total[used] /= weight[used, None, None]
+    total[~used] = np.eye(3)
+    return total
+
+
+def _frames(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Edges and unit normal of triangles (F, 3, 3) as columns (F, 3, 3), and areas (F,)."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(first, second)
+    length = np.linalg.norm(normal, axis=1)
+    unit = normal / np.maximum(length, np.finfo(np.float64).tiny)[:, None]
+    return np.stack([first, second, unit], axis=-1), 0.5 * length

@@ -1,0 +1,171 @@
+"""A function of space from values and slopes at scattered points, exact at them.
+
+The interpolant is Shepard's in the local form of Franke and Little (Franke, "Scattered data
+interpolation", 1982), with a linear function at every site:
+
+    f(x) = sum_i w_i(x) (v_i + A_i (x - p_i)) / sum_i w_i(x),   w_i = (1 - d_i^2 / R^2)^2 / d_i^2
+
+over the sites nearest to x, R being the distance to the first site that takes no part. At a site it
+has the value and the slope of that site.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from pcore.deform.base import Deformation, check_points, gradients
+from pcore.errors import InputError
+from pcore.geometry.neighbours import as_points
+from pcore.geometry.rotation import procrustes
+
+NEIGHBOURS = 12
+"""Sites that answer for a place, and that a slope is fitted to."""
+# Shares of R^2: what keeps a weight finite at its own site, and one site's weight from vanishing
+# where all are equally far. Both are far below what double precision resolves of a position.
+_AT_SITE, _AT_RIM = 1e-14, 1e-12
+_STIFFNESS = 1e-3
+_SMALLEST = 1e-30
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scattered:
+    """An interpolant of values (N, C) at sites (N, 3); it treats each place by itself.
+
+    Continuous, smooth except where the set of answering sites changes, and linear in the values.
+
+    Attributes:
+        sites: (N, 3) world units.
+        values: (N, C).
+        slopes: (N, C, 3) derivatives of the values by position at the sites.
+    """
+
+    sites: Tensor
+    values: Tensor
+    slopes: Tensor
+    _tree: Any = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        places = as_points(self.sites)
+        count, width = self.values.shape
+        if count != len(places) or self.slopes.shape != (count, width, 3):
+            raise InputError(
+                f"scattered values: expected one of each for {len(places)} sites, got values "
+                f"{tuple(self.values.shape)} and slopes {tuple(self.slopes.shape)}"
+            )
+        for name in ("sites", "values", "slopes"):
+            frozen = getattr(self, name).detach().to(device="cpu", dtype=torch.float64, copy=True)
+            object.__setattr__(self, name, frozen)
+        object.__setattr__(self, "_tree", KDTree(places))
+
+    def __call__(self, points: Tensor) -> Tensor:
+        """Values (..., C) at points (..., 3); computed in double precision."""
+        check_points(points)
+        flat = points.reshape(-1, 3).to(torch.float64)
+        index = self._nearest(flat)
+        away = flat.unsqueeze(1) - self.sites.to(flat.device)[index]
+        values = self.values.to(flat.device)[index]
+        slopes = self.slopes.to(flat.device)[index]
+        local = values + (slopes * away.unsqueeze(-2)).sum(dim=-1)
+        squared = away.square().sum(dim=-1)
+        share = squared / squared[:, -1:].clamp_min(_SMALLEST)
+        weight = ((1 - share).square() + _AT_RIM) / (share + _AT_SITE)
+        mean = (weight.unsqueeze(-1) * local).sum(dim=1) / weight.sum(dim=1, keepdim=True)
+        # At a site itself to the last bit.
+        result = torch.where(squared[:, :1] == 0, local[:, 0], mean)
+        return result.reshape(*points.shape[:-1], values.shape[-1]).to(points.dtype)
+
+    def _nearest(self, flat: Tensor) -> Tensor:
+        """Numbers (n, k) of the nearest sites, nearest first."""
+        k = min(NEIGHBOURS + 1, len(self.sites))
+        if flat.shape[0] == 0:
+            return torch.zeros(0, k, dtype=torch.int64, device=flat.device)
+        places = torch.nan_to_num(flat.detach(), posinf=0.0, neginf=0.0).cpu().numpy()
+        _, index = self._tree.query(places, k=k)
+        numbers = np.asarray(index, dtype=np.int64).reshape(len(places), k)
+        return torch.from_numpy(numbers).to(flat.device)
+
+
+class PointMotion(Deformation):
+    """Space that goes along with points whose new places are known, exactly at the points.
+
+    Between the points it is `Scattered` with a linear map at each of them.
+
+    Attributes:
+        field: new places as a function of old ones.
+    """
+
+    def __init__(self, before: Tensor, after: Tensor, linear: Tensor | None = None) -> None:
+        """Prepare the map.
+
+        Args:
+            before: (N, 3) world units.
+            after: (N, 3) where they go.
+            linear: (N, 3, 3) the Jacobian at every point; fitted to its neighbours when None.
+        """
+        slopes = motion_slopes(before, after) if linear is None else linear
+        self.field = Scattered(sites=before, values=after, slopes=slopes)
+
+    def __call__(self, points: Tensor) -> Tensor:
+        """Map points (..., 3), world units."""
+        return self.field(points)
+
+    def jacobian(self, points: Tensor) -> Tensor:
+        """Jacobians (..., 3, 3); at the points themselves those that were given or fitted."""
+        return gradients(self.field, points)
+
+
+def motion_slopes(before: Tensor, after: Tensor) -> Tensor:
+    """Linear maps (N, 3, 3) that carry the neighbours of every point to where they went.
+
+    Least squares over the offsets to the nearest points, drawn a little towards the best rotation:
+    neighbours on a flat piece of surface say nothing about the direction across it.
+    """
+    source, target = as_points(before), as_points(after)
+    index = _neighbours(source)
+    old = source[index] - source[:, None]
+    new = target[index] - target[:, None]
+    weight = _closeness(old)
+    moments = np.einsum("nk,nki,nkj->nij", weight, old, old)
+    mixed = np.einsum("nk,nki,nkj->nij", weight, new, old)
+    rotation = procrustes(*(torch.from_numpy(one) for one in (old, new, weight))).numpy()
+    stiff = _STIFFNESS * np.trace(moments, axis1=1, axis2=2)[:, None, None] + _SMALLEST
+    matrix = moments + stiff * np.eye(3)
+    linear = np.linalg.solve(matrix, np.swapaxes(mixed + stiff * rotation, 1, 2))
+    return torch.from_numpy(np.swapaxes(linear, 1, 2))
+
+
+def scalar_slopes(sites: Tensor, values: Tensor) -> Tensor:
+    """Gradients (N, 3) of values (N,) fitted to the neighbours of every site by least squares.
+
+    They are zero at the sites of least and of greatest value, where nothing goes beyond.
+    """
+    source, height = as_points(sites), values.detach().cpu().double().numpy()
+    index = _neighbours(source)
+    offset = source[index] - source[:, None]
+    weight = _closeness(offset)
+    moments = np.einsum("nk,nki,nkj->nij", weight, offset, offset)
+    rise = np.einsum("nk,nki,nk->ni", weight, offset, height[index] - height[:, None])
+    stiff = _STIFFNESS * np.trace(moments, axis1=1, axis2=2)[:, None, None] + _SMALLEST
+    slopes = np.linalg.solve(moments + stiff * np.eye(3), rise[..., None])[..., 0]
+    slopes[(height == height.min()) | (height == height.max())] = 0.0
+    return torch.from_numpy(slopes)
+
+
+def _neighbours(places: NDArray[np.float64]) -> NDArray[np.int64]:
+    k = min(NEIGHBOURS + 1, len(places))
+    _, index = KDTree(places).query(places, k=k)
+    return np.asarray(index, dtype=np.int64).reshape(len(places), k)
+
+
+def _closeness(offset: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights (N, k) that fall with the distance; the point itself has no say."""
+    squared = np.einsum("nki,nki->nk", offset, offset)
+    scale = squared.mean(axis=1, keepdims=True) + _SMALLEST
+    return np.where(squared > 0, 1.0 / (squared + 0.1 * scale), 0.0)

@@ -1,0 +1,116 @@
+"""Deformations that act in part: in a region, or everywhere but in one."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pcore.deform.base import SINGULAR, Deformation, Identity, check_points, matrix_product
+from pcore.deform.base import orientation as orientation_of
+from pcore.deform.region import Region
+
+
+class Weighted(Deformation):
+    """x -> x + w(x) (D(x) - x) with the weight w of a region, minus that of a frozen one.
+
+    Attributes:
+        inner: D.
+        region: where it acts; None is everywhere.
+        frozen: where it does not act whatever `region` says; None is nowhere.
+    """
+
+    def __init__(self, inner: Deformation, region: Region | None, frozen: Region | None) -> None:
+        self.inner, self.region, self.frozen = inner, region, frozen
+
+    def __call__(self, points: Tensor) -> Tensor:
+        """Map points (..., 3), world units; where the weight is 0 they stay exactly."""
+        check_points(points)
+        return blend(points, self.inner(points), self._weight(points))
+
+    def jacobian(self, points: Tensor) -> Tensor:
+        """Jacobians (..., 3, 3): I + w (J - I) + (D(x) - x) grad(w)^T."""
+        check_points(points)
+        eye = Identity().jacobian(points)
+        weight = self._weight(points)[..., None, None]
+        way = (self.inner(points) - points).unsqueeze(-1)
+        turned = eye + weight * (self.inner.jacobian(points) - eye)
+        return turned + way * self._gradient(points).unsqueeze(-2)
+
+    def folded(self, points: Tensor) -> Tensor:
+        """Where space is flattened or turned inside out, bool (...,)."""
+        return super().folded(points) | (self.inner.folded(points) & (self._weight(points) == 1))
+
+    def _weight(self, points: Tensor) -> Tensor:
+        weight = torch.ones_like(points[..., 0])
+        if self.region is not None:
+            weight = self.region.weight(points)
+        return weight if self.frozen is None else weight * (1.0 - self.frozen.weight(points))
+
+    def _gradient(self, points: Tensor) -> Tensor:
+        """Product rule over the two weights: (..., 3)."""
+        slope = torch.zeros_like(points)
+        if self.region is not None:
+            slope = self.region.gradient(points)
+        if self.frozen is None:
+            return slope
+        slope = slope * (1.0 - self.frozen.weight(points)).unsqueeze(-1)
+        inside = 1.0 if self.region is None else self.region.weight(points).unsqueeze(-1)
+        return slope - inside * self.frozen.gradient(points)
+
+
+class Held(Deformation):
+    """Steps one after another with a region that never moves.
+
+    Each step moves a point by 1 - h of the way, h being the weight of the region at the place where
+    the point was before the first step: what is frozen stays frozen wherever the steps would take
+    it, and nothing is held up by passing through the region.
+
+    Attributes:
+        steps: the maps in the order in which they act.
+        hold: the region that stays, in the space before the first step.
+    """
+
+    def __init__(self, steps: tuple[Deformation, ...], hold: Region) -> None:
+        self.steps, self.hold = steps, hold
+
+    def __call__(self, points: Tensor) -> Tensor:
+        """Map points (..., 3), world units; where `hold` is 1 they stay exactly."""
+        check_points(points)
+        free = 1.0 - self.hold.weight(points)
+        for step in self.steps:
+            points = blend(points, step(points), free)
+        return points
+
+    def jacobian(self, points: Tensor) -> Tensor:
+        """Jacobians (..., 3, 3): step by step J + f (J_step - I) J + (step(y) - y) grad(f)^T."""
+        check_points(points)
+        eye = Identity().jacobian(points)
+        free = 1.0 - self.hold.weight(points)
+        slope = -self.hold.gradient(points).unsqueeze(-2)
+        total, place = eye, points
+        for step in self.steps:
+            moved = step(place)
+            turned = free[..., None, None] * (step.jacobian(place) - eye)
+            total = total + matrix_product(turned, total) + (moved - place).unsqueeze(-1) * slope
+            place = blend(place, moved, free)
+        return total
+
+    def folded(self, points: Tensor) -> Tensor:
+        """Where any beginning of the sequence folds space (two folds do not undo each other)."""
+        check_points(points)
+        free = 1.0 - self.hold.weight(points)
+        result = torch.zeros_like(free, dtype=torch.bool)
+        place = points
+        for number, step in enumerate(self.steps, start=1):
+            beginning = Held(self.steps[:number], self.hold)
+            result = result | ~(orientation_of(beginning, points) > SINGULAR)
+            result = result | (step.folded(place) & (free == 1))
+            place = blend(place, step(place), free)
+        return result
+
+
+def blend(start: Tensor, end: Tensor, weight: Tensor) -> Tensor:
+    """Go from points (..., 3) a share (...,) of the way; shares of 0 and 1 are exact."""
+    share = weight.unsqueeze(-1)
+    part = start + share * (end - start)
+    return torch.where(share == 1, end, torch.where(share == 0, start, part))

@@ -1,0 +1,71 @@
+"""Edits frozen to a cloud, one after the other, with what never moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from pcore.deform.base import Compose, Deformation, Identity
+from pcore.deform.checks import check_invertible
+from pcore.deform.region import Region
+from pcore.deform.weighted import Held, Weighted
+from pcore.editing.edits import Edit
+from pcore.editing.regions import RegionEntry, Setting, bind_region, bind_union
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bound:
+    """The edits so far, bound.
+
+    Attributes:
+        setting: where the points are by now, and where they were before the first edit.
+        steps: the deformation of every edit.
+        hold: what never moves, in the space before the first edit; None is nothing.
+        allow_folds: accept maps that fold space at some of the points.
+    """
+
+    setting: Setting
+    steps: tuple[Deformation, ...] = ()
+    hold: Region | None = None
+    allow_folds: bool = False
+
+    @property
+    def deformation(self) -> Deformation:
+        """All steps as one map of space."""
+        if not self.steps:
+            return Identity()
+        if self.hold is not None:
+            return Held(self.steps, self.hold)
+        return self.steps[0] if len(self.steps) == 1 else Compose(*self.steps)
+
+    def then(self, edit: Edit) -> Bound:
+        """Bind one more edit to the points as they arrive at it.
+
+        Raises:
+            EditError: it does not fit the points, or folds space (see `check_invertible`).
+            InputError: an amount that no map can have, or a file that cannot be read.
+        """
+        step = edit.place(self.setting)
+        if edit.region is not None or edit.freeze:
+            region = None if edit.region is None else bind_region(edit.region, self.setting)
+            step = Weighted(step, region, bind_union(edit.freeze, self.setting))
+        points, rest = self.setting.points, self.setting.rest
+        longer = replace(self, steps=(*self.steps, step))
+        # What is held changes the Jacobian of every step, so the whole sequence is looked at.
+        if self.hold is None:
+            check_invertible(step, points, allow_folds=self.allow_folds)
+            return replace(longer, setting=self.setting.at(step(points)))
+        check_invertible(longer.deformation, rest, allow_folds=self.allow_folds)
+        return replace(longer, setting=self.setting.at(longer.deformation(rest)))
+
+
+def begin(points: Tensor, freeze: tuple[RegionEntry, ...], *, allow_folds: bool = False) -> Bound:
+    """Freeze regions to points (N, 3) float64 before the first edit.
+
+    Raises:
+        EditError: a region does not fit the points or holds none of them.
+        InputError: a file of a region cannot be read.
+    """
+    setting = Setting(points=points, rest=points)
+    return Bound(setting=setting, hold=bind_union(freeze, setting), allow_folds=allow_folds)

@@ -1,0 +1,102 @@
+"""The kinds of value that the keys of an edit file take.
+
+The `description` of a field completes the sentence "expected ..." in error messages, so that the
+rule and its message stand together.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+from pydantic import (
+    AfterValidator,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    SerializationInfo,
+    ValidationInfo,
+)
+
+from pcore.deform.frame import axis_vector
+from pcore.errors import InputError
+
+
+def _axis(value: Any) -> str | tuple[float, float, float]:
+    if isinstance(value, (list, tuple)):
+        items = cast("list[Any]", list(value))
+        if any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in items):
+            raise ValueError("not numbers")
+        try:
+            value = tuple(float(item) for item in items)
+        except OverflowError as error:
+            raise ValueError("integer too large") from error
+    elif not isinstance(value, str):
+        raise ValueError("neither a name nor a vector")
+    try:
+        axis_vector(value)
+    except InputError as error:
+        raise ValueError(str(error)) from error
+    return value
+
+
+def _limits(value: tuple[float, float]) -> tuple[float, float]:
+    if not 0.0 <= value[0] < value[1] <= 1.0:
+        raise ValueError("limits out of order")
+    return value
+
+
+def _extent(value: tuple[float, float]) -> tuple[float, float]:
+    if not value[0] < value[1]:
+        raise ValueError("extent out of order")
+    return value
+
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Triple = tuple[Number, Number, Number]
+AXIS = '"x", "y", "z" or a non-zero vector [x, y, z] of finite numbers'
+EXTENT = "two finite numbers [lo, hi] with lo < hi, world units from the origin"
+# Serialised as it is: pydantic knows nothing about what a plain validator returns.
+Axis = Annotated[
+    str | tuple[float, float, float],
+    PlainValidator(_axis),
+    PlainSerializer(lambda axis: axis, return_type=Any),
+]
+Limits = Annotated[
+    tuple[Number, Number],
+    AfterValidator(_limits),
+    Field(description="two numbers [first, second] with 0 <= first < second <= 1"),
+]
+Extent = Annotated[tuple[Number, Number], AfterValidator(_extent)]
+Angle = Annotated[Number, Field(description="a finite number of degrees")]
+Factor = Annotated[Number, Field(description="a finite number")]
+Positive = Annotated[
+    Number,
+    Field(gt=0, description="a finite number above 0 (0 is a singular deformation, less mirrors)"),
+]
+Length = Annotated[Number, Field(ge=0, description="a length of 0 or more, world units")]
+
+
+def _found_from(value: str, info: ValidationInfo) -> str:
+    """A path in an edit file is meant from the folder of that file."""
+    if not value:
+        raise ValueError("no path")
+    folder: Any = (info.context or {}).get("folder")
+    return str(Path(folder or ".").absolute() / value)
+
+
+def _written_from(value: str, info: SerializationInfo) -> str:
+    """Files beside or below an edit file are named as seen from it, so that both can move."""
+    folder: Any = (info.context or {}).get("folder")
+    path = Path(value)
+    if folder is None or not path.is_relative_to(Path(folder).absolute()):
+        return value
+    return path.relative_to(Path(folder).absolute()).as_posix()
+
+
+StoredFile = Annotated[
+    str,
+    Field(strict=True),
+    AfterValidator(_found_from),
+    PlainSerializer(_written_from, return_type=str),
+]

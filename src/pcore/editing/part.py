@@ -1,0 +1,62 @@
+"""The edit that moves one part of an object: a similarity transform in a region."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor
+
+from pcore.deform.base import Affine, Compose, Deformation
+from pcore.deform.simple import rigid, uniform_scale
+from pcore.editing.edits import Edit
+from pcore.editing.fields import AXIS, Angle, Axis, Positive, Triple
+from pcore.editing.regions import REGION, AnyRegion, Setting, bind_region
+
+_TRIPLE = "three finite numbers [x, y, z]"
+
+
+class PartEdit(Edit):
+    """Scale the part by `factor` and turn it about `origin`, then translate it."""
+
+    type: Literal["part"] = "part"
+    region: Annotated[AnyRegion, Field(description=REGION)]  # pyright: ignore
+    axis: Axis | None = Field(default=None, description=AXIS)
+    angle_deg: Angle = 0.0
+    factor: Positive = 1.0
+    translation: Annotated[Triple, Field(description=_TRIPLE)] = (0.0, 0.0, 0.0)
+    origin: Annotated[Triple | None, Field(description=_TRIPLE)] = None
+
+    @model_validator(mode="after")
+    def _turn_needs_axis(self) -> PartEdit:
+        if self.axis is None and self.angle_deg != 0.0:
+            raise ValueError(
+                '"axis": expected "x", "y", "z" or [x, y, z] to turn about because "angle_deg" '
+                f"is {self.angle_deg}, got none"
+            )
+        return self
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`."""
+        return self.place(Setting(points=points, rest=points))
+
+    def place(self, setting: Setting) -> Deformation:
+        """See `Edit.place`; without `origin` it is the centre of the points in the region."""
+        if self.origin is not None:
+            origin = torch.tensor(self.origin, dtype=torch.float64)
+        else:
+            weight = bind_region(self.region, setting).weight(setting.points).unsqueeze(-1)
+            origin = (weight * setting.points).sum(dim=0) / weight.sum()
+        axis = "z" if self.axis is None else self.axis
+        turn = rigid(axis, math.radians(self.angle_deg), self.translation, origin)
+        if self.factor == 1.0:
+            return turn
+        return _merged(uniform_scale(self.factor, origin), turn)
+
+
+def _merged(first: Affine, second: Affine) -> Affine:
+    both = Compose(first, second)
+    zero = torch.zeros(3, dtype=torch.float64)
+    return Affine(both.jacobian(zero), both(zero))

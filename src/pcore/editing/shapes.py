@@ -1,0 +1,146 @@
+"""Edits that come from files: cages, proxy meshes, displaced points."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from pcore.data.meshes import MeshFile, read_mesh
+from pcore.data.points import read_point_file
+from pcore.deform.base import Deformation
+from pcore.deform.cage import Cage, CageDeform
+from pcore.deform.proxy import follow_mesh
+from pcore.deform.scattered import PointMotion
+from pcore.editing.edits import Edit
+from pcore.editing.fields import Positive, StoredFile
+from pcore.errors import EditError
+from pcore.geometry.neighbours import nearest
+
+SAME = 1e-4
+NEAR = 0.02
+"""How far a point may be from the one it is matched with, as a share of the object's size: by id,
+where both should be the same, and by position."""
+
+_MESH = "the path of a mesh (.ply, .obj or .glb)"
+_POINTS = "the path of a file of points (.npy or .ply)"
+
+
+class MeshPair(Edit):
+    """What edits by a mesh share: the same mesh in two shapes."""
+
+    before: Annotated[StoredFile, Field(description=_MESH)]
+    after: Annotated[StoredFile, Field(description=_MESH)]
+    up: Annotated[Literal["y", "z"], Field(description='"y" or "z"')] = "z"
+
+    def meshes(self) -> tuple[MeshFile, MeshFile]:
+        """Read both shapes.
+
+        Raises:
+            InputError: a file cannot be read.
+            EditError: they are not the same mesh.
+        """
+        before, after = read_mesh(self.before, up=self.up), read_mesh(self.after, up=self.up)
+        if len(before.vertices) != len(after.vertices):
+            raise EditError(
+                f"{self.after}: expected the {len(before.vertices)} vertices of {self.before}, got "
+                f"{len(after.vertices)}; export both from the same mesh, without changing its "
+                "topology"
+            )
+        if not torch.equal(before.faces, after.faces):
+            raise EditError(
+                f"{self.after}: expected the same faces as in {self.before}, got others, so its "
+                "vertices may be in another order; export both in the same way"
+            )
+        return before, after
+
+
+class CageEdit(MeshPair):
+    """Space goes along with a closed mesh around the object."""
+
+    type: Literal["cage"] = "cage"
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`."""
+        before, after = self.meshes()
+        deform = CageDeform(Cage(vertices=before.vertices, faces=before.faces), after.vertices)
+        # Places and Jacobians in one pass; the check that follows asks for both.
+        deform.jacobian(points)
+        return deform
+
+
+class MeshEdit(MeshPair):
+    """The points follow a mesh that lies at them."""
+
+    type: Literal["mesh"] = "mesh"
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`."""
+        before, after = self.meshes()
+        return follow_mesh(points, before.vertices, after.vertices, before.faces)
+
+
+class DisplacementEdit(Edit):
+    """The points go where a file says, and space between them along with them."""
+
+    type: Literal["displacement"] = "displacement"
+    before: Annotated[StoredFile, Field(description=_POINTS)]
+    after: Annotated[StoredFile, Field(description=_POINTS)]
+    match: Annotated[Literal["id", "position"], Field(description='"id" or "position"')] = "id"
+    tolerance: Positive | None = Field(default=None, description="a length above 0, world units")
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`."""
+        before = read_point_file(self.before).positions.double()
+        after = read_point_file(self.after).positions.double()
+        if len(before) != len(after):
+            raise EditError(
+                f"{self.after}: expected a new place for each of the {len(before)} points of "
+                f"{self.before}, got {len(after)}"
+            )
+        if self.match == "id":
+            self._check_ids(points, before)
+            return PointMotion(points, after)
+        self._check_places(points, before)
+        return PointMotion(before, after)
+
+    def _check_ids(self, points: Tensor, before: Tensor) -> None:
+        if len(before) != len(points):
+            raise EditError(
+                f"{self.before}: expected the {len(points)} points that arrive at this edit, got "
+                f'{len(before)}; a file of another model needs "match": "position"'
+            )
+        limit = SAME * _size(points) if self.tolerance is None else self.tolerance
+        away = (points - before).norm(dim=-1)
+        if bool((away > limit).any()):
+            first = int((away > limit).nonzero()[0])
+            shuffled = bool((_distance(points, before)[0] <= limit).all())
+            why = "the same points in another order" if shuffled else "other points"
+            raise EditError(
+                f"{self.before}: expected point by point the places of the points that arrive at "
+                f"this edit, got {why}: {int((away > limit).sum())} are more than {limit:.3g} "
+                f'away, the first is number {first}; use "match": "position"'
+            )
+
+    def _check_places(self, points: Tensor, before: Tensor) -> None:
+        limit = NEAR * _size(points) if self.tolerance is None else self.tolerance
+        away, _ = _distance(points, before)
+        lost = away > limit
+        if bool(lost.any()):
+            raise EditError(
+                f"{self.before}: expected a point within {limit:.3g} of every point that arrives "
+                f"at this edit, got none for {int(lost.sum())} of {len(points)}, the farthest is "
+                f'{float(away.max()):.3g} away; give a larger "tolerance" if that is meant'
+            )
+
+
+def _size(points: Tensor) -> float:
+    return float((points.amax(dim=0) - points.amin(dim=0)).norm())
+
+
+def _distance(points: Tensor, others: Tensor) -> tuple[Tensor, Tensor]:
+    """Distance (N,) from points to the nearest of others, and which it is."""
+    index, distance = nearest(others, points, 1)
+    return distance[:, 0], index[:, 0]

@@ -1,0 +1,93 @@
+"""`pcore animate`: a video and points of an edit that changes over time."""
+
+import json
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from toys import toy_cameras, write_cameras, write_run, write_scene
+
+from pcore.cli.main import main
+from pcore.data.points import load_points
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path / "ball")
+    write_run(tmp_path / "run", scene="../ball", factor=1)
+    write_edit({"keyframes": [[0, 0.5], [1, 1.5]]})
+    return tmp_path
+
+
+def write_edit(factor: object) -> None:
+    content = {"version": 2, "edits": [{"type": "scale", "factor": factor}]}
+    Path("edit.json").write_text(json.dumps(content))
+
+
+def call(*args: object) -> int:
+    words = ["animate", "run", "--edit", "edit.json", "--device", "cpu", *map(str, args)]
+    return main(words)
+
+
+def film(path: str) -> np.ndarray:
+    with av.open(path) as container:
+        return np.stack([f.to_ndarray(format="rgb24") for f in container.decode(video=0)])
+
+
+def test_a_video_and_the_points(folder: Path, capsys: pytest.CaptureFixture[str]):
+    assert call("--frames", 3, "-o", "out.mp4", "--points", "points") == 0
+    frames = film("out.mp4")
+    assert frames.shape == (3, 16, 16, 3)
+    names = sorted(item.name for item in Path("points").iterdir())
+    assert names == ["frame_000.ply", "frame_001.ply", "frame_002.ply"]
+    clouds = [load_points(f"points/{name}") for name in names]
+    np.testing.assert_allclose(clouds[0] * 3, clouds[2], rtol=1e-5)
+    np.testing.assert_allclose(clouds[0] * 2, clouds[1], rtol=1e-5)
+    shown = capsys.readouterr().out
+    assert "3 files of points in points" in shown
+    assert "3 frames in out.mp4" in shown
+
+
+def test_the_camera_stands_or_goes_round_or_follows_a_path(folder: Path):
+    write_edit(1.0)
+    call("--frames", 3, "-o", "still.mp4")
+    still = film("still.mp4").astype(int)
+    # All frames are the same but for the coding.
+    assert np.abs(still - still[0]).max() < 40
+    call("--frames", 3, "-o", "orbit.mp4", "--orbit")
+    cameras = toy_cameras(2)
+    write_cameras(folder / "path.json", cameras, w=20, h=16)
+    assert call("--frames", 5, "-o", "path.mp4", "--cameras", "path.json") == 0
+    assert film("path.mp4").shape == (5, 16, 20, 3)
+    around = film("orbit.mp4").astype(int)
+    assert around.shape == (3, 16, 16, 3)
+    assert np.abs(around - still)[1:].max() > 40
+
+
+def test_a_fold_in_some_frame_is_found_before_anything_is_written(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+):
+    bend = {"type": "bend", "axis": "z", "angle_deg": {"keyframes": [[0, 0], [1, 400]]}}
+    Path("edit.json").write_text(json.dumps({"version": 2, "edits": [bend]}))
+    assert call("--frames", 3, "-o", "out.mp4", "--points", "points") == 2
+    assert "edit.json at time 0.5: edit 1 (bend): singular" in capsys.readouterr().err
+    assert not Path("out.mp4").exists()
+    assert not Path("points").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([], "expected -o VIDEO.mp4 or --points FOLDER, or both, got neither"),
+        (["-o", "out.gif"], "out.gif: expected a video that ends in .mp4"),
+        (["-o", "none/out.mp4"], "expected an existing folder to write to, got none"),
+        (["-o", "a.mp4", "--orbit", "--cameras", "c.json"], "one of --orbit and --cameras, got bo"),
+        (["-o", "a.mp4", "--frames", "0"], "frames: expected a whole number of at least 1"),
+        (["--points", "run"], "run holds a run: expected a folder for pictures only"),
+    ],
+)
+def test_bad_options(folder: Path, words: list[str], expected: str, capsys):
+    assert call(*words) == 2
+    assert expected in capsys.readouterr().err

@@ -1,0 +1,145 @@
+"""`pcore edit apply | list | validate | upgrade`."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from toys import write_run
+
+from pcore.cli.main import main
+from pcore.data.points import read_point_file
+from pcore.editing.script import load_edit
+
+SHIFT = {"type": "rigid", "translation": [0, 0, 0.2]}
+LOW = {"shape": "half_space", "normal": [0, 0, -1], "origin": [0, 0, -0.3], "falloff": 1.2}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_run(tmp_path / "run")
+    points = torch.nn.functional.normalize(torch.randn(300, 3), dim=-1)
+    np.save(tmp_path / "points.npy", points.numpy())
+    write_edit(tmp_path, SHIFT, freeze=[LOW])
+    return tmp_path
+
+
+def write_edit(folder: Path, *edits: dict, **more: object) -> Path:
+    path = folder / "edit.json"
+    path.write_text(json.dumps({"version": 2, "edits": edits, **more}))
+    return path
+
+
+def call(capsys: pytest.CaptureFixture[str], *args: object) -> tuple[int, str]:
+    code = main(["edit", *map(str, args)])
+    shown = capsys.readouterr()
+    return code, shown.out + shown.err
+
+
+def test_apply_to_points(folder: Path, capsys: pytest.CaptureFixture[str]):
+    edit, output = folder / "edit.json", folder / "moved.npy"
+    code, shown = call(capsys, "apply", folder / "points.npy", "--edit", edit, "-o", output)
+    assert code == 0
+    before, after = np.load(folder / "points.npy"), np.load(output)
+    low = before[:, 2] <= -0.3
+    assert np.array_equal(after[low], before[low])
+    assert "1. rigid: origin [0.0, 0.0, 0.0]" in shown
+    assert "frozen: half_space (falloff 1.2" in shown
+    way = np.linalg.norm(after - before, axis=1)
+    assert f"{way.mean():.4g} on average" in shown
+    assert f"{int((way == 0).sum())} did not move" in shown
+    assert "strain: 1." in shown
+    assert "hole score: 0.0 % of the points" in shown
+    assert "self-intersection: 0.0 %" in shown
+
+
+def test_apply_to_a_run_in_colours(folder: Path, capsys: pytest.CaptureFixture[str]):
+    write_edit(folder, {"type": "scale", "factor": 4})
+    output, picture = folder / "moved.ply", folder / "strain.png"
+    words = ["--edit", folder / "edit.json", "-o", output, "--colors", "strain"]
+    code, shown = call(capsys, "apply", folder / "run", *words, "--picture", picture)
+    assert code == 0
+    assert "hole score: 100.0 %" in shown
+    colors = read_point_file(output).colors
+    assert (colors[:, :3] == torch.tensor([214, 38, 31])).all()
+    with Image.open(picture) as image:
+        reds = (np.asarray(image) == [214, 38, 31]).all(axis=-1)
+    assert reds.sum() > 100
+
+
+def test_apply_at_a_time(folder: Path, capsys: pytest.CaptureFixture[str]):
+    track = {"keyframes": [[0, 1], [2, 3]]}
+    edit, output = write_edit(folder, {"type": "scale", "factor": track}), folder / "moved.npy"
+    words = [folder / "points.npy", "--edit", edit, "-o", output]
+    code, shown = call(capsys, "apply", *words)
+    assert code == 2
+    assert "expected --time between 0 and 2, because it has keyframes, got none" in shown
+    assert not output.exists()
+    assert call(capsys, "apply", *words, "--time", 1)[0] == 0
+    np.testing.assert_allclose(np.load(output), 2 * np.load(folder / "points.npy"), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["-o", "moved.npy", "--colors", "strain"], "expected a .ply for --colors"),
+        (["-o", "moved.txt"], "ends in .npy or .ply"),
+        (["-o", "moved.npy", "--picture", "a.jpg"], "expected a picture that ends in .png"),
+    ],
+)
+def test_bad_outputs(folder: Path, words: list[str], expected: str, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    code, shown = call(capsys, "apply", "points.npy", "--edit", "edit.json", *words)
+    assert code == 2
+    assert expected in shown
+
+
+def test_a_list_of_edits(folder: Path, capsys: pytest.CaptureFixture[str]):
+    edit = write_edit(
+        folder, {**SHIFT, "region": LOW, "freeze": [LOW]}, {"type": "scale", "factor": 2}
+    )
+    code, shown = call(capsys, "list", edit)
+    assert code == 0
+    first, second = shown.splitlines()
+    assert first.startswith("1. rigid: ")
+    assert "; in a half_space (falloff 1.2" in first
+    assert "; not in a half_space" in first
+    assert second.startswith("2. scale: ")
+    write_edit(folder, {"type": "scale", "factor": {"keyframes": [[1, 2], [5, 4]]}})
+    _, shown = call(capsys, "list", edit)
+    assert "factor 2.0" in shown
+    assert "animated from time 1 to 5; shown at the start" in shown
+    write_edit(folder)
+    assert call(capsys, "list", edit) == (0, "no edit\n")
+
+
+def test_validating(folder: Path, capsys: pytest.CaptureFixture[str]):
+    edit = folder / "edit.json"
+    assert call(capsys, "validate", edit) == (0, f"{edit}: valid, 1 edit\n")
+    code, shown = call(capsys, "validate", edit, "--run", folder / "run")
+    assert code == 0
+    assert "valid, 1 edit; fits the 40 points of" in shown
+    write_edit(folder, {**SHIFT, "region": {"shape": "points", "ids": [40]}})
+    assert call(capsys, "validate", edit)[0] == 0
+    code, shown = call(capsys, "validate", edit, "--run", folder / "run")
+    assert code == 2
+    assert "expected numbers from 0 to 39" in shown
+    write_edit(folder, {"type": "shear"})
+    assert call(capsys, "validate", edit)[0] == 2
+
+
+def test_upgrading(folder: Path, capsys: pytest.CaptureFixture[str]):
+    old = folder / "old.json"
+    old.write_text(json.dumps({"version": 1, "edits": [SHIFT]}))
+    before = load_edit(old)
+    code, shown = call(capsys, "upgrade", old, "-o", folder / "new.json")
+    assert code == 0
+    assert "version 1 -> 2" in shown
+    assert json.loads((folder / "new.json").read_text())["version"] == 2
+    assert load_edit(folder / "new.json") == before
+    assert json.loads(old.read_text())["version"] == 1
+    call(capsys, "upgrade", old)
+    assert load_edit(old) == before
+    assert json.loads(old.read_text())["version"] == 2

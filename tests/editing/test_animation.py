@@ -1,0 +1,133 @@
+"""Keyframes: values over time, and what is said about bad ones."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from pcore.editing.animation import Animation, load_animation, parse_animation
+from pcore.editing.script import load_edit, parse_edit
+from pcore.errors import EditError, InputError
+
+
+def track(*keys: list, **more) -> dict:
+    return {"keyframes": list(keys), **more}
+
+
+def animation(angle: object, **more) -> Animation:
+    edit = {"type": "twist", "axis": "z", "angle_deg": angle}
+    return parse_animation({"version": 2, "edits": [edit], **more}, source="edit.json")
+
+
+def angle_at(made: Animation, time: float) -> float:
+    return made.at(time).edits[0].angle_deg
+
+
+@pytest.mark.parametrize(
+    ("easing", "quarter"),
+    [("linear", 15.0), ("smooth", 60 * 0.15625), ("in", 3.75), ("out", 26.25), ("step", 0.0)],
+)
+def test_easings(easing: str, quarter: float):
+    made = animation(track([1, 0], [3, 60], easing=easing))
+    assert angle_at(made, 1.5) == pytest.approx(quarter)
+    assert [angle_at(made, time) for time in (0, 1, 3, 9)] == [0, 0, 60, 60]
+    assert angle_at(animation(track([1, 0], [3, 60])), 2) == 30
+
+
+def test_several_keys_and_several_tracks():
+    hand = {"shape": "sphere", "center": track([0, [0, 0, 0]], [4, [0, 0, 2]]), "radius": 1}
+    made = parse_animation(
+        {
+            "version": 2,
+            "freeze": [{**hand, "radius": track([0, 1], [8, 2])}],
+            "edits": [
+                {"type": "twist", "axis": "z", "angle_deg": track([1, 0], [2, 10], [4, -10])},
+                {"type": "rigid", "translation": [0, 0, 1], "region": hand},
+            ],
+        }
+    )
+    assert (made.start, made.end) == (0, 8)
+    assert made.times(5) == [0, 2, 4, 6, 8]
+    assert made.times(1) == [0]
+    still = made.at(3)
+    assert still.edits[0].angle_deg == 0
+    assert still.edits[1].region.center == (0, 0, 1.5)
+    assert still.freeze[0].radius == pytest.approx(1.375)
+    assert still.freeze[0].center == (0, 0, 1.5)
+
+
+def test_a_still_edit_is_an_animation_too():
+    made = animation(40)
+    assert (made.start, made.end) == (0, 0)
+    assert made.times(3) == [0, 0, 0]
+    assert made.at(7) == parse_edit(
+        {"version": 1, "edits": [{"type": "twist", "axis": "z", "angle_deg": 40}]}
+    )
+
+
+def test_at_a_time_it_is_an_edit_file_without_keyframes(tmp_path: Path):
+    content = {
+        "version": 2,
+        "edits": [{"type": "scale", "factor": track([0, 1], [1, 3])}],
+    }
+    (tmp_path / "edit.json").write_text(json.dumps(content))
+    half = load_animation(tmp_path / "edit.json").at(0.5)
+    half.save(tmp_path / "half.json")
+    points = torch.rand(20, 3)
+    torch.testing.assert_close(load_edit(tmp_path / "half.json").bind(points)(points), 2 * points)
+    with pytest.raises(EditError, match="expected an edit that stands still, got one with keyf"):
+        load_edit(tmp_path / "edit.json")
+
+
+def test_what_is_given_can_be_changed_afterwards():
+    data = {"version": 2, "edits": [{"type": "scale", "factor": track([0, 1], [1, 3])}]}
+    made = parse_animation(data)
+    data["edits"].clear()
+    assert made.at(1).edits[0].factor == 3
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (track([1, 0], [1, 5]), "keyframe 2: expected keyframes in order, each later than the one"),
+        (track([2, 0], [1, 5]), "got the time 1 after 2"),
+        (track(), "expected keyframes "),
+        ({"keyframes": 3}, "at least one, got 3"),
+        (track([0, 0], [1]), "keyframe 2: expected [time, value] with a finite time and a number"),
+        (track([0, "a"]), "keyframe 1: expected [time, value]"),
+        (track([float("nan"), 1]), "keyframe 1: expected [time, value]"),
+        (track([0, float("nan")]), "keyframe 1: expected [time, value]"),
+        (track([0, 1], [1, [1, 2]]), "keyframe 2: expected a value of the same kind as the first"),
+        (track([0, 1], easing="bounce"), 'expected an "easing" that is one of "linear", "smooth"'),
+        (track([0, 1], ease="in"), 'expected only "keyframes" and "easing" beside each other'),
+        (track([0, [1, 2]]), 'at time 0: edit 1 (twist): key "angle_deg": expected a finite'),
+    ],
+)
+def test_bad_keyframes(value: object, expected: str):
+    with pytest.raises(EditError) as caught:
+        animation(value)
+    assert str(caught.value).startswith("edit.json")
+    assert expected in str(caught.value)
+
+
+def test_where_a_bad_track_is():
+    with pytest.raises(EditError, match=r'edit.json: edit 1: key "angle_deg": keyframe 2: expec'):
+        animation(track([1, 0], [0, 5]))
+    ball = {"shape": "sphere", "center": [0, 0, 0], "radius": track([1, 0], [0, 5])}
+    with pytest.raises(EditError, match=r'edit.json: freeze: key "radius": keyframe 2: expected'):
+        animation(3, freeze=[ball])
+
+
+def test_a_value_that_only_some_frames_have_is_checked_at_the_keys():
+    data = {"version": 2, "edits": [{"type": "scale", "factor": track([0, 1], [1, -1])}]}
+    with pytest.raises(EditError, match=r'at time 1: edit 1 .scale.: key "factor": expected a fin'):
+        parse_animation(data)
+
+
+def test_version_1_has_no_keyframes():
+    data = {"version": 1, "edits": [{"type": "scale", "factor": track([0, 1], [1, 2])}]}
+    with pytest.raises(EditError, match='keyframes need "version": 2, got 1'):
+        parse_animation(data)
+    with pytest.raises(InputError, match="frames: expected a whole number of at least 1, got 0"):
+        animation(3).times(0)

@@ -1,0 +1,66 @@
+"""Strain, thin places and self-intersection of known deformations."""
+
+import pytest
+import torch
+
+from pcore.deform.simple import rigid, uniform_scale
+from pcore.editing.diagnosis import diagnose
+from pcore.errors import InputError
+
+
+def shell(center: float = 0.0, count: int = 2000) -> torch.Tensor:
+    points = torch.randn(count, 3, generator=torch.Generator().manual_seed(2)).double()
+    return torch.nn.functional.normalize(points, dim=-1) * 0.5 + torch.tensor([center, 0, 0])
+
+
+def test_a_rigid_motion_is_calm():
+    found = diagnose(shell(), rigid((1, 2, 3), 1.0, (5, 0, 0))(shell()))
+    torch.testing.assert_close(found.strain, torch.ones(2000).double())
+    assert found.hole_score == 0
+    assert found.self_intersection == 0
+    assert bool((found.colors() == 209).all())
+
+
+@pytest.mark.parametrize("factor", [0.1, 3.0])
+def test_a_scale_is_strain_and_nothing_else(factor: float):
+    found = diagnose(shell(), uniform_scale(factor)(shell()))
+    torch.testing.assert_close(found.strain, torch.full((2000,), factor).double())
+    assert found.hole_score == (1.0 if factor > 2 else 0.0)
+    assert found.self_intersection == 0
+    color = found.colors()[0].tolist()
+    assert color == ([214, 38, 31] if factor > 2 else [33, 92, 199])
+
+
+def test_a_stretch_shows_where_it_stretches():
+    points = shell()
+    moved = points.clone()
+    moved[:, 0] = torch.where(points[:, 0] > 0, 3 * points[:, 0], points[:, 0])
+    found = diagnose(points, moved)
+    assert float(found.strain[points[:, 0] < -0.1].max()) == pytest.approx(1)
+    assert float(found.strain[points[:, 0] > 0.1].median()) > 1.5
+    assert float(found.strain.max()) == pytest.approx(3, abs=0.05)
+    numbers = found.numbers()
+    assert numbers["strain_max"] == float(found.strain.max())
+    assert numbers["strain_median"] < numbers["strain_99"] <= numbers["strain_max"]
+
+
+def test_parts_pushed_into_each_other_meet():
+    points = torch.cat([shell(-1), shell(1)])
+    moved = points.clone()
+    moved[2000:, 0] -= 1.4
+    found = diagnose(points, moved)
+    crossing = (moved[:, 0] + 0.7).abs() > 0.9
+    assert 0.02 < found.self_intersection < 0.6
+    assert not bool(found.meeting[crossing].any())
+    assert found.hole_score == 0
+    assert (found.colors()[found.meeting] == torch.tensor([191, 26, 191])).all()
+
+
+def test_points_in_one_place_are_no_trouble():
+    points = torch.zeros(20, 3)
+    assert diagnose(points, points).strain.tolist() == [1.0] * 20
+
+
+def test_misfits_are_refused():
+    with pytest.raises(InputError, match=r"the same points \(N, 3\) twice, at least two, got"):
+        diagnose(shell(), shell()[:-1])

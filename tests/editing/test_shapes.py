@@ -1,0 +1,214 @@
+"""Edits that come from files: cage, mesh, displacement."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from pcore.editing.script import EditScript, load_edit, parse_edit
+from pcore.editing.session import EditSession
+from pcore.errors import EditError
+
+TURN = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+
+
+def cloud() -> torch.Tensor:
+    points = torch.randn(300, 3, generator=torch.Generator().manual_seed(2))
+    return torch.nn.functional.normalize(points, dim=-1) * 0.9
+
+
+def script(**edit) -> EditScript:
+    return parse_edit({"version": 2, "edits": [edit]}, source="edit.json")
+
+
+def bind_message(**edit) -> str:
+    made = script(**edit)
+    with pytest.raises(EditError) as caught:
+        made.bind(cloud())
+    text = str(caught.value)
+    assert text.startswith(f"edit.json: edit 1 ({edit['type']}): ")
+    return text
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The same ball before and after in all formats, and points with where they go."""
+    monkeypatch.chdir(tmp_path)
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    turned = mesh.copy()
+    turned.vertices = mesh.vertices @ TURN.numpy().T + [0, 0, 0.5]
+    for ending in ("ply", "obj", "glb"):
+        mesh.export(f"before.{ending}")
+        turned.export(f"after.{ending}")
+    np.save("before.npy", cloud().numpy())
+    np.save("after.npy", (cloud() @ TURN.T + 0.5).numpy())
+    return tmp_path
+
+
+@pytest.mark.parametrize("ending", ["ply", "obj", "glb"])
+@pytest.mark.parametrize("kind", ["cage", "mesh"])
+def test_a_mesh_in_two_shapes(kind: str, ending: str):
+    points = cloud()
+    made = script(type=kind, before=f"before.{ending}", after=f"after.{ending}")
+    moved = made.bind(points)(points)
+    expected = points @ TURN.T + torch.tensor([0, 0, 0.5])
+    torch.testing.assert_close(moved, expected, rtol=0, atol=1e-5)
+    jacobian = made.bind(points).jacobian(points)
+    torch.testing.assert_close(jacobian, TURN.expand(300, 3, 3), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["cage", "mesh"])
+def test_files_with_y_up(kind: str):
+    for name in ("before", "after"):
+        mesh = trimesh.load_mesh(f"{name}.ply", process=False)
+        x, y, z = mesh.vertices.T
+        mesh.vertices = np.stack([x, z, -y], axis=1)
+        mesh.export(f"{name}_y.obj")
+    points = cloud()
+    made = script(type=kind, before="before_y.obj", after="after_y.obj", up="y")
+    expected = points @ TURN.T + torch.tensor([0, 0, 0.5])
+    torch.testing.assert_close(made.bind(points)(points), expected, rtol=0, atol=1e-5)
+
+
+def test_a_cage_in_a_region_and_with_frozen_points():
+    points = cloud()
+    upper = {"shape": "half_space", "normal": "z", "origin": [0, 0, 0.5], "falloff": 2}
+    half = script(type="cage", before="before.ply", after="after.ply", region=upper)
+    moved = half.bind(points, allow_folds=True)(points)
+    high = points[:, 2] > 0.5
+    expected = points @ TURN.T + torch.tensor([0, 0, 0.5])
+    torch.testing.assert_close(moved[high], expected[high], rtol=0, atol=1e-5)
+    assert float((moved - expected)[~high].norm(dim=-1).max()) > 0.1
+
+
+def test_displacement_by_id_is_exact():
+    points = cloud()
+    made = script(type="displacement", before="before.npy", after="after.npy")
+    bound = made.bind(points)
+    assert torch.equal(bound(points), points @ TURN.T + 0.5)
+    # Points on a sheet: the turn is found, the scale across is not asked for.
+    jacobian = bound.jacobian(points.double())
+    torch.testing.assert_close(jacobian, TURN.double().expand(300, 3, 3), rtol=0, atol=0.02)
+
+
+def test_displacement_by_position_serves_another_cloud_of_the_object():
+    other = torch.nn.functional.normalize(
+        torch.randn(500, 3, generator=torch.Generator().manual_seed(7)), dim=-1
+    )
+    content = {"type": "displacement", "before": "before.npy", "after": "after.npy"}
+    made = script(**content, match="position", tolerance=0.3)
+    moved = made.bind(0.9 * other)(0.9 * other)
+    expected = 0.9 * other @ TURN.T + 0.5
+    assert float((moved - expected).norm(dim=-1).max()) < 0.02
+    order = torch.randperm(300, generator=torch.Generator().manual_seed(1))
+    moved = script(**content, match="position").bind(cloud()[order])(cloud()[order])
+    assert torch.equal(moved, (cloud() @ TURN.T + 0.5)[order])
+
+
+def test_files_are_found_from_the_edit_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    content = {"type": "displacement", "before": "before.npy", "after": "after.npy"}
+    script(**content).save(tmp_path / "edit.json")
+    monkeypatch.chdir("/")
+    again = load_edit(tmp_path / "edit.json")
+    assert torch.equal(again.bind(cloud())(cloud()), cloud() @ TURN.T + 0.5)
+
+
+@pytest.mark.parametrize("kind", ["cage", "mesh"])
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        ("before.ply", "none.ply", "none.ply: no such file; expected a mesh"),
+        ("before.ply", "after.stl", "after.stl: expected a mesh that ends in .ply, .obj or .glb"),
+        ("before.ply", "few.ply", "few.ply: expected the 162 vertices of"),
+        ("before.ply", "order.ply", "order.ply: expected the same faces as in"),
+        ("before.ply", "nan.obj", "nan.obj: expected finite coordinates, got NaN"),
+        ("before.ply", "bare.ply", "bare.ply: expected a mesh"),
+        ("before.ply", "text.obj", "text.obj: expected a mesh with faces"),
+    ],
+)
+def test_pairs_that_do_not_fit(kind: str, before: str, after: str, expected: str):
+    mesh = trimesh.creation.icosphere(subdivisions=1)
+    mesh.export("few.ply")
+    mesh = trimesh.load_mesh("before.ply", process=False)
+    trimesh.Trimesh(mesh.vertices, np.roll(mesh.faces, 1, axis=0), process=False).export(
+        "order.ply"
+    )
+    text = Path("before.obj").read_text().replace("v 0.", "v nan ", 1)
+    Path("nan.obj").write_text(text)
+    trimesh.PointCloud(mesh.vertices).export("bare.ply")
+    Path("text.obj").write_text("hello")
+    assert expected in bind_message(type=kind, before=before, after=after)
+
+
+def test_an_open_cage_is_refused():
+    mesh = trimesh.load_mesh("before.ply", process=False)
+    trimesh.Trimesh(mesh.vertices, mesh.faces[:-1], process=False).export("open.ply")
+    text = bind_message(type="cage", before="open.ply", after="open.ply")
+    assert "expected a closed mesh" in text
+    assert "got 3 open edges; close its holes" in text
+
+
+def test_a_mesh_elsewhere_is_refused():
+    mesh = trimesh.load_mesh("before.ply", process=False)
+    mesh.vertices *= 100
+    mesh.export("large.ply")
+    text = bind_message(type="mesh", before="large.ply", after="large.ply")
+    assert "mesh: expected one that lies at the points" in text
+    assert 'check its units and the axis that is "up"' in text
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"after": "short.npy"}, "short.npy: expected a new place for each of the 300 points of"),
+        ({"before": "short.npy", "after": "short.npy"}, "expected the 300 points that arrive at"),
+        ({"before": "order.npy"}, "got the same points in another order: "),
+        ({"before": "far.npy"}, "got other points: 1 are more than 0.00"),
+        ({"before": "far.npy"}, 'the first is number 7; use "match": "position"'),
+        ({"before": "far.npy", "match": "position"}, "got none for 1 of 300, the farthest is"),
+        ({"after": "nan.npy"}, "nan.npy: expected finite coordinates, got NaN or infinity in 1 of"),
+        ({"after": "none.npy"}, "none.npy: no such file"),
+    ],
+)
+def test_displacements_that_do_not_fit(change: dict, expected: str):
+    np.save("short.npy", cloud()[:10].numpy())
+    np.save("order.npy", cloud().flip(0).numpy())
+    far, nan = cloud(), cloud()
+    far[7] *= 3
+    nan[3, 1] = float("nan")
+    np.save("far.npy", far.numpy())
+    np.save("nan.npy", nan.numpy())
+    content = {"type": "displacement", "before": "before.npy", "after": "after.npy", **change}
+    assert expected in bind_message(**content)
+
+
+@pytest.mark.parametrize(
+    ("edit", "expected"),
+    [
+        ({"type": "cage", "before": "a.ply"}, 'key "after": expected the path of a mesh'),
+        ({"type": "mesh", "before": 3, "after": "b.ply"}, 'key "before": expected the path of a'),
+        ({"type": "cage", "before": "a", "after": "b", "up": "x"}, 'key "up": expected "y" or "z"'),
+        (
+            {"type": "displacement", "before": "a", "after": "b", "match": "name"},
+            'key "match": expected "id" or "position", got "name"',
+        ),
+        (
+            {"type": "displacement", "before": "a", "after": "b", "tolerance": 0},
+            'key "tolerance": expected a length above 0, world units, got 0',
+        ),
+    ],
+)
+def test_bad_keys(edit: dict, expected: str):
+    with pytest.raises(EditError) as caught:
+        script(**edit)
+    assert expected in str(caught.value)
+
+
+def test_a_bad_file_leaves_a_session_as_it_was():
+    session = EditSession(cloud())
+    now = session.state
+    with pytest.raises(EditError, match=r"edit 1 .cage.: .*none\.ply: no such file"):
+        session.do({"type": "cage", "before": "before.ply", "after": "none.ply"})
+    assert session.state is now
