@@ -171,3 +171,15 @@ def test_an_import_that_fails_makes_no_run(
     assert main(args) == 2
     assert "model.pth" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_a_reference_center_needs_its_distance(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["model.pth", "--config", "lego.yml", "--reference-center", "0", "0", "1"]
+    assert main(["import", "papr", *words, "-o", str(tmp_path / "run")]) != 0
+    assert "--reference-center is for --reference-distance" in capsys.readouterr().err
+    words = ["model.pth", "--config", "lego.yml", "--reference-distance", "-1"]
+    assert main(["import", "papr", *words, "-o", str(tmp_path / "run")]) != 0
+    assert "positive distance of the reference origin" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.options import optional
 from pcore.errors import InputError
 from pcore.model.config import ReferenceOrigin
 
@@ -27,12 +28,12 @@ class ImportPaprCommand:
     config: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
     """Its YAML configuration; of several files (default.yml lego.yml) the later ones win."""
 
-    reference_distance: float | None = None
+    reference_distance: Annotated[float | None, optional("R")] = None
     """Let all rays begin at this distance before the reference center instead of at the camera, so
     that edits and cameras at other distances look right: the mean distance of the training cameras
     (4.031 for NeRF-Synthetic). Default: the original's rays, from the camera."""
 
-    reference_center: tuple[float, float, float] | None = None
+    reference_center: Annotated[tuple[float, float, float] | None, optional("X Y Z")] = None
     """Middle of the scene for --reference-distance, world units; default: the origin."""
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]

@@ -45,7 +45,7 @@ class TrainCommand:
     points: Count = None
     """Points at the start; default: those of the preset."""
 
-    origin: Literal["camera", "reference"] | None = None
+    origin: Annotated[Literal["camera", "reference"] | None, optional("{camera,reference}")] = None
     """Where rays begin for the networks: camera (the original) or reference (the mean camera
     distance, whatever camera renders); default: that of the preset."""
 
