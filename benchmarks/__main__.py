@@ -1,8 +1,7 @@
-"""`python -m benchmarks speed [--out FILE] [--gate]`."""
+"""`python -m benchmarks speed [--out FILE] [--gate]` and `python -m benchmarks gpu DATA`."""
 
 from __future__ import annotations
 
-import platform
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +10,9 @@ import torch
 import tyro
 
 from benchmarks import metrics
+from benchmarks.gpu import Gpu
+from benchmarks.measure import machine
 from benchmarks.workloads import WORKLOADS, Plan
-from pcore.kernels.functional import backend
 
 BASELINE = Path(__file__).with_name("baseline.json")
 
@@ -63,21 +63,11 @@ def gate(found: dict[str, metrics.Metric], baseline: Path, only: tuple[str, ...]
     return 1 if lines else 0
 
 
-def machine(device: torch.device, threads: int) -> dict[str, object]:
-    """Say where numbers come from."""
-    name = torch.cuda.get_device_name() if device.type == "cuda" else platform.machine()
-    return {
-        "device": name,
-        "kernels": backend(device),
-        "threads": threads,
-        "torch": str(torch.__version__),
-        "python": platform.python_version(),
-    }
-
-
 def main() -> int:
     """Run the command line."""
-    command = tyro.extras.subcommand_cli_from_dict({"speed": Speed}, prog="python -m benchmarks")
+    command = tyro.extras.subcommand_cli_from_dict(
+        {"speed": Speed, "gpu": Gpu}, prog="python -m benchmarks"
+    )
     return command.run()
 
 

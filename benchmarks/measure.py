@@ -1,13 +1,16 @@
-"""Time and memory of a call."""
+"""Time and memory of a call, and the machine that they belong to."""
 
 from __future__ import annotations
 
 import ctypes
+import platform
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import torch
+
+from pcore.kernels.functional import backend
 
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
@@ -60,3 +63,15 @@ def _kilobytes(field: str) -> int:
         if line.startswith(f"{field}:"):
             return int(line.split()[1])
     raise OSError(f"{_STATUS} has no {field}")
+
+
+def machine(device: torch.device, threads: int) -> dict[str, object]:
+    """Say where numbers come from."""
+    name = torch.cuda.get_device_name() if device.type == "cuda" else platform.machine()
+    return {
+        "device": name,
+        "kernels": backend(device),
+        "threads": threads,
+        "torch": str(torch.__version__),
+        "python": platform.python_version(),
+    }

@@ -188,6 +188,5 @@ def test_parts_for_several_workers_give_the_same(workers: int) -> None:
     """Workers share out parts whatever the number of threads behind them."""
     (origins, directions), points = near_surface(), shell(2000)
     columns = np.ascontiguousarray(points.numpy().T)
-    box = np.stack([columns.min(axis=1), columns.max(axis=1)])
-    found = cpu_search._search(origins.numpy(), directions.numpy(), columns, box, 12, workers)
+    found = cpu_search.search(origins.numpy(), directions.numpy(), columns, 12, workers)
     assert torch.equal(torch.from_numpy(found), brute_force(origins, directions, points, 12))

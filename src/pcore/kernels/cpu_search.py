@@ -15,12 +15,12 @@ need not meet in a camera, and the order in which rays are given does not matter
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numba
 import numpy as np
 import torch
-from numba import prange
 from torch import Tensor
 
 from pcore.kernels.line_bundles import LEAF, as_lines, cut, enclose, split
@@ -44,34 +44,38 @@ def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int)
     """Indices (R, k) of the points with the smallest distance to the lines of (R, 3) rays."""
     workers = use_torch_threads()
     columns = np.ascontiguousarray(as_float32(points).T)
-    box = np.stack([columns.min(axis=1), columns.max(axis=1)])
-    found = _search(as_float32(origins), as_float32(directions), columns, box, k, workers)
-    return torch.from_numpy(found)
+    out = search(as_float32(origins), as_float32(directions), columns, k, workers)
+    return torch.from_numpy(out)
 
 
-@numba.njit(cache=True, parallel=True)
-def _search(
-    origins: np.ndarray,
-    directions: np.ndarray,
-    points: np.ndarray,
-    box: np.ndarray,
-    k: int,
-    workers: int,
+def search(
+    origins: np.ndarray, directions: np.ndarray, points: np.ndarray, k: int, workers: int
 ) -> np.ndarray:
-    out = np.empty((origins.shape[0], k), dtype=np.int64)
+    """Indices (R, k) for (R, 3) origins and directions and (3, N) points.
+
+    Workers are Python threads around compiled code without the interpreter's lock: numba's own
+    parallel loops would take ten more seconds to compile.
+    """
+    out = np.empty((len(origins), k), dtype=np.int64)
+    box = np.stack([points.min(axis=1), points.max(axis=1)])
     lines, centre, radius, margin = as_lines(origins, directions, box)
-    order = np.arange(origins.shape[0])
+    order = np.arange(len(origins))
     # One worker starts with all rays, several share out many parts.
     borders = cut(lines, order, radius, 1 if workers == 1 else 8 * workers)
-    for worker in prange(workers):
-        for part in range(worker, borders.shape[0] - 1, workers):
-            rays = (origins, directions, lines, order)
-            cloud = (points, centre, radius, margin)
-            _descend(rays, cloud, borders[part], borders[part + 1], out)
+    rays, cloud = (origins, directions, lines, order), (points, centre, radius, margin)
+
+    def work(start: int, stop: int) -> None:
+        _descend(rays, cloud, start, stop, out)
+
+    if workers == 1:
+        work(0, len(origins))
+        return out
+    with ThreadPoolExecutor(workers) as threads:
+        list(threads.map(work, borders[:-1], borders[1:]))
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _descend(rays: Any, cloud: Any, start: int, stop: int, out: np.ndarray) -> None:
     """Split a bundle down to leaves; drop points on the way, rank what is left at the leaves.
 
@@ -84,13 +88,17 @@ def _descend(rays: Any, cloud: Any, start: int, stop: int, out: np.ndarray) -> N
     room = int(count / (1.0 - _WORTH)) + 1
     listed = np.empty(room, dtype=np.int32)
     near = np.empty((3, room), dtype=np.float32)
-    near[:, :count] = points
     for i in range(count):
         listed[i] = i
+        near[0, i], near[1, i], near[2, i] = points[0, i], points[1, i], points[2, i]
     scratch = np.empty((3, count), dtype=np.float32)
-    todo = [(start, stop, 0, count, stop - start + _SHRINK * LEAF)]
-    while len(todo) > 0:
-        start, stop, first, size, examined = todo.pop()
+    # Rays from and to, points from and how many, rays when points were last dropped. Bundles that
+    # wait share no rays, so there are never more than rays.
+    todo, waiting = np.empty((stop - start + 1, 5), dtype=np.int64), 1
+    todo[0] = (start, stop, 0, count, stop - start + _SHRINK * LEAF)
+    while waiting > 0:
+        waiting -= 1
+        start, stop, first, size, examined = todo[waiting]
         n = stop - start
         due = n > 1 and (n <= LEAF or n * _SHRINK <= examined)
         if due and size > 2 * k and margin < np.inf:
@@ -101,8 +109,9 @@ def _descend(rays: Any, cloud: Any, start: int, stop: int, out: np.ndarray) -> N
                 first, size = first + size, kept
         if n > LEAF:
             border = split(lines, order, radius, start, stop)
-            todo.append((border, stop, first, size, examined))
-            todo.append((start, border, first, size, examined))
+            todo[waiting] = (border, stop, first, size, examined)
+            todo[waiting + 1] = (start, border, first, size, examined)
+            waiting += 2
             continue
         part = slice(first, first + size)
         places = (near[0, part], near[1, part], near[2, part])
@@ -131,7 +140,8 @@ def _drop(
     lower, upper, least = scratch[0], scratch[1], scratch[2]
     _bound(near[0, first:], near[1, first:], near[2, first:], size, tube, lower, upper)
     lanes = _LANES * k if size >= 2 * _LANES * k else size
-    least[:lanes] = upper[:lanes]
+    for lane in range(lanes):
+        least[lane] = upper[lane]
     for begin in range(lanes, size, lanes):
         for lane in range(min(lanes, size - begin)):
             least[lane] = min(least[lane], upper[begin + lane])

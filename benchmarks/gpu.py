@@ -1,0 +1,186 @@
+"""`python -m benchmarks gpu DATA`: what a machine with a GPU and without network is asked.
+
+Parity with the specification, speed, a training run on a scene, pictures in a loop: in under ten
+minutes, into one JSON file. `--quick --device cpu` shows on any machine that it runs.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import torch
+import tyro
+from torch import Tensor
+
+from benchmarks import scenes
+from benchmarks.measure import machine, seconds
+from benchmarks.workloads import WORKLOADS, Plan
+from pcore.data.load import load_scene
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
+from pcore.kernels import cpu_search, functional, reference
+from pcore.model.papr import Papr
+from pcore.model.render import render
+from pcore.training.config import PatchConfig, PretrainConfig
+from pcore.training.events import Event, ValidationReport
+from pcore.training.loop import autocast
+from pcore.training.presets import preset
+from pcore.training.pretrain import pretrain
+from pcore.training.trainable import trainable
+from pcore.training.trained import Trained
+
+_TRIAL_STEPS = 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gpu:
+    """Parity, speed, a training run and a render loop on a GPU; one JSON file."""
+
+    data: tyro.conf.Positional[Path]
+    """Folder of a scene in a format that pcore knows; at most 60 MB travel well."""
+    out: Path = Path("gpu.json")
+    """Where the result is written, part by part."""
+    device: str = "cuda"
+    """cuda, or cpu with --quick."""
+    factor: int = 2
+    """Down-scaling of the scene's images (800 to 400 pixels)."""
+    training_seconds: float = 240.0
+    """About how long the `fast` preset trains; the number of steps follows from its speed."""
+    quick: bool = False
+    """Tiny sizes that only show that everything runs."""
+
+    def run(self) -> int:
+        """Measure part after part; return the exit status, 1 without parity."""
+        device, begin = torch.device(self.device), time.perf_counter()
+        result: dict[str, object] = {"machine": machine(device, torch.get_num_threads())}
+        trained: list[Trained] = []
+        parts = {
+            "parity": lambda: parity(device, quick=self.quick),
+            "speed": lambda: speed(device, quick=self.quick),
+            "step": lambda: training_step(device, quick=self.quick),
+            "training": lambda: training(self, trained),
+            "rendering": lambda: rendering(trained[0], quick=self.quick),
+        }
+        for name, part in parts.items():
+            result[name] = part()
+            result["seconds"] = round(time.perf_counter() - begin, 1)
+            # A lease that ends early leaves the parts that were done.
+            self.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+            print(f"{name}: {json.dumps(result[name])}", flush=True)
+        return 0 if all(found == 1.0 for found in _shares(result["parity"])) else 1
+
+
+def _shares(found: object) -> list[float]:
+    return [share for name, share in dict(found).items() if name.startswith("same")]  # type: ignore[call-overload]
+
+
+def parity(device: torch.device, *, quick: bool) -> dict[str, float]:
+    """Compare the backend of the device with the search on the CPU and with the specification."""
+    side, count = (8, 100) if quick else (64, 30_000)
+    points = scenes.cloud(count)
+    found: dict[str, float] = {}
+    for name, rays, cloud in (
+        ("camera", scenes.patch(side, 5 * side).flat(), points),
+        ("near_surface", *scenes.near_surface(side, 5 * side, points)),
+    ):
+        origins, directions = rays.origins.contiguous(), rays.directions.contiguous()
+        moved = (origins.to(device), directions.to(device), cloud.to(device))
+        mine = functional.nearest_to_rays(*moved, 20)
+        expected = cpu_search.nearest_to_rays(origins, directions, cloud, 20)
+        found[f"same_as_cpu/{name}"] = _share(mine.cpu(), expected)
+        # Sums in another order: points equally far within float32 may change places.
+        dense = reference.nearest_to_rays(*moved, 20)
+        found[f"as_reference/{name}"] = _share(mine.sort(-1).values, dense.sort(-1).values)
+    return found | {"features": _features(device, points, quick=quick)}
+
+
+def _share(found: Tensor, expected: Tensor) -> float:
+    return float((found == expected).all(dim=-1).double().mean())
+
+
+def _features(device: torch.device, points: Tensor, *, quick: bool) -> float:
+    """Largest difference of the attention's features from those of the CPU, float32."""
+    papr, cloud = _model(preset("tiny" if quick else "paper"), points, torch.device("cpu"))
+    rays = scenes.patch(8 if quick else 16, 80)
+    with torch.no_grad():
+        expected = papr(cloud, rays).features
+        found = papr.to(device)(cloud.to(device), _to(rays, device)).features.cpu()
+    return float((found - expected).abs().max() / expected.abs().max())
+
+
+def _to(rays: RayBundle, device: torch.device) -> RayBundle:
+    return RayBundle(origins=rays.origins.to(device), directions=rays.directions.to(device))
+
+
+def _model(config: PretrainConfig, points: Tensor, device: torch.device) -> tuple[Papr, PointCloud]:
+    torch.manual_seed(0)
+    cloud = PointCloud(
+        positions=points,
+        features=torch.randn(len(points), config.model.feature_size),
+        influence=torch.ones(len(points)),
+    )
+    return Papr(config.model).to(device), cloud.to(device)
+
+
+def speed(device: torch.device, *, quick: bool) -> dict[str, object]:
+    """Every workload of `python -m benchmarks speed` on the device."""
+    plan = Plan(device=device, quick=quick, repeats=1 if quick else 3)
+    return {
+        name: asdict(metric) for measure in WORKLOADS.values() for name, metric in measure(plan)
+    }
+
+
+def training_step(device: torch.device, *, quick: bool) -> dict[str, float]:
+    """Median milliseconds of a step of 160 x 160 rays, forward, backward and Adam."""
+    name, side, count = ("tiny", 8, 100) if quick else ("paper", 160, 30_000)
+    config = preset(name)
+    work = trainable("pretrain", *_model(config, scenes.cloud(count), device), seed=0)
+    rays = _to(scenes.patch(side, 5 * side), device)
+
+    def step() -> None:
+        work.optimizer.zero_grad(set_to_none=True)
+        with autocast(device, enabled=config.mixed_precision):
+            rgb = work.papr(work.cloud, rays).rgb
+        rgb.float().square().mean().backward()
+        work.optimizer.step()
+
+    times = [seconds(step) for _ in range(3 if quick else 20)]
+    return {"milliseconds": 1e3 * statistics.median(times[2:])}
+
+
+def training(wanted: Gpu, trained: list[Trained]) -> dict[str, object]:
+    """Train the `fast` preset for about the wanted time; hand the model over in `trained`."""
+    scene, device = load_scene(wanted.data, factor=wanted.factor), torch.device(wanted.device)
+    config = replace(preset("fast"), validate_every=10**9, save_every=10**9)
+    if wanted.quick:
+        config = replace(preset("tiny"), points=200, patch=PatchConfig(side=16))
+    trial = seconds(
+        lambda: pretrain(scene, replace(config, steps=_TRIAL_STEPS), device=str(device))
+    )
+    steps = max(_TRIAL_STEPS, int(_TRIAL_STEPS * wanted.training_seconds / trial))
+    validations: list[ValidationReport] = []
+
+    def listen(event: Event) -> None:
+        if isinstance(event, ValidationReport):
+            validations.append(event)
+
+    config = replace(config, steps=steps, validate_every=max(1, steps // 10))
+    begin = time.perf_counter()
+    trained.append(pretrain(scene, config, listener=listen, device=str(device)))
+    return {
+        "steps": steps,
+        "seconds": time.perf_counter() - begin,
+        "psnr": {event.step: event.psnr for event in validations},
+    }
+
+
+def rendering(model: Trained, *, quick: bool) -> dict[str, float]:
+    """Pictures per second of the trained model."""
+    size, count = (16, 2) if quick else (800, 20)
+    camera = scenes.camera(size)
+    times = [seconds(lambda: render(model.papr, model.cloud, camera)) for _ in range(count)]
+    return {"size": size, "pictures_per_second": 1 / statistics.median(times[1:])}
