@@ -32,10 +32,10 @@ class LocalFrames:
     mended: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
 
     @cached_property
-    def stretch(self) -> float:
-        """Largest factor by which a local map lengthens anything; at least 1."""
+    def stretch(self) -> Tensor:
+        """(N,) largest factor by which each local map lengthens anything."""
         shortest = torch.linalg.matrix_norm(self.to_rest.detach().double(), ord=-2)
-        return max(1.0, 1.0 / float(shortest.clamp_min(_FLATTEST).min()))
+        return (1.0 / shortest.clamp_min(_FLATTEST)).to(self.to_rest)
 
     def __post_init__(self) -> None:
         shapes = tuple(self.rest.shape), tuple(self.to_rest.shape)

@@ -64,7 +64,9 @@ class PointCloud:
         return self._each(lambda tensor: tensor.detach())
 
     def to(self, device: torch.device | str) -> PointCloud:
-        """Return the same points on a device."""
+        """Return the same points on a device; this very cloud when it is there already."""
+        if self.positions.device == torch.device(device):
+            return self
         return self._each(lambda tensor: tensor.to(device))
 
     def _each(self, change: Callable[[Tensor], Tensor]) -> PointCloud:

@@ -126,7 +126,8 @@ def _pulled_back(
     near: Tensor | None = None
     if cutoff is not None:
         # No point is farther from a ray in the deformed state than so many times in the rest state.
-        near = _reached(positions, candidates, rays, cutoff * frames.stretch)
+        reach = cutoff * frames.stretch[candidates].amax(dim=1)
+        near = _reached(positions, candidates, rays, reach)
     some = rays if near is None else rays[near]
     chosen, origins, directions = pull_back(
         some.origins,
@@ -146,8 +147,10 @@ def _pulled_back(
 
 
 @torch.no_grad()
-def _reached(points: Tensor, neighbours: Tensor, rays: RayBundle, distance: float) -> Tensor:
-    """Indices of the (R,) rays whose first, nearest neighbour (R, k) is within a distance."""
+def _reached(
+    points: Tensor, neighbours: Tensor, rays: RayBundle, distance: Tensor | float
+) -> Tensor:
+    """Indices of the (R,) rays whose first, nearest neighbour (R, k) is within a distance (R,)."""
     offset = points[neighbours[:, 0]] - rays.origins
     along = (offset * rays.directions).sum(dim=-1, keepdim=True)
     squared = (offset - along * rays.directions).square().sum(dim=-1)

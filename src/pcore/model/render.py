@@ -121,7 +121,12 @@ def _check_cloud(cloud: PointCloud) -> None:
                 f"render: expected finite points, got NaN or infinity in the {name} of {bad} of "
                 f"{len(cloud)}; lower the amount of the deformation, or check its file"
             )
-    folded = 0 if frames is None else int((~(torch.linalg.det(frames.to_rest) > 0)).sum())
+    if frames is None:
+        return
+    first, second, third = frames.to_rest.unbind(dim=-2)
+    # Closed form: torch.linalg.det factorises matrix by matrix.
+    determinant = (first * torch.linalg.cross(second, third)).sum(dim=-1)
+    folded = int((~(determinant > 0)).sum())
     if folded:
         raise InputError(
             f"render: expected local maps that keep space right side out (det > 0), got {folded} "
