@@ -30,13 +30,13 @@ from pcore.deform.anchor_distance import (
 )
 from pcore.deform.sampler import DeformationRanges, sample_deformation
 from pcore.deform.skinning import Weigher, skin
-from pcore.editing.anchors import ANCHORS, SIGMA, anchor_graph, pose_from_places
+from pcore.editing.anchors import SIGMA, anchor_graph, pose_from_places
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.point_metrics import compare_clouds
 from pcore.evaluation.protocol import STANDARD, Perceptual, load_perceptual, measure
 from pcore.evaluation.states import State, open_states
 from pcore.evaluation.surface_samples import load_samples
-from pcore.geometry.anchors import farthest_points
+from pcore.geometry.anchors import ANCHORS, farthest_points
 from pcore.model.checkpoint import SavedModel, load_model
 from pcore.model.render import render
 from pcore.model.skinning import SkinningConfig, untrained_skinning

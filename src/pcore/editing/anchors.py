@@ -19,11 +19,9 @@ from pcore.deform.anchor_distance import (
 )
 from pcore.deform.skinning import AnchorPose, SkinnedDeformation, SkinningWeights, Weigher
 from pcore.errors import EditError, InputError
-from pcore.geometry.anchors import farthest_points
+from pcore.geometry.anchors import ANCHORS, farthest_points
 from pcore.geometry.rotation import procrustes
 
-ANCHORS = 128
-"""How many anchors stand for a cloud (paper: M)."""
 SIGMA = 0.33
 """Width of the Gaussian weights along the cloud, in mean anchor spacings (docs/adr)."""
 _LINKS = 6

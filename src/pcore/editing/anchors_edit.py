@@ -11,11 +11,12 @@ from torch import Tensor
 
 from pcore.deform.base import Deformation
 from pcore.deform.motion import rigid
-from pcore.editing.anchors import ANCHORS, AnchorRig, rig_of
+from pcore.editing.anchors import AnchorRig, rig_of
 from pcore.editing.arap import Handle, drag
 from pcore.editing.edits import PlacedEdit
 from pcore.editing.fields import Angle, Axis, Number, Triple
 from pcore.errors import EditError
+from pcore.geometry.anchors import ANCHORS
 
 _REACH = 0.25
 _NEAR = 0.15
