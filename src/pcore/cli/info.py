@@ -74,9 +74,9 @@ def _skinning_rows(path: Path) -> Rows:
     from pcore.model.records import to_dict
     from pcore.model.skinning_file import describe_skinning
 
-    summary, size = describe_skinning(path), path.stat().st_size / 1e6
+    summary = describe_skinning(path)
     return [
-        ("skinning", f"{path} ({size:.1f} MB): learned weights of {summary.anchors} anchors"),
+        ("skinning", f"learned weights of {summary.anchors} anchors"),
         *_flat(to_dict(summary.config), "skinning."),
     ]
 
