@@ -1,11 +1,17 @@
 """The paper's skinning table on the six true motions of the evaluation objects.
 
-    python benchmarks/skinning.py DATA RUNS [--views N] [--lpips FOLDER] [--json FILE]
+    python benchmarks/skinning.py DATA RUNS [--joint NAME ...] [--views N] [--lpips FOLDER]
+        [--json FILE]
 
 DATA holds `deformed/{knight,robot}`, RUNS holds `knight`, `robot` and, tuned by `pcore finetune`,
 `knight-pcore`, `robot-pcore`. Anchors follow the true mesh; their rotations are estimated from
 their places, as at edit time. Everything else is ours. The row `true motion` carries every learned
 point with the mesh: no skinning can be better than that on average.
+
+With `--joint nbs`, RUNS holds `knight-nbs` and `robot-nbs` as well, made by `pcore finetune RUN
+--skinning`: their weights are scored in the pictures of the pre-trained run (without
+self-supervision of the renderer), of `-pcore` (with it), and of the renderer that learned with
+them ("renderer of nbs", beside the true motion as it shows that).
 """
 
 from __future__ import annotations
@@ -13,7 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,16 +36,17 @@ from pcore.deform.anchor_distance import (
 )
 from pcore.deform.sampler import DeformationRanges, sample_deformation
 from pcore.deform.skinning import Weigher, skin
-from pcore.editing.anchors import ANCHORS, SIGMA, anchor_graph, pose_from_places
+from pcore.editing.anchors import SIGMA, anchor_graph, pose_from_places
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.point_metrics import compare_clouds
 from pcore.evaluation.protocol import STANDARD, Perceptual, load_perceptual, measure
 from pcore.evaluation.states import State, open_states
 from pcore.evaluation.surface_samples import load_samples
-from pcore.geometry.anchors import farthest_points
+from pcore.geometry.anchors import ANCHORS, farthest_points
 from pcore.model.checkpoint import SavedModel, load_model
 from pcore.model.render import render
 from pcore.model.skinning import SkinningConfig, untrained_skinning
+from pcore.model.skinning_file import load_skinning
 from pcore.training.skinning_fit import SkinningFitConfig, fit_skinning, skinning_error
 
 MOTIONS = {"knight": ("run", "cheer", "sit"), "robot": ("run", "wave", "dance")}
@@ -118,8 +125,42 @@ def picture_scores(
     return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
 
 
+@dataclass(frozen=True, kw_only=True)
+class Show:
+    """What one renderer shows: its run, and the methods to draw with it by the names of rows."""
+
+    run: str
+    model: SavedModel
+    methods: Mapping[str, str]
+
+
+def shows_of(name: str, runs: Path, joint: Sequence[str], methods: Sequence[str]) -> list[Show]:
+    """All renderers of an object; those that learned with a skinning show only that one."""
+    everything = {method: method for method in (*methods, TRUE)}
+    found = [
+        Show(run=run, model=load_model(runs / run), methods=everything)
+        for run in (name, f"{name}-pcore")
+    ]
+    for suffix in joint:
+        own = {one: f"{one}, renderer of {suffix}" for one in (joint_name(suffix), TRUE)}
+        run = f"{name}-{suffix}"
+        found.append(Show(run=run, model=load_model(runs / run), methods=own))
+    return found
+
+
+def joint_name(suffix: str) -> str:
+    """What rows call the weights of a run that learned them jointly."""
+    return f"NBS, joint ({suffix})"
+
+
 def score_object(
-    name: str, data: Path, runs: Path, views: int, steps: int, perceptual: Perceptual | None
+    name: str,
+    data: Path,
+    runs: Path,
+    joint: Sequence[str],
+    views: int,
+    steps: int,
+    perceptual: Perceptual | None,
 ) -> list[Row]:
     """All rows of one object."""
     root = data / "deformed" / name
@@ -129,14 +170,15 @@ def score_object(
     samples = load_samples(root)
     rest = torch.from_numpy(samples.positions(truth, None)).float()
     rows: list[Row] = []
-    models = {run: load_model(runs / run) for run in (name, f"{name}-pcore")}
-    points = models[name].cloud.positions
-    # Fine-tuning leaves the points alone, so that one set of weights serves both runs.
-    assert all(torch.equal(m.cloud.positions, points) for m in models.values())
+    points = load_model(runs / name).cloud.positions
     distance = path_distance(points, farthest_points(points, ANCHORS))
     graph = anchor_graph(distance.anchors, distance.between)
     print(f"{name}: {len(points)} points, mean anchor spacing {graph.spacing:.3f}", flush=True)
     methods = weighers(distance, points, steps)
+    methods |= {joint_name(s): load_skinning(runs / f"{name}-{s}", points) for s in joint}
+    shows = shows_of(name, runs, joint, list(methods))
+    # Fine-tuning leaves the points alone, so that one set of weights serves all runs.
+    assert all(torch.equal(show.model.cloud.positions, points) for show in shows)
     held_out(points, distance.anchors, methods)
     weights = {method: (weigh(points), weigh(rest)) for method, weigh in methods.items()}
     hung = truth.anchor(points)
@@ -154,18 +196,19 @@ def score_object(
                 **{f"surface_{k}": v for k, v in shell.items() if k != "emd"},
                 "error": float((places - carried).norm(dim=1).mean()),
             }
-            for run, model in models.items():
-                pictures = picture_scores(model, places, state, views, perceptual)
-                rows.append(
-                    Row(run=run, state=state.name, method=method, scores=pictures | geometry)
-                )
-                print(f"  {run} {state.name} {method}: {pictures['foreground_psnr']:.2f} dB")
+            for show in shows:
+                if method not in show.methods:
+                    continue
+                called = show.methods[method]
+                pictures = picture_scores(show.model, places, state, views, perceptual)
+                scores = pictures | geometry
+                rows.append(Row(run=show.run, state=state.name, method=called, scores=scores))
+                print(f"  {show.run} {state.name} {called}: {pictures['foreground_psnr']:.2f} dB")
     return rows
 
 
-def table(rows: list[Row], suffix: str) -> str:
+def table(chosen: list[Row]) -> str:
     """Markdown table of means over the states, one line per method."""
-    chosen = [row for row in rows if row.run.endswith("-pcore") == (suffix == "-pcore")]
     columns = [c for c in COLUMNS if c in chosen[0].scores]
     lines = [
         "| weights | " + " | ".join(COLUMNS[c] for c in columns) + " |",
@@ -184,6 +227,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("runs", type=Path)
+    parser.add_argument("--joint", nargs="+", default=[], help="runs NAME of RUNS/knight-NAME, ...")
     parser.add_argument("--views", type=int, default=20, help="test views per state")
     parser.add_argument("--steps", type=int, default=SkinningFitConfig().steps)
     parser.add_argument("--lpips", type=Path, help="folder of LPIPS weights")
@@ -192,9 +236,18 @@ def main() -> None:
     lpips = load_perceptual(("alex",), folder=options.lpips) if options.lpips else None
     rows: list[Row] = []
     for name in MOTIONS:
-        rows += score_object(name, options.data, options.runs, options.views, options.steps, lpips)
-    for suffix, title in (("", "PAPR"), ("-pcore", "P-CORE")):
-        print(f"\n{title}, mean of the six motions\n\n{table(rows, suffix)}")
+        rows += score_object(
+            name,
+            options.data,
+            options.runs,
+            options.joint,
+            options.views,
+            options.steps,
+            lpips,
+        )
+    for title, tuned in (("PAPR", False), ("P-CORE", True)):
+        chosen = [row for row in rows if (row.run not in MOTIONS) is tuned]
+        print(f"\n{title}, mean of the six motions\n\n{table(chosen)}")
     if options.json:
         options.json.write_text(json.dumps([vars(row) for row in rows], indent=1))
 

@@ -12,8 +12,10 @@ from toys import CONFIG, logged_losses, write_run, write_scene
 
 from pcore.cli.main import main
 from pcore.model.checkpoint import load_model
+from pcore.model.skinning_file import load_skinning
 from pcore.training import finetune
 from pcore.training.output import RunFolder
+from pcore.training.presets import skinning_preset
 
 
 @pytest.fixture
@@ -76,6 +78,33 @@ def test_weights_of_losses_are_options(base: Path) -> None:
     assert "front" not in logged_losses(base.parent / "run-pcore")
 
 
+@pytest.mark.parametrize("recipe", ["ours", "paper"])
+def test_skinning_learns_along(
+    tmp_path: Path, recipe: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_scene(tmp_path / "ball")
+    write_run(tmp_path / "run", scene="../ball", preset="tiny", factor=2, points=140)
+    options = () if recipe == "ours" else ("--skinning-recipe", recipe)
+    assert call(tmp_path / "run", "--skinning", *options, steps=2) == 0
+    out = tmp_path / "run-pcore"
+    skinning = load_skinning(out, load_model(out).cloud.positions)
+    assert len(skinning.anchors) == 128
+    assert skinning.network.config == skinning_preset(recipe).network  # pyright: ignore[reportArgumentType]
+    assert ("skinning" in logged_losses(out)) is (recipe == "ours")
+    capsys.readouterr()
+    assert main(["info", str(out)]) == 0
+    rows = {line.split(maxsplit=1)[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert rows["config.finetune.skinning.anchors"].split()[-1] == "128"
+    assert rows["skinning.along_cloud"].split()[-1] == ("true" if recipe == "ours" else "false")
+    assert "learned weights of 128 anchors" in rows["skinning"]
+
+
+def test_too_few_points_for_anchors(base: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(base, "--skinning") == 2
+    assert "expected at least 128 points to choose from, got 40" in capsys.readouterr().err
+    assert not (base.parent / "run-pcore").exists()
+
+
 def test_the_preset_of_a_run_without_one_is_the_papers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -127,6 +156,7 @@ def test_resuming_equals_never_stopping(
         (("--resume",), "nothing to resume"),
         (("--steps", "0"), "expected steps >= 1, got 0"),
         (("--front-weight", "-1"), "front_weight to be a finite number of 0 or more, got -1"),
+        (("--skinning-recipe", "paper"), "expected --skinning as well"),
         (("--lpips-trunk", "vgg"), "--lpips-trunk vgg: expected an LPIPS loss, got the weight 0"),
     ],
 )

@@ -16,10 +16,16 @@ from toys import toy_cameras, write_cameras, write_run, write_scene
 from pcore.cli import draw
 from pcore.cli.main import main
 from pcore.data.load import load_cameras, load_scene
+from pcore.deform.anchor_distance import path_distance
+from pcore.editing.anchors import rig_with
+from pcore.editing.script import load_edit
+from pcore.geometry.anchors import farthest_points
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 from pcore.model.render import normals, render
+from pcore.model.skinning import SkinningConfig, untrained_skinning
+from pcore.model.skinning_file import SKINNING_FILE, save_skinning
 
 Made = tuple[Path, Papr, PointCloud]
 
@@ -113,6 +119,35 @@ def test_an_edit_moves_the_canonical_points(made: Made, tmp_path: Path, rays: st
     with np.load(run / "renders" / "test-turn" / "r_0.npz") as raw:
         np.testing.assert_allclose(raw["surface"], picture.surface, atol=1e-4)
         np.testing.assert_allclose(raw["rgb"], picture.rgb, atol=1e-3)
+
+
+@pytest.mark.parametrize("learned", [True, False])
+def test_anchors_move_points_by_the_weights_that_the_run_learned(
+    tmp_path: Path, learned: bool
+) -> None:
+    papr, cloud = write_run(tmp_path / "run")
+    distance = path_distance(cloud.positions, farthest_points(cloud.positions, 20))
+    skinning = untrained_skinning(distance, SkinningConfig(width=8))
+    torch.nn.init.normal_(skinning.network.layers[-1].get_parameter("weight"))
+    if learned:
+        save_skinning(tmp_path / "run" / SKINNING_FILE, skinning)
+    top = cloud.positions[cloud.positions[:, 2].argmax()]
+    handle = {"near": top.tolist(), "to": (top + torch.tensor([0.0, 0.0, 0.3])).tolist()}
+    script = {"version": 2, "edits": [{"type": "anchors", "count": 20, "handles": [handle]}]}
+    edit, cameras = tmp_path / "edit.json", toy_cameras(1, size=8)
+    edit.write_text(json.dumps(script))
+    file, out = write_cameras(tmp_path / "cameras.json", cameras, w=8, h=8), tmp_path / "out"
+    options = ("--cameras", file, "--edit", edit, "--rays", "plain", "--raw", "-o", out)
+    assert call(tmp_path / "run", *options) == 0
+    camera, pictures = load_cameras(file)[0][1], list[np.ndarray]()
+    for rig in (rig_with(distance, skinning), None):
+        deformation = load_edit(edit).bind(cloud.positions, rig=rig)
+        moved = cloud.moved(deformation(cloud.positions.double()).float())
+        pictures.append(render(papr, moved, camera).rgb.numpy())
+    expected, other = pictures if learned else pictures[::-1]
+    found = np.load(next(out.glob("*.npz")))["rgb"]
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert np.abs(found - other).max() > 1e-4
 
 
 def test_an_orbit_is_a_film_that_can_be_read_back(made: Made, tmp_path: Path) -> None:

@@ -88,10 +88,15 @@ def toy_cloud(count: int = 40) -> PointCloud:
 
 
 def write_run(
-    path: Path, *, scene: str = "", config: PaprConfig = CONFIG, **settings: object
+    path: Path,
+    *,
+    scene: str = "",
+    config: PaprConfig = CONFIG,
+    points: int = 40,
+    **settings: object,
 ) -> tuple[Papr, PointCloud]:
     """Make a run folder of random networks; `settings` go into its run.json."""
-    papr, cloud = Papr(config).eval(), toy_cloud()
+    papr, cloud = Papr(config).eval(), toy_cloud(points)
     with RunFolder.create(path, stage="pretrain", scene=scene, config=settings) as run:
         came = provenance_of(cloud, config, scene="toy", stage="pretrain", step=7)
         run.save_model(papr.state_dict(), cloud, config, came)

@@ -96,7 +96,7 @@ def test_bad_configuration() -> None:
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    save_skinning(tmp_path / SKINNING_FILE, perturbed().network, DISTANCE)
+    save_skinning(tmp_path / SKINNING_FILE, perturbed())
     return tmp_path / SKINNING_FILE
 
 
@@ -109,7 +109,7 @@ def rewrite(path: Path, *, tensors: dict | None = None, header: dict | None = No
 
 def test_it_comes_back_with_the_same_weights(tmp_path: Path) -> None:
     skinning = perturbed()
-    save_skinning(tmp_path / SKINNING_FILE, skinning.network, DISTANCE)
+    save_skinning(tmp_path / SKINNING_FILE, skinning)
     loaded = load_skinning(tmp_path, POINTS)
     assert loaded.network.config == SMALL
     assert loaded.sigma == skinning.sigma
@@ -154,5 +154,5 @@ def test_weights_gone_wrong_never_replace_good_ones(saved: Path) -> None:
     with torch.no_grad():
         skinning.network.layers[0].bias[0] = torch.inf
     with pytest.raises(CheckpointError, match=r"infinity in network\.layers\.0\.bias"):
-        save_skinning(saved, skinning.network, DISTANCE)
+        save_skinning(saved, skinning)
     assert saved.read_bytes() == before

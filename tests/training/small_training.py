@@ -13,7 +13,14 @@ from pcore.deform.sampler import DeformationRanges
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.training.config import FinetuneConfig, PatchConfig, PretrainConfig, Rates
+from pcore.model.skinning import SkinningConfig
+from pcore.training.config import (
+    FinetuneConfig,
+    PatchConfig,
+    PretrainConfig,
+    Rates,
+    SkinningTrainConfig,
+)
 from pcore.training.events import Event
 from pcore.training.schedule import Schedule
 from pcore.training.trainable import Trainable, trainable
@@ -28,6 +35,11 @@ RATES = Rates(
     unet=Schedule(base=3e-3),
 )
 ZERO = Schedule(base=0.0)
+SKINNING = SkinningTrainConfig(
+    network=SkinningConfig(neighbours=4, frequencies=2, layers=2, width=16),
+    anchors=12,
+    rate=Schedule(base=2e-2),
+)
 
 
 def pretrain_config(**changes: Any) -> PretrainConfig:

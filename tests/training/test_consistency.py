@@ -68,7 +68,9 @@ def compare(
     background_rays: bool = True,
 ) -> Consistency:
     rendering = papr(cloud.moved(field(cloud.positions)), along)
-    return consistency(rendering, known, field, unit=unit, background_rays=background_rays)
+    return consistency(
+        rendering, known, field(known.surface), unit=unit, background_rays=background_rays
+    )
 
 
 # --- where rays end ---------------------------------------------------------------------------

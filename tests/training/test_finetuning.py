@@ -28,7 +28,7 @@ from pcore.errors import InputError
 from pcore.model.checkpoint import load_model
 from pcore.model.papr import Papr
 from pcore.training import finetune as module
-from pcore.training import loop
+from pcore.training import loop, objective
 from pcore.training.config import FinetuneConfig, PatchConfig, Rates
 from pcore.training.events import StepReport, Stopped, ValidationReport
 from pcore.training.finetune import finetune
@@ -206,7 +206,7 @@ def test_the_texture_target(box: Scene, target: str, monkeypatch: pytest.MonkeyP
     """Under the identity a rendering agrees with itself and not with the photo."""
     from pcore.deform.base import Identity
 
-    monkeypatch.setattr(module, "sample_deformation", lambda *args: Identity())
+    monkeypatch.setattr(objective, "sample_deformation", lambda *args: Identity())
     config = finetune_config(steps=1, texture_target=target, origin_distance=1.0)
     found = terms(box, config, monkeypatch)[0]
     expected = found["rgb"] if target == "photo" else 0.0
@@ -221,7 +221,7 @@ def test_the_anchor_is_the_network_before_fine_tuning(
     """Under the identity only the anchor notices that the network has changed."""
     from pcore.deform.base import Identity
 
-    monkeypatch.setattr(module, "sample_deformation", lambda *args: Identity())
+    monkeypatch.setattr(objective, "sample_deformation", lambda *args: Identity())
     config = finetune_config(steps=3, anchor=anchor, rays_and_points=False)
     found = [one["tex_points"] for one in terms(box, config, monkeypatch)]
     assert found[0] < 1e-9

@@ -28,7 +28,7 @@ from pcore.training.trained import Trained
 def plan(**changes: Any) -> Plan:
     settings: dict[str, Any] = {
         "steps": 6,
-        "rates": RATES,
+        "rates": RATES.named(),
         "validate_every": 2,
         "save_every": 3,
         "average": 0.0,
@@ -92,7 +92,7 @@ def test_rates_follow_their_schedules() -> None:
         influence=Schedule(base=3e-2),
         unet=Schedule(base=4e-3),
     )
-    run_loop(work, plan(steps=10, rates=rates), pull(work), listener=heard)
+    run_loop(work, plan(steps=10, rates=rates.named()), pull(work), listener=heard)
     (report,) = heard.of(StepReport)
     expected = {name: schedule.at(9, 10) for name, schedule in rates.named().items()}
     # Positions are in world units, their rate in scaled units.
@@ -105,7 +105,7 @@ def test_every_group_holds_its_own_parameters() -> None:
     for name in ("points", "attention", "features", "influence", "unet"):
         work = box_work()
         before = copied(work.weights())
-        rates = Rates(**{**RATES.named(), name: Schedule(base=0.0)})
+        rates = {**RATES.named(), name: Schedule(base=0.0)}
         run_loop(work, plan(steps=2, rates=rates), pull(work), listener=Heard())
         after = work.weights()
         group = {

@@ -36,6 +36,7 @@ def make_state(step: int = 3, **changes: object) -> TrainingState:
         "average": {"weight": torch.randn(2, 3)},
         "best": {"psnr": 21.5, "step": 2, "weights": {"w": torch.zeros(2)}},
         "counters": {"numpy": np.random.default_rng(0).bit_generator.state, "order": [2, 0, 1]},
+        "skinning": {"layers.0.weight": torch.randn(2, 2)},
     }
     return TrainingState(**{**values, **changes})
 
@@ -65,10 +66,23 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     state, path = make_state(), tmp_path / "state.pt"
     save_state(path, state)
     loaded = load_state(path)
-    for name in ("stage", "step", "cloud", "generators", "average", "best", "counters"):
+    for name in ("stage", "step", "cloud", "generators", "average", "best", "counters", "skinning"):
         assert_same(getattr(state, name), getattr(loaded, name))
     assert_same(dict(state.papr), loaded.papr)
     assert_same(state.optimisers, loaded.optimisers)
+
+
+def test_states_of_version_1_have_no_skinning(tmp_path: Path) -> None:
+    state, path = make_state(), tmp_path / "state.pt"
+    save_state(path, state)
+    content = torch.load(path, weights_only=True)
+    del content["state"]["skinning"]
+    torch.save({**content, "version": 1}, path)
+    loaded = load_state(path)
+    assert_same(dict(state.papr), loaded.papr)
+    assert loaded.skinning == {}
+    torch.save(content, path)
+    assert "missing, unknown or ill-typed entries skinning" in error_of(path)
 
 
 def test_an_optimiser_goes_on_bitwise_as_if_never_stopped(tmp_path: Path) -> None:
@@ -161,7 +175,7 @@ def test_a_pickle_that_is_no_state_is_not_executed(tmp_path: Path) -> None:
     [
         ({"weights": 1}, "is not a training state of pcore"),
         (torch.zeros(2), "is not a training state of pcore"),
-        ({"format": "pcore-state", "version": 2}, "has version 2 of the state format"),
+        ({"format": "pcore-state", "version": 3}, "has version 3 of the state format"),
         ({"format": "pcore-state", "version": 1, "state": {"step": 1.5}}, "entries average"),
     ],
 )

@@ -130,14 +130,16 @@ def _frames(
 ) -> list[PointCloud]:
     """The cloud in every frame; equal times are computed once."""
     from pcore.cli.results import counting
+    from pcore.cli.runtime import learned_rig
     from pcore.editing.apply import deformed_cloud
 
+    rig = learned_rig(command.run_or_file, cloud.positions)
     known: dict[float, PointCloud] = {}
     times = animation.times(command.frames)
     with counting(console, "edits") as tell:
         for number, time in enumerate(times, start=1):
             if time not in known:
-                deformation = animation.at(time).bind(cloud.positions)
+                deformation = animation.at(time).bind(cloud.positions, rig=rig)
                 known[time] = deformed_cloud(cloud, deformation, aware=command.rays == "aware")
             tell(number, len(times))
     return [known[time] for time in times]

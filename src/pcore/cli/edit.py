@@ -87,6 +87,7 @@ class ValidateCommand:
 
     def run(self) -> None:
         """Print that it is valid; raises EditError otherwise."""
+        from pcore.cli.runtime import learned_rig
         from pcore.editing.animation import load_animation
 
         animation = load_animation(self.edit)
@@ -94,8 +95,9 @@ class ValidateCommand:
         what = f"{self.edit}: valid, {count} edit{'s' * (count != 1)}"
         if self.run_or_file is not None:
             points = read_source(self.run_or_file)
+            rig = learned_rig(self.run_or_file, points)
             for time in sorted({animation.start, animation.end}):
-                animation.at(time).bind(points)
+                animation.at(time).bind(points, rig=rig)
             what += f"; fits the {len(points):,} points of {self.run_or_file}"
         Console().print(Text(what), soft_wrap=True)
 
@@ -130,6 +132,7 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         EditError: the edit file is not valid or does not fit the points.
         InputError: points or pictures that cannot be read or written.
     """
+    from pcore.cli.runtime import learned_rig
     from pcore.data.points import check_point_path, save_points
     from pcore.editing.animation import load_animation
     from pcore.editing.diagnosis import diagnose
@@ -145,7 +148,8 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         )
     script = animation.at(animation.start if command.time is None else command.time)
     points = read_source(command.source)
-    moved = script.bind(points)(points.double()).to(points.dtype)
+    rig = learned_rig(command.source, points)
+    moved = script.bind(points, rig=rig)(points.double()).to(points.dtype)
     found = diagnose(points, moved)
     save_points(command.output, moved, found.colors() if command.colors == "strain" else None)
     for line in [*lines_of(script), *report(points, moved, found)]:

@@ -50,6 +50,12 @@ class FinetuneCommand:
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of every random draw."""
 
+    skinning: bool = False
+    """Learn skinning weights of 128 anchors along with the renderer, for edits by anchors."""
+
+    skinning_recipe: Annotated[Literal["ours", "paper"] | None, optional("{ours,paper}")] = None
+    """With --skinning: where the weights start and what teaches them; default: ours."""
+
     losses: Annotated[LossOptions, arg(name="")] = field(default_factory=LossOptions)
     """Weights of the losses; default: those of the preset."""
 
@@ -150,6 +156,7 @@ def _config(
 ) -> tuple[PresetName, FinetuneConfig]:
     """Name of the preset and its settings with what the command changes."""
     from pcore.cli.models import finetune_config
+    from pcore.training.presets import skinning_preset
 
     name, config = finetune_config(run, saved, command.preset)
     changes: dict[str, Any] = {
@@ -159,4 +166,11 @@ def _config(
     }
     if command.steps is not None:
         changes["steps"] = command.steps
+    if command.skinning:
+        changes["skinning"] = skinning_preset(command.skinning_recipe or "ours")
+    elif command.skinning_recipe is not None:
+        raise InputError(
+            f"--skinning-recipe {command.skinning_recipe}: expected --skinning as well, without "
+            "which no skinning is learned; give both, or leave the option out"
+        )
     return name, replace(config, **changes)

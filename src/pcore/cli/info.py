@@ -49,6 +49,7 @@ def describe(path: Path) -> Rows:
     if run.state.exists():
         rows.append(("can resume from", f"step {run.saved_step()}"))
     rows += _model_rows(run.model) if run.model.exists() else [("model", "none saved yet")]
+    rows += _skinning_rows(run.skinning) if run.skinning.exists() else []
     return rows + _flat(run.config, "config.")
 
 
@@ -66,6 +67,17 @@ def _model_rows(path: Path) -> Rows:
         ("points", f"{summary.points:,}"),
         ("extent", f"({lower}) to ({upper}), world units"),
         *_flat(to_dict(summary.config), "papr."),
+    ]
+
+
+def _skinning_rows(path: Path) -> Rows:
+    from pcore.model.records import to_dict
+    from pcore.model.skinning_file import describe_skinning
+
+    summary = describe_skinning(path)
+    return [
+        ("skinning", f"learned weights of {summary.anchors} anchors"),
+        *_flat(to_dict(summary.config), "skinning."),
     ]
 
 

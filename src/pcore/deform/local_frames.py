@@ -33,12 +33,16 @@ def analytic_frames(deformation: Deformation, points: Tensor) -> LocalFrames:
 
 
 def unchecked_frames(deformation: Deformation, points: Tensor) -> LocalFrames:
-    """As `analytic_frames`, for a deformation that is known to fold nowhere.
+    """As `analytic_frames`, for a deformation that is known to fold nowhere."""
+    return frames_of(points, deformation.jacobian(points.detach().double()))
 
-    The maps are computed in double precision and have no gradient; the rest positions keep theirs.
+
+def frames_of(points: Tensor, linear: Tensor) -> LocalFrames:
+    """Local frames of canonical points (N, 3) from the linear maps (N, 3, 3) around them.
+
+    The maps are inverted in double precision and have no gradient; the rest positions keep theirs.
     """
-    jacobian = deformation.jacobian(points.detach().double())
-    return LocalFrames(rest=points, to_rest=_inverse(jacobian).to(points))
+    return LocalFrames(rest=points, to_rest=_inverse(linear.detach().double()).to(points))
 
 
 def _inverse(matrices: Tensor) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -19,11 +19,10 @@ from pcore.deform.anchor_distance import (
 )
 from pcore.deform.skinning import AnchorPose, SkinnedDeformation, SkinningWeights, Weigher
 from pcore.errors import EditError, InputError
-from pcore.geometry.anchors import farthest_points
+from pcore.geometry.anchors import ANCHORS, farthest_points
+from pcore.geometry.neighbours import nearest
 from pcore.geometry.rotation import procrustes
 
-ANCHORS = 128
-"""How many anchors stand for a cloud (paper: M)."""
 SIGMA = 0.33
 """Width of the Gaussian weights along the cloud, in mean anchor spacings (docs/adr)."""
 _LINKS = 6
@@ -139,12 +138,14 @@ class AnchorRig:
 
     Attributes:
         points: (N, 3) the cloud, world units.
+        indices: (M,) which of its points are the anchors.
         graph: which anchors hold together.
         weigher: weights of any points.
         weights: of the cloud's own points.
     """
 
     points: Tensor = field(repr=False)
+    indices: Tensor = field(repr=False)
     graph: AnchorGraph
     weigher: Weigher = field(repr=False)
     weights: SkinningWeights = field(repr=False)
@@ -153,6 +154,30 @@ class AnchorRig:
     def size(self) -> float:
         """Diagonal of the bounding box of the cloud, world units."""
         return float((self.points.amax(dim=0) - self.points.amin(dim=0)).norm())
+
+    def is_of(self, *, count: int, seed: int) -> bool:
+        """Whether its anchors are those that this count and seed choose from its cloud."""
+        if len(self.indices) != count:
+            return False
+        return torch.equal(self.indices, farthest_points(self.points, count, seed=seed))
+
+    def at(self, points: Tensor) -> AnchorRig:
+        """Return the rig after its cloud has moved to points (N, 3): each keeps its weights.
+
+        Paths stay those of the rest state, so that parts which have come to touch stay apart. What
+        is not of the cloud follows the nearest point of it.
+        """
+        places = points.detach().cpu().to(self.points.dtype)
+        if torch.equal(places, self.points):
+            return self
+        weights = self.weights
+
+        def beside(queries: Tensor) -> SkinningWeights:
+            rows = nearest(places, queries, 1)[0][:, 0]
+            return SkinningWeights(anchors=weights.anchors[rows], values=weights.values[rows])
+
+        graph = anchor_graph(places[self.indices], self.graph.between)
+        return replace(self, points=places, graph=graph, weigher=beside)
 
     def deformation(self, pose: AnchorPose) -> SkinnedDeformation:
         """Return the map of space that a pose means."""
@@ -181,6 +206,7 @@ def rig_with(distance: PathDistance, weigher: Weigher) -> AnchorRig:
     """Return the rig of a cloud whose weights come from elsewhere, such as a trained network."""
     return AnchorRig(
         points=distance.points,
+        indices=distance.indices,
         graph=anchor_graph(distance.anchors, distance.between),
         weigher=weigher,
         weights=weigher(distance.points),

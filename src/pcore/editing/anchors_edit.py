@@ -11,11 +11,13 @@ from torch import Tensor
 
 from pcore.deform.base import Deformation
 from pcore.deform.motion import rigid
-from pcore.editing.anchors import ANCHORS, AnchorRig, rig_of
+from pcore.editing.anchors import AnchorRig, rig_of
 from pcore.editing.arap import Handle, drag
 from pcore.editing.edits import PlacedEdit
 from pcore.editing.fields import Angle, Axis, Number, Triple
+from pcore.editing.regions import Setting
 from pcore.errors import EditError
+from pcore.geometry.anchors import ANCHORS
 
 _REACH = 0.25
 _NEAR = 0.15
@@ -79,6 +81,22 @@ class AnchorsEdit(PlacedEdit):
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`; weights are those by path length."""
         return self.bind_to(rig_of(points, count=self.count, seed=self.seed))
+
+    def place(self, setting: Setting) -> Deformation:
+        """See `Edit.place`; weights are those of the run, where they are of the same anchors.
+
+        Raises:
+            EditError: also where the run's weights are of other points.
+        """
+        rig = setting.rig
+        if rig is None or not rig.is_of(count=self.count, seed=self.seed):
+            return self.bind(setting.points)
+        if not torch.equal(rig.points, setting.rest.to(rig.points.dtype)):
+            raise EditError(
+                f"learned skinning: expected the {len(rig.points)} points that its weights belong "
+                f"to, got {len(setting.rest)} others; give the points of the same run"
+            )
+        return self.bind_to(rig.at(setting.points))
 
     def bind_to(self, rig: AnchorRig) -> Deformation:
         """Pose a rig that is known already, such as one with learned weights.

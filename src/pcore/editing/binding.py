@@ -10,6 +10,7 @@ from pcore.deform.base import Compose, Deformation, Identity
 from pcore.deform.checks import check_invertible
 from pcore.deform.region import Region
 from pcore.deform.weighted import Held, Weighted
+from pcore.editing.anchors import AnchorRig
 from pcore.editing.edits import Edit
 from pcore.editing.regions import RegionEntry, Setting, bind_region, bind_union
 
@@ -60,12 +61,18 @@ class Bound:
         return replace(longer, setting=self.setting.at(longer.deformation(rest)))
 
 
-def begin(points: Tensor, freeze: tuple[RegionEntry, ...], *, allow_folds: bool = False) -> Bound:
+def begin(
+    points: Tensor,
+    freeze: tuple[RegionEntry, ...],
+    *,
+    allow_folds: bool = False,
+    rig: AnchorRig | None = None,
+) -> Bound:
     """Freeze regions to points (N, 3) float64 before the first edit.
 
     Raises:
         EditError: a region does not fit the points or holds none of them.
         InputError: a file of a region cannot be read.
     """
-    setting = Setting(points=points, rest=points)
+    setting = Setting(points=points, rest=points, rig=rig)
     return Bound(setting=setting, hold=bind_union(freeze, setting), allow_folds=allow_folds)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -17,6 +17,7 @@ from pcore.data.points import read_array
 from pcore.deform.frame import axis_vector
 from pcore.deform.point_region import PointRegion, path_weights
 from pcore.deform.region import Box, HalfSpace, Region, Sphere, Union
+from pcore.editing.anchors import AnchorRig
 from pcore.editing.fields import Axis, Length, StoredFile, Triple
 from pcore.errors import EditError
 from pcore.geometry.neighbours import nearest, neighbour_graph
@@ -35,10 +36,12 @@ class Setting:
         points: (N, 3) float64 as they arrive at the edit, world units.
         rest: (N, 3) float64 the same before the first edit; paths over the surface are measured
             here, so that parts which an edit has brought together stay apart.
+        rig: of the points at rest with learned weights, where the run has them.
     """
 
     points: Tensor
     rest: Tensor
+    rig: AnchorRig | None = None
 
     @cached_property
     def graph(self) -> csr_array:
@@ -52,7 +55,7 @@ class Setting:
 
     def at(self, points: Tensor) -> Setting:
         """Return the setting of the next edit, where the points (N, 3) are by now."""
-        later = Setting(points=points, rest=self.rest)
+        later = replace(self, points=points)
         for name in ("graph", "size"):
             if name in self.__dict__:
                 later.__dict__[name] = self.__dict__[name]

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pcore.deform.base import Deformation
 from pcore.deform.checks import check_invertible
+from pcore.editing.anchors import AnchorRig
 from pcore.editing.binding import Bound, begin
 from pcore.editing.edits import Edit
 from pcore.editing.keyframes import is_animated
@@ -66,7 +67,9 @@ class EditScript(BaseModel):
         """Return the same script as one of the newest version, which means the same."""
         return self.model_copy(update={"version": VERSION})
 
-    def bind(self, points: Tensor, *, allow_folds: bool = False) -> Deformation:
+    def bind(
+        self, points: Tensor, *, allow_folds: bool = False, rig: AnchorRig | None = None
+    ) -> Deformation:
         """Freeze the script to points (N, 3), world units, and return its deformation.
 
         An edit without `extent` takes it from these points as they arrive at that edit, after
@@ -76,20 +79,24 @@ class EditScript(BaseModel):
             points: (N, 3) the canonical cloud of a run, or whatever is to be deformed.
             allow_folds: accept maps that fold space at some (not all) of the points; enough for
                 moving bare points, not for rendering.
+            rig: of the same points with learned weights; edits by its anchors use it, those that
+                ask for other anchors do not.
 
         Raises:
             EditError: an edit does not fit the points (no extent to take, an empty region, a file
                 of other points), or a singular deformation (see `check_invertible`).
         """
-        return self.bound(points, allow_folds=allow_folds).deformation
+        return self.bound(points, allow_folds=allow_folds, rig=rig).deformation
 
-    def bound(self, points: Tensor, *, allow_folds: bool = False) -> Bound:
+    def bound(
+        self, points: Tensor, *, allow_folds: bool = False, rig: AnchorRig | None = None
+    ) -> Bound:
         """Do the same and keep the steps apart, so that more can be added; see `bind`."""
         if points.ndim != 2 or points.shape[-1] != 3:
             raise EditError(f"{self._source}: expected points (N, 3), got {tuple(points.shape)}")
         resting = points.detach().to(device="cpu", dtype=torch.float64)
         try:
-            bound = begin(resting, self.freeze, allow_folds=allow_folds)
+            bound = begin(resting, self.freeze, allow_folds=allow_folds, rig=rig)
         except (EditError, InputError) as error:
             raise EditError(f"{self._source}: freeze: {error}") from error
         for number, edit in enumerate(self.edits, start=1):

@@ -10,6 +10,7 @@ from typing import Any
 from torch import Tensor
 
 from pcore.deform.base import Deformation
+from pcore.editing.anchors import AnchorRig
 from pcore.editing.binding import Bound
 from pcore.editing.edits import Edit
 from pcore.editing.reading import parse_region
@@ -45,13 +46,20 @@ class EditSession:
     at a time, so that a long history does not make the next edit slower unless something is frozen.
     """
 
-    def __init__(self, points: Tensor, script: EditScript | None = None) -> None:
+    def __init__(
+        self, points: Tensor, script: EditScript | None = None, *, rig: AnchorRig | None = None
+    ) -> None:
         """Begin with canonical points (N, 3), world units, and with the edits of a script if given.
+
+        Args:
+            points: where the session begins.
+            script: edits to begin with.
+            rig: of these points with learned weights, see `EditScript.bind`.
 
         Raises:
             EditError: the script does not fit the points.
         """
-        self._canonical = points.detach().clone()
+        self._canonical, self._rig = points.detach().clone(), rig
         self._states = [self._bound(EditScript(edits=()) if script is None else script)]
         self._now = 0
 
@@ -153,7 +161,7 @@ class EditSession:
         return state
 
     def _bound(self, script: EditScript) -> EditState:
-        return self._state(script, script.bound(self._canonical))
+        return self._state(script, script.bound(self._canonical, rig=self._rig))
 
     def _state(self, script: EditScript, bound: Bound) -> EditState:
         # As every command does: in double precision, then in that of the cloud.

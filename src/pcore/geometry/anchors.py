@@ -9,6 +9,9 @@ from pcore.errors import InputError
 from pcore.geometry.neighbours import as_points
 from pcore.validation import check_count
 
+ANCHORS = 128
+"""How many anchors stand for a cloud (paper: M)."""
+
 
 def farthest_points(points: Tensor, count: int, *, seed: int = 0) -> Tensor:
     """Farthest point sampling: each next point is the one farthest from those already chosen.

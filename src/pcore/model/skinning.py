@@ -8,6 +8,7 @@ stands in docs/adr/0007-skinning.md.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import torch
 from torch import Tensor, nn
@@ -108,14 +109,30 @@ class Skinning:
     """A skinning network with the anchors it speaks of: a `Weigher`.
 
     Attributes:
-        network: f_phi.
-        distance: of points to the anchors.
-        sigma: world units, of the Gaussian that weights start at; None for equal weights.
+        network: f_phi, on any device.
+        paths: the cloud, its anchors and the paths between them, on the CPU.
     """
 
     network: SkinningNetwork
-    distance: AnchorDistance = field(repr=False)
-    sigma: float | None
+    paths: PathDistance = field(repr=False)
+
+    @cached_property
+    def distance(self) -> AnchorDistance:
+        """Distance by which a point's anchors are found: along the cloud or through space."""
+        if self.network.config.along_cloud:
+            return self.paths
+        return StraightDistance(anchors=self.paths.anchors)
+
+    @property
+    def anchors(self) -> Tensor:
+        """(M, 3) the anchors, world units."""
+        return self.paths.anchors
+
+    @cached_property
+    def sigma(self) -> float | None:
+        """Width of the Gaussian that weights start at, world units; None for equal weights."""
+        spacings = self.network.config.start_sigma
+        return None if spacings is None else spacings * anchor_spacing(self.paths.between)
 
     def __call__(self, points: Tensor) -> SkinningWeights:
         """Weights of points (N, 3), world units, without gradient."""
@@ -124,8 +141,12 @@ class Skinning:
 
     def prior(self, points: Tensor) -> Prior:
         """Find the candidates of points (N, 3): the dear part, done once for points that stay."""
-        found = self.distance.candidates(points.detach(), self.network.config.neighbours)
-        return Prior(candidates=found.anchors, logits=self._start(found))
+        # Neighbours are searched on the CPU, wherever the points are.
+        places = points.detach().cpu()
+        found = self.distance.candidates(places, self.network.config.neighbours)
+        return Prior(
+            candidates=found.anchors.to(points.device), logits=self._start(found).to(points.device)
+        )
 
     def weights(self, points: Tensor, prior: Prior) -> SkinningWeights:
         """Weights of points (N, 3) with their prior, differentiable in the network's parameters."""
@@ -152,15 +173,4 @@ def untrained_skinning(
         torch.manual_seed(seed)
         network = SkinningNetwork(config, len(distance.indices))
     network.fit_box(distance.points.amin(dim=0), distance.points.amax(dim=0))
-    return skinning_with(network, distance)
-
-
-def skinning_with(network: SkinningNetwork, distance: PathDistance) -> Skinning:
-    """Join a network to the cloud and anchors that it speaks of."""
-    config = network.config
-    spacing = anchor_spacing(distance.between)
-    return Skinning(
-        network=network,
-        distance=distance if config.along_cloud else StraightDistance(anchors=distance.anchors),
-        sigma=None if config.start_sigma is None else config.start_sigma * spacing,
-    )
+    return Skinning(network=network, paths=distance)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -10,12 +11,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from pcore.deform.anchor_distance import PathDistance, path_distance
+from pcore.deform.anchor_distance import path_distance
 from pcore.errors import CheckpointError
 from pcore.model.atomic import write_atomically
 from pcore.model.provenance import pcore_version
 from pcore.model.records import from_dict, to_dict
-from pcore.model.skinning import Skinning, SkinningConfig, SkinningNetwork, skinning_with
+from pcore.model.skinning import Skinning, SkinningConfig, SkinningNetwork
 
 SKINNING_FILE = "skinning.safetensors"
 _FORMAT = "pcore-skinning"
@@ -23,20 +24,28 @@ _VERSION = 1
 _NETWORK = "network."
 
 
-def save_skinning(path: Path, network: SkinningNetwork, distance: PathDistance) -> None:
+@dataclass(frozen=True, kw_only=True)
+class SkinningSummary:
+    """What a skinning file says about itself."""
+
+    config: SkinningConfig
+    anchors: int
+
+
+def save_skinning(path: Path, skinning: Skinning) -> None:
     """Write a skinning file; a crash at any moment leaves the old file or the new one.
 
     Args:
         path: where to, normally RUN/skinning.safetensors.
-        network: f_phi.
-        distance: the anchors; paths are not saved, reading measures them again.
+        skinning: network and anchors; paths are not saved, reading measures them again.
 
     Raises:
         CheckpointError: weights that are not finite; nothing is written.
         OSError: the file cannot be written; the old one is untouched.
     """
+    network, paths = skinning.network, skinning.paths
     tensors = {f"{_NETWORK}{name}": value for name, value in network.state_dict().items()}
-    tensors |= {"anchors": distance.indices, "places": distance.anchors}
+    tensors |= {"anchors": paths.indices, "places": paths.anchors}
     _check_finite(path, tensors)
     header = {
         "format": _FORMAT,
@@ -58,14 +67,7 @@ def load_skinning(path: Path, points: Tensor) -> Skinning:
         CheckpointError: missing, damaged, not ours, of another version, or fitted to other points.
     """
     path = path / SKINNING_FILE if path.is_dir() else path
-    header, tensors = _read(path)
-    if header.get("format") != _FORMAT or header.get("version") != str(_VERSION):
-        raise CheckpointError(
-            f"{path}: expected the format '{_FORMAT}' of version {_VERSION}, got "
-            f"{header.get('format')!r} of version {header.get('version')!r}; this is pcore "
-            f"{pcore_version()}, fit the skinning again"
-        )
-    config = from_dict(SkinningConfig, _config(path, header), where=f"{path}: config")
+    config, tensors = _read(path)
     _check_finite(path, tensors)
     indices = _anchors(path, tensors, points)
     network = SkinningNetwork(config, len(indices))
@@ -77,10 +79,33 @@ def load_skinning(path: Path, points: Tensor) -> Skinning:
             f"{path}: the weights are not those of its configuration ({error}); "
             "the file was edited, fit the skinning again"
         ) from error
-    return skinning_with(network.eval(), path_distance(points, indices))
+    return Skinning(network=network.eval(), paths=path_distance(points.detach().cpu(), indices))
 
 
-def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+def describe_skinning(path: Path) -> SkinningSummary:
+    """Read what a skinning file (or its run folder) says about itself.
+
+    Raises:
+        CheckpointError: missing, damaged, not ours or of another version.
+    """
+    path = path / SKINNING_FILE if path.is_dir() else path
+    config, tensors = _read(path)
+    return SkinningSummary(config=config, anchors=len(tensors.get("anchors", ())))
+
+
+def _read(path: Path) -> tuple[SkinningConfig, dict[str, Tensor]]:
+    """Configuration and tensors of a file, after checking that it is one of ours."""
+    header, tensors = _open(path)
+    if header.get("format") != _FORMAT or header.get("version") != str(_VERSION):
+        raise CheckpointError(
+            f"{path}: expected the format '{_FORMAT}' of version {_VERSION}, got "
+            f"{header.get('format')!r} of version {header.get('version')!r}; this is pcore "
+            f"{pcore_version()}, fit the skinning again"
+        )
+    return from_dict(SkinningConfig, _config(path, header), where=f"{path}: config"), tensors
+
+
+def _open(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
     if not path.is_file():
         raise CheckpointError(f"no skinning at {path}: expected a {SKINNING_FILE}; fit one first")
     try:

@@ -8,8 +8,11 @@ from typing import Literal
 
 from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
+from pcore.geometry.anchors import ANCHORS
 from pcore.model.config import PaprConfig
+from pcore.model.skinning import SkinningConfig
 from pcore.training.schedule import Schedule
+from pcore.validation import check_count
 
 PresetName = Literal["tiny", "fast", "paper"]
 TrunkName = Literal["alex", "squeeze", "vgg"]
@@ -142,6 +145,37 @@ class PretrainConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SkinningTrainConfig:
+    """Skinning that learns along with the renderer (paper, "Skinning Weights Optimization").
+
+    Points and surface points then move by the skinning, rays by the field. The presets are
+    `pcore.training.presets.skinning_preset`.
+    """
+
+    network: SkinningConfig = field(default_factory=SkinningConfig)
+    """The skinning network and where its weights start."""
+    anchors: int = ANCHORS
+    """Anchors, chosen from the cloud by farthest point sampling."""
+    rate: Schedule = field(default_factory=lambda: Schedule(base=2e-3, warmup=20))
+    """Learning rate of the skinning network; a base of 0 keeps its weights as they start."""
+    position_weight: float = 100.0
+    """Weight of the direct term: mean squared distance of skinned points from where the field takes
+    them, in squared bounding-box diagonals of the cloud. 0 leaves it out."""
+    surface_target: Literal["skinned", "field"] = "skinned"
+    """Where L_geo wants canonical surface points: where the skinning takes them, with gradient (the
+    paper), or where the field does."""
+
+    def __post_init__(self) -> None:
+        check_count("skinning: anchors", self.anchors)
+        if self.anchors < 2 or not 0 <= self.rate.base < math.inf:
+            raise InputError(
+                "skinning: expected at least 2 anchors and a finite learning rate of 0 or more, "
+                f"got {self.anchors} and {self.rate.base}"
+            )
+        _check_weights(self, "position_weight")
+
+
+@dataclass(frozen=True, kw_only=True)
 class FinetuneConfig:
     """Self-supervised fine-tuning (paper, "Self-Supervised Fine-Tuning Objective")."""
 
@@ -193,6 +227,9 @@ class FinetuneConfig:
     """Network of the LPIPS loss."""
     ranges: DeformationRanges = field(default_factory=DeformationRanges)
     """What is drawn."""
+    skinning: SkinningTrainConfig | None = None
+    """Move points and surface points by a skinning that learns as well; None leaves that to the
+    field."""
     average: float = 0.0
     """Decay of the running average of weights that becomes the result; 0 keeps the last weights."""
     largest_loss: float | None = None
@@ -224,6 +261,11 @@ class FinetuneConfig:
                 "fine-tuning: expected origin_distance above 0 and at most 1, got "
                 f"{self.origin_distance}"
             )
+        if self.skinning is not None and self.train_points:
+            raise InputError(
+                "fine-tuning: expected points that stay where the skinning was bound to them, got "
+                "train_points with skinning; leave out one of the two"
+            )
         if not 0 <= self.average < 1:
             raise InputError(f"fine-tuning: expected 0 <= average < 1, got {self.average}")
 
@@ -240,7 +282,9 @@ def _check_positive(config: PretrainConfig | FinetuneConfig, *names: str) -> Non
         )
 
 
-def _check_weights(config: PretrainConfig | FinetuneConfig, *names: str) -> None:
+def _check_weights(
+    config: PretrainConfig | FinetuneConfig | SkinningTrainConfig, *names: str
+) -> None:
     """Refuse negative weights of losses, which would reward errors, and infinity and NaN."""
     for name in names:
         value = getattr(config, name)

@@ -109,7 +109,7 @@ class Consistency:
 def consistency(
     rendering: Rendering,
     canonical: Canonical,
-    deformation: Deformation,
+    target: Tensor,
     *,
     unit: float,
     background_rays: bool,
@@ -119,7 +119,7 @@ def consistency(
     Args:
         rendering: (H, W) of the deformed cloud D(P) along deformed rays.
         canonical: what the canonical state says.
-        deformation: the field D.
+        target: (H, W, 3) where the deformation takes the canonical surface points.
         unit: length in which L_geo is measured, world units.
         background_rays: whether rays of the background enter L_tex.
 
@@ -127,7 +127,7 @@ def consistency(
         Both losses; zero where the patch has no foreground.
     """
     foreground = canonical.foreground
-    offset = rendering.surface - deformation(canonical.surface)
+    offset = rendering.surface - target
     # Rays that left the cut-off have no surface point; L_tex sees them as holes.
     met = foreground & (rendering.weights.detach().sum(dim=-1) > 0)
     geometry = (offset / unit).square().sum(dim=-1)[met].sum() / foreground.sum().clamp_min(1)

@@ -8,25 +8,17 @@ from collections.abc import Callable, Sequence
 import torch
 
 from pcore.data.scene import Scene, View, check_images, hold_out
-from pcore.deform.base import Deformation
-from pcore.deform.local_frames import unchecked_frames
-from pcore.deform.sampler import sample_deformation
-from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Rendering
+from pcore.model.skinning import Skinning
 from pcore.training.config import FinetuneConfig
-from pcore.training.consistency import (
-    Canonical,
-    canonical_of,
-    consistency,
-    points_only_rays,
-    rays_and_points_rays,
-)
 from pcore.training.events import Listener, silent
 from pcore.training.loop import Plan, autocast, run_loop
-from pcore.training.losses import Losses, Perceptual, mean_of, perceptual_loss, photometric
+from pcore.training.losses import Losses, mean_of, perceptual_loss
+from pcore.training.motion import skinning_to_train
+from pcore.training.objective import Objective
 from pcore.training.output import RunFolder
-from pcore.training.patches import Patch, draw_patch
-from pcore.training.trainable import Trainable, trainable
+from pcore.training.patches import draw_patch
+from pcore.training.schedule import Schedule
+from pcore.training.trainable import trainable
 from pcore.training.trained import Trained
 from pcore.training.validation import validate
 
@@ -45,15 +37,16 @@ def finetune(
     Args:
         scene: the one it was trained on; only training views are used.
         base: the pre-trained model; left as it is.
-        config: losses, modes, schedule.
+        config: losses, modes, schedule, and whether a skinning learns along.
         folder: where to save and what to continue from; None keeps everything in memory.
         listener: told of steps, validations, saves.
         device: "cpu", "cuda", ...
 
     Returns:
-        The tuned model.
+        The tuned model, with its skinning where one was trained.
 
     Raises:
+        InputError: fewer points than the skinning wants anchors.
         WeightsError: LPIPS was asked for and its weights are missing.
         TrainingError: diverged or cannot write.
         KeyboardInterrupt: Ctrl-C, after saving.
@@ -69,10 +62,11 @@ def finetune(
         anchor.cloud,
         seed=config.seed,
         train_points=config.train_points,
+        skinning=_skinning(anchor, config),
     )
     if config.largest_loss is not None and validation:
         work.best = {"weights": {name: t.clone() for name, t in work.weights().items()}}
-    objective = _Objective(config, work, anchor, perceptual)
+    objective = Objective(config, work, anchor, perceptual)
 
     def losses() -> Losses:
         found: list[Losses] = []
@@ -84,16 +78,7 @@ def finetune(
 
     return run_loop(
         work,
-        Plan(
-            steps=config.steps,
-            rates=config.rates,
-            validate_every=config.validate_every,
-            save_every=config.save_every,
-            average=config.average,
-            validation=validation,
-            background=config.background,
-            scene=scene.name,
-        ),
+        _plan(config, validation, scene.name),
         losses,
         accept=_guard(anchor, validation, config),
         folder=folder,
@@ -109,6 +94,28 @@ def _moved(base: Trained, device: torch.device) -> Trained:
     )
 
 
+def _skinning(anchor: Trained, config: FinetuneConfig) -> Skinning | None:
+    if config.skinning is None:
+        return None
+    return skinning_to_train(anchor.cloud, config.skinning, seed=config.seed)
+
+
+def _plan(config: FinetuneConfig, validation: Sequence[View], scene: str) -> Plan:
+    rates: dict[str, Schedule] = config.rates.named()
+    if config.skinning is not None:
+        rates["skinning"] = config.skinning.rate
+    return Plan(
+        steps=config.steps,
+        rates=rates,
+        validate_every=config.validate_every,
+        save_every=config.save_every,
+        average=config.average,
+        validation=validation,
+        background=config.background,
+        scene=scene,
+    )
+
+
 def _guard(
     anchor: Trained, validation: Sequence[View], config: FinetuneConfig
 ) -> Callable[[float], bool]:
@@ -117,81 +124,3 @@ def _guard(
         return lambda psnr: True
     least = validate(anchor, validation, config.background)["psnr"] - config.largest_loss
     return lambda psnr: psnr >= least
-
-
-class _Objective:
-    """The losses of one patch: canonical pass, random field, both modes."""
-
-    def __init__(
-        self,
-        config: FinetuneConfig,
-        work: Trainable,
-        anchor: Trained,
-        perceptual: Perceptual | None,
-    ) -> None:
-        self._config, self._work, self._anchor = config, work, anchor
-        self._perceptual = perceptual
-        lower, upper = anchor.cloud.extent()
-        self._lower, self._upper = lower.cpu(), upper.cpu()
-        self._points = anchor.cloud.positions.cpu()
-        self._unit = float((upper - lower).norm())
-
-    def __call__(self, patch: Patch) -> Losses:
-        """L_rgb + lambda_geo L_geo + lambda_tex L_tex of a patch (paper, "Joint Loss")."""
-        config, work = self._config, self._work
-        rendering = work.papr(work.cloud, patch.rays, patch.background)
-        photo = photometric(
-            rendering,
-            patch,
-            opacity_weight=config.opacity_weight,
-            lpips_weight=config.lpips_weight,
-            perceptual=self._perceptual,
-            front_weight=config.front_weight,
-        )
-        canonical = self._canonical(rendering, patch)
-        deformation = sample_deformation(
-            work.generator, self._lower, self._upper, self._points, config.ranges
-        )
-        positions = work.cloud.positions
-        frames = unchecked_frames(deformation, positions) if config.aware else None
-        deformed = work.cloud.moved(deformation(positions), frames)
-        terms = dict(photo.terms)
-        for name, rays in self._modes(patch.rays, canonical, deformation).items():
-            found = consistency(
-                work.papr(deformed, rays, patch.background),
-                canonical,
-                deformation,
-                unit=self._unit,
-                background_rays=config.background_rays,
-            )
-            terms[f"geo_{name}"] = config.geometry_weight * found.geometry
-            terms[f"tex_{name}"] = config.texture_weight * found.texture
-        return Losses(terms=terms, squared_error=photo.squared_error)
-
-    def _canonical(self, rendering: Rendering, patch: Patch) -> Canonical:
-        config = self._config
-        if config.anchor:
-            with torch.no_grad():
-                rendering = self._anchor.papr(self._anchor.cloud, patch.rays, patch.background)
-        rgb = patch.rgb if config.texture_target == "photo" else rendering.rgb
-        return canonical_of(rendering, self._work.cloud, patch.rays, rgb, config.foreground_alpha)
-
-    def _modes(
-        self, rays: RayBundle, canonical: Canonical, deformation: Deformation
-    ) -> dict[str, RayBundle]:
-        """Deformed rays of the modes that this step uses, by name."""
-        config = self._config
-        both = config.points_only and config.rays_and_points
-        turn = self._work.step % 2 if config.alternate and both else None
-        modes: dict[str, RayBundle] = {}
-        if config.points_only and turn != 1:
-            modes["points"] = points_only_rays(rays, canonical, deformation)
-        if config.rays_and_points and turn != 0:
-            modes["rays"] = rays_and_points_rays(
-                rays,
-                canonical,
-                deformation,
-                config.origin_distance,
-                keep_distance=config.keep_distance,
-            )
-        return modes

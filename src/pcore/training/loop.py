@@ -6,7 +6,7 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
@@ -16,10 +16,11 @@ import torch
 from pcore.data.scene import View
 from pcore.errors import TrainingError
 from pcore.model.provenance import provenance_of
-from pcore.training.config import Background, Rates
+from pcore.training.config import Background
 from pcore.training.events import Listener, Saved, StepReport, Stopped, ValidationReport
 from pcore.training.losses import Losses
 from pcore.training.output import RunFolder
+from pcore.training.schedule import Schedule
 from pcore.training.trainable import Trainable, restore
 from pcore.training.trained import Trained
 from pcore.training.validation import validate
@@ -33,7 +34,7 @@ class Plan:
 
     Attributes:
         steps: optimiser steps in all.
-        rates: learning rates.
+        rates: learning rates by the names of the optimiser's groups.
         validate_every: steps between validations.
         save_every: steps between saves.
         average: decay of the running average of weights, 0 for none.
@@ -43,7 +44,7 @@ class Plan:
     """
 
     steps: int
-    rates: Rates
+    rates: Mapping[str, Schedule]
     validate_every: int
     save_every: int
     average: float
@@ -191,6 +192,9 @@ def _save(
         ),
     )
     listener(Saved(stage=work.stage, step=work.step, path=str(folder.model)))
+    if result.skinning is not None:
+        folder.save_skinning(result.skinning)
+        listener(Saved(stage=work.stage, step=work.step, path=str(folder.skinning)))
     best = {key: value for key, value in work.best.items() if isinstance(value, int | float)}
     status = "finished" if finished else "running"
     folder.update(status=status, step=work.step, validation=best)

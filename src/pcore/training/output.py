@@ -16,6 +16,8 @@ from pcore.model.atomic import PARTIAL_SUFFIX, remove_partials, write_atomically
 from pcore.model.checkpoint import MODEL_FILE, save_model
 from pcore.model.config import PaprConfig
 from pcore.model.provenance import Provenance, Stage
+from pcore.model.skinning import Skinning
+from pcore.model.skinning_file import SKINNING_FILE, save_skinning
 from pcore.training.closing import Closing
 from pcore.training.lock import LOCK_FILE, FolderLock
 from pcore.training.manifest import MANIFEST_FILE, new_manifest, read_manifest, same_run
@@ -109,6 +111,11 @@ class RunFolder(Closing):
         return self.path / MODEL_FILE
 
     @property
+    def skinning(self) -> Path:
+        """The skinning for users, `skinning.safetensors`; only where one was trained."""
+        return self.path / SKINNING_FILE
+
+    @property
     def state(self) -> Path:
         """The state for resuming, `state.pt`."""
         return self.path / STATE_FILE
@@ -180,6 +187,11 @@ class RunFolder(Closing):
         with write_guard(self.model):
             save_model(self.model, papr_state, cloud, config, provenance)
 
+    def save_skinning(self, skinning: Skinning) -> None:
+        """Write `skinning.safetensors`; raises TrainingError as `save_state`."""
+        with write_guard(self.skinning):
+            save_skinning(self.skinning, skinning)
+
     def close(self) -> None:
         """Let other processes use the folder."""
         if self._lock is not None:
@@ -210,7 +222,7 @@ def _what_is_saved(folder: Path) -> str:
         parts.append(f"{STATE_FILE} of step {load_state(folder / STATE_FILE).step}")
     except (CheckpointError, OSError):
         parts += []  # Before the first checkpoint, or the disk is gone altogether.
-    names = (MODEL_FILE, LOG_FILE, MANIFEST_FILE)
+    names = (MODEL_FILE, SKINNING_FILE, LOG_FILE, MANIFEST_FILE)
     parts += [name for name in names if (folder / name).is_file()]
     if not parts:
         return f"nothing was saved in {folder} before"

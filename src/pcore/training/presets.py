@@ -8,6 +8,7 @@ from typing import Literal, get_args
 from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
 from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.skinning import SkinningConfig
 from pcore.training.config import (
     FinetuneConfig,
     GrowConfig,
@@ -16,6 +17,7 @@ from pcore.training.config import (
     PretrainConfig,
     PruneConfig,
     Rates,
+    SkinningTrainConfig,
 )
 from pcore.training.schedule import Schedule
 
@@ -172,6 +174,29 @@ def finetune_preset(name: PresetName) -> FinetuneConfig:
     if name not in _FINETUNE:
         raise InputError(f"preset: expected one of {', '.join(get_args(PresetName))}, got {name!r}")
     return _FINETUNE[name]
+
+
+SkinningName = Literal["ours", "paper"]
+_SKINNING: dict[SkinningName, SkinningTrainConfig] = {
+    "ours": SkinningTrainConfig(),
+    "paper": SkinningTrainConfig(
+        network=SkinningConfig(along_cloud=False, start_sigma=None), position_weight=0.0
+    ),
+}
+
+
+def skinning_preset(name: SkinningName) -> SkinningTrainConfig:
+    """Return how a skinning learns inside fine-tuning.
+
+    "ours" starts at the Gaussian over path lengths and adds the direct term; "paper" is what the
+    paper says: equal weights of the nearest anchors through space, no term of its own.
+
+    Raises:
+        InputError: there is no such preset.
+    """
+    if name not in _SKINNING:
+        raise InputError(f"skinning: expected one of {', '.join(_SKINNING)}, got {name!r}")
+    return _SKINNING[name]
 
 
 def demo_finetune() -> FinetuneConfig:

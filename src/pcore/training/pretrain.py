@@ -91,7 +91,7 @@ def pretrain(
         work,
         Plan(
             steps=config.steps,
-            rates=config.rates,
+            rates=config.rates.named(),
             validate_every=config.validate_every,
             save_every=config.save_every,
             average=0.0,

@@ -105,7 +105,7 @@ def _loss(
     deformation = sample_deformation(generator, lower, upper, points, config.ranges)
     chosen = points[rows]
     weights = skinning.weights(chosen, prior.rows(rows))
-    moved = skin(chosen, weights, pose_of(deformation, skinning.distance.anchors))
+    moved = skin(chosen, weights, pose_of(deformation, skinning.anchors))
     return position_loss(moved.positions, chosen, deformation, float((upper - lower).norm()))
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -12,7 +13,9 @@ from torch import Tensor, nn
 from pcore.errors import CheckpointError
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
+from pcore.model.skinning import Skinning
 from pcore.training.config import Rates
+from pcore.training.schedule import Schedule
 from pcore.training.state import TrainingState, generator_states, restore_generators
 from pcore.training.trained import Trained
 
@@ -27,8 +30,9 @@ class Trainable:
         stage: "pretrain" or "finetune".
         papr: the networks.
         cloud: the points; its tensors are parameters.
-        optimizer: Adam with one group per entry of `Rates`.
+        optimizer: Adam with one group per entry of `Rates`, and "skinning" where there is one.
         generator: source of every random draw of the loop.
+        skinning: trained along with the renderer; None where nothing is.
         step: steps done.
         average: running average of all weights by name; empty where none is kept.
         best: figures of the best validation, and its weights where they are kept.
@@ -39,6 +43,7 @@ class Trainable:
     cloud: PointCloud
     optimizer: torch.optim.Optimizer
     generator: torch.Generator
+    skinning: Skinning | None = None
     step: int = 0
     average: dict[str, Tensor] = field(default_factory=dict[str, Tensor])
     best: dict[str, Any] = field(default_factory=dict[str, Any])
@@ -47,14 +52,18 @@ class Trainable:
         """All weights by name, sharing memory with the training."""
         cloud = {f"cloud.{name}": getattr(self.cloud, name).detach() for name in _CLOUD}
         networks = {f"papr.{name}": t.detach() for name, t in self.papr.state_dict().items()}
-        return {**cloud, **networks}
+        skinning = {f"skinning.{name}": t for name, t in self._skinning_state().items()}
+        return {**cloud, **networks, **skinning}
 
-    def set_rates(self, rates: Rates, steps: int) -> None:
-        """Set the learning rate of every group for the coming step."""
-        for group, schedule in zip(
-            self.optimizer.param_groups, rates.named().values(), strict=True
-        ):
-            group["lr"] = schedule.at(self.step, steps)
+    def _skinning_state(self) -> dict[str, Tensor]:
+        if self.skinning is None:
+            return {}
+        return {name: t.detach() for name, t in self.skinning.network.state_dict().items()}
+
+    def set_rates(self, rates: Mapping[str, Schedule], steps: int) -> None:
+        """Set the learning rate of every group, by its name, for the coming step."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = rates[group["name"]].at(self.step, steps)
         # The points' rate is in scaled units, the points themselves are in world units.
         self.optimizer.param_groups[0]["lr"] /= self.papr.config.coord_scale
 
@@ -68,7 +77,8 @@ class Trainable:
 
     def result(self, weights: Mapping[str, Tensor] | None = None) -> Trained:
         """Networks and points to hand over: of `weights`, or the average, or as they are."""
-        return rebuild(self.papr, weights or self.average or self.weights(), self.step)
+        chosen = weights or self.average or self.weights()
+        return rebuild(self.papr, chosen, self.step, skinning=self.skinning)
 
     def state(self) -> TrainingState:
         """What `restore` needs to go on exactly."""
@@ -81,11 +91,18 @@ class Trainable:
             generators=generator_states({"draws": self.generator}),
             average=dict(self.average),
             best=self.best,
+            skinning=self._skinning_state(),
         )
 
 
 def trainable(
-    stage: str, papr: Papr, cloud: PointCloud, *, seed: int, train_points: bool = True
+    stage: str,
+    papr: Papr,
+    cloud: PointCloud,
+    *,
+    seed: int,
+    train_points: bool = True,
+    skinning: Skinning | None = None,
 ) -> Trainable:
     """Return networks and a cloud made ready to train, with Adam."""
     device = cloud.positions.device
@@ -103,12 +120,16 @@ def trainable(
         {"params": group, "name": name}
         for name, group in zip(Rates.__dataclass_fields__, parameters, strict=True)
     ]
+    if skinning is not None:
+        network = skinning.network.requires_grad_(True)
+        groups.append({"params": list(network.parameters()), "name": "skinning"})
     return Trainable(
         stage=stage,
         papr=papr,
         cloud=PointCloud.from_tensors(tensors),
         optimizer=torch.optim.Adam(groups, fused=device.type in ("cpu", "cuda")),
         generator=torch.Generator().manual_seed(seed),
+        skinning=skinning,
     )
 
 
@@ -124,13 +145,7 @@ def restore(work: Trainable, state: TrainingState) -> None:
             "resume it with the command that made it"
         )
     device = work.cloud.positions.device
-    try:
-        work.papr.load_state_dict(state.papr)
-    except RuntimeError as error:
-        raise CheckpointError(
-            f"training state: its networks have another architecture ({error}); resume with the "
-            "configuration that it was started with"
-        ) from error
+    _restore_networks(work, state)
     old = work.cloud
     tensors = {name: nn.Parameter(state.cloud[name].to(device)) for name in _CLOUD}
     tensors["positions"].requires_grad_(old.positions.requires_grad)
@@ -148,15 +163,44 @@ def restore(work: Trainable, state: TrainingState) -> None:
         work.best["weights"] = {name: tensor.to(device) for name, tensor in kept.items()}
 
 
-def rebuild(like: Papr, weights: Mapping[str, Tensor], step: int) -> Trained:
-    """Return networks like `like` and a cloud from named weights, copied and without gradients."""
+def _restore_networks(work: Trainable, state: TrainingState) -> None:
+    """Load the weights of all networks, which must be those of the state."""
+    if (work.skinning is None) != (not state.skinning):
+        with_it, without = ("with", "without") if state.skinning else ("without", "with")
+        raise CheckpointError(
+            f"training state: it was made {with_it} skinning, got a training {without} it; resume "
+            "with the configuration that it was started with"
+        )
+    try:
+        work.papr.load_state_dict(state.papr)
+        if work.skinning is not None:
+            work.skinning.network.load_state_dict(state.skinning)
+    except RuntimeError as error:
+        raise CheckpointError(
+            f"training state: its networks have another architecture ({error}); resume with the "
+            "configuration that it was started with"
+        ) from error
+
+
+def rebuild(
+    like: Papr, weights: Mapping[str, Tensor], step: int, *, skinning: Skinning | None = None
+) -> Trained:
+    """Return networks like the given ones and a cloud from named weights, without gradients."""
     with torch.random.fork_rng(devices=[]):  # Its initial weights are drawn and overwritten.
         papr = Papr(like.config).to(next(iter(weights.values())).device)
-    prefix = "papr."
-    papr.load_state_dict(
-        {name.removeprefix(prefix): t for name, t in weights.items() if name.startswith(prefix)}
-    )
+    papr.load_state_dict(_under("papr.", weights))
     cloud = PointCloud.from_tensors(
         {name: weights[f"cloud.{name}"].detach().clone() for name in _CLOUD}
     )
-    return Trained(papr=papr.requires_grad_(False).eval(), cloud=cloud, step=step)
+    if skinning is not None:
+        network = copy.deepcopy(skinning.network)
+        network.load_state_dict(_under("skinning.", weights))
+        skinning = replace(skinning, network=network.requires_grad_(False).eval())
+    return Trained(
+        papr=papr.requires_grad_(False).eval(), cloud=cloud, step=step, skinning=skinning
+    )
+
+
+def _under(prefix: str, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Those weights whose names begin with a prefix, without it."""
+    return {name.removeprefix(prefix): t for name, t in weights.items() if name.startswith(prefix)}

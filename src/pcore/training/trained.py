@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
+from pcore.model.skinning import Skinning
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,8 +17,10 @@ class Trained:
         papr: the networks, without gradients.
         cloud: the canonical points.
         step: steps of the stage that made it.
+        skinning: what was trained along with them, without gradients; None where nothing was.
     """
 
     papr: Papr
     cloud: PointCloud
     step: int
+    skinning: Skinning | None = None

@@ -1,0 +1,113 @@
+"""The objective of fine-tuning: L_rgb + lambda_geo L_geo + lambda_tex L_tex (paper)."""
+
+from __future__ import annotations
+
+import torch
+
+from pcore.deform.base import Deformation
+from pcore.deform.sampler import sample_deformation
+from pcore.geometry.rays import RayBundle
+from pcore.model.papr import Rendering
+from pcore.training.config import FinetuneConfig
+from pcore.training.consistency import (
+    Canonical,
+    canonical_of,
+    consistency,
+    points_only_rays,
+    rays_and_points_rays,
+)
+from pcore.training.losses import Losses, Perceptual, photometric
+from pcore.training.motion import FieldMotion, Motion, SkinnedMotion
+from pcore.training.patches import Patch
+from pcore.training.trainable import Trainable
+from pcore.training.trained import Trained
+
+
+class Objective:
+    """The losses of one patch: canonical pass, random field, both modes."""
+
+    def __init__(
+        self,
+        config: FinetuneConfig,
+        work: Trainable,
+        anchor: Trained,
+        perceptual: Perceptual | None,
+    ) -> None:
+        self._config, self._work, self._anchor = config, work, anchor
+        self._perceptual = perceptual
+        lower, upper = anchor.cloud.extent()
+        self._lower, self._upper = lower.cpu(), upper.cpu()
+        self._points = anchor.cloud.positions.cpu()
+        self._unit = float((upper - lower).norm())
+        self._move = _motion(config, work, self._unit)
+
+    def __call__(self, patch: Patch) -> Losses:
+        """L_rgb + lambda_geo L_geo + lambda_tex L_tex of a patch (paper, "Joint Loss")."""
+        config, work = self._config, self._work
+        rendering = work.papr(work.cloud, patch.rays, patch.background)
+        photo = photometric(
+            rendering,
+            patch,
+            opacity_weight=config.opacity_weight,
+            lpips_weight=config.lpips_weight,
+            perceptual=self._perceptual,
+            front_weight=config.front_weight,
+        )
+        canonical = self._canonical(rendering, patch)
+        deformation = sample_deformation(
+            work.generator, self._lower, self._upper, self._points, config.ranges
+        )
+        moved = self._move(work.cloud, canonical, deformation)
+        terms = {**photo.terms, **moved.terms}
+        for name, rays in self._modes(patch.rays, canonical, deformation).items():
+            found = consistency(
+                work.papr(moved.cloud, rays, patch.background),
+                canonical,
+                moved.surface,
+                unit=self._unit,
+                background_rays=config.background_rays,
+            )
+            terms[f"geo_{name}"] = config.geometry_weight * found.geometry
+            terms[f"tex_{name}"] = config.texture_weight * found.texture
+        return Losses(terms=terms, squared_error=photo.squared_error)
+
+    def _canonical(self, rendering: Rendering, patch: Patch) -> Canonical:
+        config = self._config
+        if config.anchor:
+            with torch.no_grad():
+                rendering = self._anchor.papr(self._anchor.cloud, patch.rays, patch.background)
+        rgb = patch.rgb if config.texture_target == "photo" else rendering.rgb
+        return canonical_of(rendering, self._work.cloud, patch.rays, rgb, config.foreground_alpha)
+
+    def _modes(
+        self, rays: RayBundle, canonical: Canonical, deformation: Deformation
+    ) -> dict[str, RayBundle]:
+        """Deformed rays of the modes that this step uses, by name."""
+        config = self._config
+        both = config.points_only and config.rays_and_points
+        turn = self._work.step % 2 if config.alternate and both else None
+        modes: dict[str, RayBundle] = {}
+        if config.points_only and turn != 1:
+            modes["points"] = points_only_rays(rays, canonical, deformation)
+        if config.rays_and_points and turn != 0:
+            modes["rays"] = rays_and_points_rays(
+                rays,
+                canonical,
+                deformation,
+                config.origin_distance,
+                keep_distance=config.keep_distance,
+            )
+        return modes
+
+
+def _motion(config: FinetuneConfig, work: Trainable, unit: float) -> Motion:
+    """What moves points and surface points: the field itself, or the skinning where one learns."""
+    if config.skinning is None or work.skinning is None:
+        return FieldMotion(aware=config.aware)
+    return SkinnedMotion(
+        skinning=work.skinning,
+        prior=work.skinning.prior(work.cloud.positions),
+        config=config.skinning,
+        unit=unit,
+        aware=config.aware,
+    )

@@ -1,0 +1,95 @@
+"""Edits by anchors with the weights that a run has learned."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from pcore.deform.anchor_distance import path_distance
+from pcore.editing.anchors import AnchorRig, rig_with
+from pcore.editing.anchors_edit import AnchorsEdit
+from pcore.editing.script import EditScript, parse_edit
+from pcore.editing.session import EditSession
+from pcore.errors import EditError
+from pcore.geometry.anchors import farthest_points
+from pcore.model.skinning import SkinningConfig, untrained_skinning
+
+GENERATOR = torch.Generator().manual_seed(1)
+BAR = (torch.rand(300, 3, generator=GENERATOR) * 2 - 1) * torch.tensor([1.0, 0.1, 0.1])
+RIGID: dict[str, Any] = {"type": "rigid", "axis": "z", "angle_deg": 40, "translation": [1, 0, 2]}
+
+
+def learned() -> AnchorRig:
+    """Weights that no distance gives."""
+    distance = path_distance(BAR, farthest_points(BAR, 30))
+    skinning = untrained_skinning(distance, SkinningConfig(width=8))
+    with torch.no_grad():
+        skinning.network.layers[-1].weight.copy_(torch.randn(30, 8, generator=GENERATOR))
+    return rig_with(skinning.paths, skinning)
+
+
+RIG = learned()
+RIGHT = int(RIG.graph.rest[:, 0].argmax())
+DRAG: dict[str, Any] = {
+    "type": "anchors",
+    "count": 30,
+    "handles": [{"anchor": RIGHT, "to": [0.9, 0.0, 0.5]}],
+}
+
+
+def script(*edits: dict[str, Any]) -> EditScript:
+    return parse_edit({"version": 2, "edits": list(edits)})
+
+
+def test_a_drag_uses_the_learned_weights() -> None:
+    found = script(DRAG).bind(BAR, rig=RIG)(BAR.double())
+    edit = AnchorsEdit.model_validate(DRAG)
+    torch.testing.assert_close(found, edit.bind_to(RIG)(BAR.double()))
+    by_distance = script(DRAG).bind(BAR)(BAR.double())
+    assert float((found - by_distance).norm(dim=1).max()) > 0.01
+
+
+@pytest.mark.parametrize("other", [{"count": 20}, {"seed": 5}])
+def test_other_anchors_have_no_learned_weights(other: dict[str, int]) -> None:
+    drag = DRAG | {"handles": [{"near": [0.9, 0.0, 0.0], "to": [0.9, 0.0, 0.5]}]} | other
+    assert not RIG.is_of(count=drag["count"], seed=drag.get("seed", 0))
+    found, plain = (script(drag).bind(BAR, rig=rig)(BAR.double()) for rig in (RIG, None))
+    assert torch.equal(found, plain)
+
+
+def test_points_keep_their_weights_after_other_edits() -> None:
+    """A rigid motion first: the drag that moves along gives the moved result."""
+    motion = script(RIGID).bind(BAR)
+    to = motion(torch.tensor([[0.9, 0.0, 0.5]], dtype=torch.float64))[0].tolist()
+    moved_drag = DRAG | {"handles": [{"anchor": RIGHT, "to": to}]}
+    found = script(RIGID, moved_drag).bind(BAR, rig=RIG)(BAR.double())
+    expected = motion(script(DRAG).bind(BAR, rig=RIG)(BAR.double()))
+    torch.testing.assert_close(found, expected, atol=1e-4, rtol=0)
+
+
+def test_what_is_not_of_the_moved_cloud_follows_its_nearest_point() -> None:
+    moved = script(RIGID).bind(BAR)(BAR.double())
+    rig = RIG.at(moved)
+    beside = rig.weigher(moved[:5].float() + 1e-4)
+    assert torch.equal(beside.values, RIG.weights.values[:5])
+    assert RIG.at(BAR) is RIG
+
+
+def test_a_session_uses_them_too() -> None:
+    state = EditSession(BAR, rig=RIG).do(DRAG)
+    assert torch.equal(state.points, script(DRAG).bind(BAR, rig=RIG)(BAR.double()).float())
+
+
+@pytest.mark.parametrize("points", [BAR + 1, BAR[:200]])
+def test_points_of_another_run(points: torch.Tensor) -> None:
+    with pytest.raises(EditError, match=r"edit 1 \(anchors\): learned skinning: expected the 300"):
+        script(DRAG).bind(points, rig=RIG)
+
+
+def test_a_run_without_skinning_has_none(tmp_path: Path) -> None:
+    from pcore.cli.runtime import learned_rig
+
+    assert learned_rig(tmp_path, BAR) is None
