@@ -161,7 +161,7 @@ CASES = [
     Case(f"{RENDER} --edit edit.json", "edit.json: expected an edit file in", cut("edit.json")),
     Case(
         f"{RENDER} --edit edit.json",
-        'expected "version": 1, got 7',
+        'expected "version": 1 or 2, got 7',
         edit({"version": 7, "edits": []}),
     ),
     Case(
