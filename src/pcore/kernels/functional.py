@@ -144,8 +144,8 @@ class AttentionRules:
         frequencies: octaves of the encoding.
         background_score: constant score of the background.
         cutoff: points farther than this from a ray get no attention; None lets all answer.
-        threshold: values of points with at most this weight are left out, and the weights of the
-            others are scaled up to the same sum; 0 is exact.
+        threshold: values of points with less than this weight are left out, and the weights of
+            the others are scaled up to the same sum; the greatest of a ray stays. 0 is exact.
     """
 
     scale: float

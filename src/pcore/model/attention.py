@@ -114,7 +114,7 @@ class ProximityAttention(nn.Module):
             neighbours: (R, k) indices into the cloud.
             seen: the rays as the networks see them: (R,), or (R, k) as each neighbour sees them
                 in the rest state of the cloud.
-            threshold: values with at most this weight are left out; 0 is exact.
+            threshold: values with less than this weight are left out; 0 is exact.
 
         Returns:
             The attended features, opacity and surface points.
