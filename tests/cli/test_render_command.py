@@ -23,7 +23,7 @@ from pcore.geometry.anchors import farthest_points
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.model.render import normals, render
+from pcore.model.render import FAST_THRESHOLD, normals, render
 from pcore.model.skinning import SkinningConfig, untrained_skinning
 from pcore.model.skinning_file import SKINNING_FILE, save_skinning
 
@@ -104,6 +104,20 @@ def test_raw_files_hold_what_the_library_renders(made: Made, tmp_path: Path) -> 
         assert raw["rgb"].shape == (12, 20, 3)
 
 
+def test_fast_pictures_leave_out_small_weights(made: Made, tmp_path: Path) -> None:
+    run, papr, cloud = made
+    file = write_cameras(tmp_path / "path.json", toy_cameras(1, size=8))
+    out = tmp_path / "out"
+    assert call(run, "--cameras", file, "--size", 8, 8, "--raw", "--fast", "-o", out) == 0
+    (archive,) = (item for item in out.iterdir() if item.suffix == ".npz")
+    with np.load(archive) as found:
+        rgb = torch.from_numpy(found["rgb"])
+    fast = render(papr, cloud, toy_cameras(1, size=8)[0], threshold=FAST_THRESHOLD)
+    torch.testing.assert_close(rgb, fast.rgb)
+    exact = render(papr, cloud, toy_cameras(1, size=8)[0])
+    assert float((rgb - exact.rgb).abs().max()) > 0
+
+
 @pytest.mark.parametrize("rays", ["plain", "aware"])
 def test_an_edit_moves_the_canonical_points(made: Made, tmp_path: Path, rays: str) -> None:
     run, papr, cloud = made
@@ -170,7 +184,9 @@ def test_the_default_is_an_orbit_like_the_training_cameras(
     run, _, _ = made
     seen: list[object] = []
 
-    def note(papr: object, cloud: object, views: object, *rest: object) -> list[Path]:
+    def note(
+        papr: object, cloud: object, views: object, *rest: object, **options: object
+    ) -> list[Path]:
         seen.append(views)
         return [Path("orbit.mp4")]
 

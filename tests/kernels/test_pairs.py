@@ -15,30 +15,30 @@ SCALE, FREQUENCIES = 10.0, 6
 VECTOR = 3 * (1 + 2 * FREQUENCIES)
 
 
-def scene(rays: int, points: int, k: int, features: int) -> dict[str, Tensor]:
+def scene(rays: int, points: int, k: int) -> dict[str, Tensor]:
     return {
         "positions": torch.randn(points, 3) * 0.5,
-        "features": torch.randn(points, features),
         "origins": torch.randn(rays, 3) * 2,
         "directions": torch.nn.functional.normalize(torch.randn(rays, 3), dim=-1),
         "neighbours": torch.randint(0, points, (rays, k)),
     }
 
 
-@pytest.mark.parametrize("shape", [(5, 123, 3, 7), (1, 1, 1, 1), (70, 40, 20, 64), (0, 4, 2, 3)])
-def test_backends_agree_in_values_and_gradients(shape: tuple[int, int, int, int]) -> None:
+@pytest.mark.parametrize("shape", [(5, 123, 3), (1, 1, 1), (70, 40, 20), (0, 4, 2)])
+def test_backends_agree_in_values_and_gradients(shape: tuple[int, int, int]) -> None:
     inputs = scene(*shape)
-    upstream = torch.randn(shape[0] * shape[2], 3 * VECTOR + shape[3])
+    upstream = torch.randn(shape[0] * shape[2], 2 * VECTOR)
     results: list[list[Tensor]] = []
     for module in (reference, cpu):
-        leaves = {k: inputs[k].clone().requires_grad_() for k in ("positions", "features")}
-        table, squared = module.encode_pairs(
-            **(inputs | leaves), scale=SCALE, frequencies=FREQUENCIES
+        positions = inputs["positions"].clone().requires_grad_()
+        waves, squared = module.encode_pairs(
+            **(inputs | {"positions": positions}), scale=SCALE, frequencies=FREQUENCIES
         )
-        gradients = torch.autograd.grad(
-            (table * upstream).sum(), list(leaves.values()), materialize_grads=True
+        assert not squared.requires_grad
+        (gradient,) = torch.autograd.grad(
+            (waves * upstream).sum(), positions, materialize_grads=True
         )
-        results.append([table.detach(), squared, *gradients])
+        results.append([waves.detach(), squared, gradient])
     for expected, found in zip(*results, strict=True):
         # Relative to the largest entry: phases reach 32 * 10 * 6 radians in float32.
         largest = float(expected.abs().max()) if expected.numel() else 0.0
@@ -46,58 +46,38 @@ def test_backends_agree_in_values_and_gradients(shape: tuple[int, int, int, int]
 
 
 def test_rows_are_the_formulas() -> None:
-    inputs = scene(3, 5, 2, 4)
-    table, squared = functional.encode_pairs(**inputs, scale=2.0, frequencies=FREQUENCIES)
+    inputs = scene(3, 5, 2)
+    waves, squared = functional.encode_pairs(**inputs, scale=2.0, frequencies=FREQUENCIES)
     ray, slot = 1, 1
     point = inputs["neighbours"][ray, slot]
     p, o, d = inputs["positions"][point], inputs["origins"][ray], inputs["directions"][ray]
     h = torch.dot(p - o, d) * d
     t = (p - o) - h
-    row = table[ray * 2 + slot]
-    for block, vector in enumerate((p, h, t)):
+    row = waves[ray * 2 + slot]
+    for block, vector in enumerate((h, t)):
         for axis in range(3):
             start = block * VECTOR + axis * 13
             x = 2.0 * float(vector[axis])
             waves = [f(2**o * x) for o in range(6) for f in (math.sin, math.cos)]
             assert row[start : start + 13].tolist() == pytest.approx([x, *waves], abs=1e-3)
-    assert torch.equal(row[3 * VECTOR :], inputs["features"][point])
     assert float(squared[ray, slot]) == pytest.approx(float(t.square().sum()), rel=1e-4)
 
 
 def test_numeric_gradients_of_the_reference() -> None:
     inputs = {
         name: value.double() if value.is_floating_point() else value
-        for name, value in scene(3, 4, 2, 2).items()
+        for name, value in scene(3, 4, 2).items()
     }
 
-    def trainable(positions: Tensor, features: Tensor) -> Tensor:
-        moved = inputs | {"positions": positions, "features": features}
-        return reference.encode_pairs(**moved, scale=1.0, frequencies=2)[0][:, 15:]
+    def trainable(positions: Tensor) -> Tensor:
+        moved = inputs | {"positions": positions}
+        return reference.encode_pairs(**moved, scale=1.0, frequencies=2)[0]
 
-    leaves = [inputs[name].requires_grad_() for name in ("positions", "features")]
-    assert torch.autograd.gradcheck(trainable, leaves)
-
-
-@pytest.mark.parametrize("name", functional.usable(torch.device("cpu")))
-def test_no_gradient_through_the_encoded_position(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PCORE_KERNELS", name)
-    inputs = scene(4, 9, 3, 2)
-    inputs["positions"].requires_grad_()
-    table, squared = functional.encode_pairs(**inputs, scale=SCALE, frequencies=FREQUENCIES)
-    assert not squared.requires_grad
-    first, rest = table[:, :VECTOR].sum(), table[:, VECTOR:].sum()
-    gradient = torch.autograd.grad(rest, inputs["positions"], retain_graph=True)[0]
-    assert float(gradient.abs().max()) > 0
-    silent = torch.autograd.grad(
-        first, inputs["positions"], allow_unused=True, materialize_grads=True
-    )[0]
-    assert float(silent.abs().max()) == 0
+    assert torch.autograd.gradcheck(trainable, [inputs["positions"].requires_grad_()])
 
 
 def test_strided_inputs() -> None:
-    inputs = scene(6, 8, 2, 3)
+    inputs = scene(6, 8, 2)
     strided = {name: torch.stack([v, v], dim=-1)[..., 0] for name, v in inputs.items()}
     assert not strided["positions"].is_contiguous()
     expected, _ = cpu.encode_pairs(**inputs, scale=SCALE, frequencies=FREQUENCIES)

@@ -63,20 +63,19 @@ def test_neighbours_are_the_nearest_in_the_rest_state() -> None:
 
 
 def test_pairs_with_rays_of_their_own_are_encoded_like_single_rays() -> None:
-    positions, features = torch.randn(9, 3), torch.randn(9, 2)
+    positions = torch.randn(9, 3)
     neighbours = torch.randint(0, 9, (5, 3))
     origins = torch.randn(5, 3, 3)
     directions = torch.nn.functional.normalize(torch.randn(5, 3, 3), dim=-1)
-    upstream = torch.randn(15, 9 * 13 + 2)
+    upstream = torch.randn(15, 6 * 13)
     for module in (reference, cpu):
         moving = positions.clone().requires_grad_()
         table, squared = module.encode_pairs(
-            moving, features, origins, directions, neighbours, scale=3.0, frequencies=6
+            moving, origins, directions, neighbours, scale=3.0, frequencies=6
         )
         single = positions.clone().requires_grad_()
         expected, expected_squared = module.encode_pairs(
             single,
-            features,
             origins.reshape(-1, 3),
             directions.reshape(-1, 3),
             neighbours.reshape(-1, 1),

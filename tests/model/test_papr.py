@@ -11,6 +11,7 @@ from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
+from pcore.kernels import reference_attention
 from pcore.kernels.functional import usable
 from pcore.kernels.reference import encode
 from pcore.model.attention import Mlp
@@ -162,10 +163,17 @@ def test_gradients_reach_points_features_influence_and_networks() -> None:
         assert bool(torch.isfinite(parameter.grad).all()), name
 
 
+@pytest.fixture
+def bare_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keys without standardising, which would mix what a network reads with what it ignores."""
+    monkeypatch.setenv("PCORE_KERNELS", "reference")
+    monkeypatch.setattr(reference_attention, "standardise", lambda x: x)
+
+
+@pytest.mark.usefixtures("bare_keys")
 def test_no_gradient_through_the_keys_encoded_position() -> None:
     """A key that reads nothing but enc(p): points move the opacity, unknown to autograd."""
     papr, cloud = Papr(small_config(background_score=0.0)), leaf_cloud()
-    papr.attention.key.innorm = torch.nn.Identity()  # pyright: ignore[reportAttributeAccessIssue]
     with torch.no_grad():
         papr.attention.key.mlp.layers[0].weight[:, encoded_size(3, 6) :] = 0
     alpha = papr(cloud, view()).alpha
@@ -175,12 +183,12 @@ def test_no_gradient_through_the_keys_encoded_position() -> None:
     assert float((moved - alpha).detach().abs().max()) > 1e-3
 
 
+@pytest.mark.usefixtures("bare_keys")
 @pytest.mark.parametrize("part", ["h", "t"])
 def test_gradients_flow_through_the_offsets(part: str) -> None:
     papr, cloud = Papr(small_config(background_score=0.0)), leaf_cloud()
     vector = encoded_size(3, 6)
     kept = slice(vector, 2 * vector) if part == "h" else slice(2 * vector, 3 * vector)
-    papr.attention.key.innorm = torch.nn.Identity()  # pyright: ignore[reportAttributeAccessIssue]
     with torch.no_grad():
         weight = papr.attention.key.mlp.layers[0].weight
         keep = torch.zeros_like(weight)

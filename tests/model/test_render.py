@@ -12,7 +12,14 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.config import MlpConfig, PaprConfig
 from pcore.model.papr import Papr
-from pcore.model.render import Picture, RenderCancelledError, normals, rays_within, render
+from pcore.model.render import (
+    FAST_THRESHOLD,
+    Picture,
+    RenderCancelledError,
+    normals,
+    rays_within,
+    render,
+)
 
 
 def config(**changes: object) -> PaprConfig:
@@ -100,6 +107,19 @@ def test_rendering_leaves_no_graph_and_no_mode_behind(cloud: PointCloud) -> None
     assert not render(papr, cloud, camera(8, 8)).rgb.requires_grad
     assert torch.is_grad_enabled()
     assert papr.training
+
+
+def test_a_threshold_changes_colours_a_little_and_nothing_else(cloud: PointCloud) -> None:
+    papr, cam = Papr(config(cutoff=0.3)).eval(), camera(40, 30)
+    exact = render(papr, cloud, cam)
+    assert torch.equal(render(papr, cloud, cam, threshold=0.0).rgb, exact.rgb)
+    errors: list[float] = []
+    for threshold in (FAST_THRESHOLD, 0.3):
+        fast = render(papr, cloud, cam, threshold=threshold)
+        assert torch.equal(fast.alpha, exact.alpha)
+        assert torch.equal(fast.surface.nan_to_num(), exact.surface.nan_to_num())
+        errors.append(float((fast.rgb - exact.rgb).abs().max()))
+    assert 0 < errors[0] < errors[1] < 0.2
 
 
 def test_progress_ends_at_one_and_grows(cloud: PointCloud) -> None:

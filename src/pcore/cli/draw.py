@@ -41,9 +41,16 @@ class Wanted:
 
 
 def draw(
-    papr: Papr, cloud: PointCloud, views: Named, output: Path, wanted: Wanted, console: Console
+    papr: Papr,
+    cloud: PointCloud,
+    views: Named,
+    output: Path,
+    wanted: Wanted,
+    console: Console,
+    *,
+    threshold: float,
 ) -> list[Path]:
-    """Render views and write them into the folder `output`.
+    """Render views, with the threshold of `render`, and write them into the folder `output`.
 
     Returns:
         The files, videos first.
@@ -61,7 +68,13 @@ def draw(
             films = _Films(output, stack)
             tell = stack.enter_context(_bar(console, len(views)))
             for index, (name, camera) in enumerate(views):
-                picture = render(papr, cloud, camera, progress=lambda p, i=index: tell(i + p))
+                picture = render(
+                    papr,
+                    cloud,
+                    camera,
+                    threshold=threshold,
+                    progress=lambda p, i=index: tell(i + p),
+                )
                 layers = _layers(picture, camera, wanted, shades)
                 if wanted.video:
                     films.add(layers)

@@ -56,6 +56,11 @@ class RenderCommand:
     normals: bool = False
     """Also write normals of the surface as pictures; with --raw in world axes as well."""
 
+    fast: bool = False
+    """Leave out the colours of points with a weight below 0.03 on a ray: less time, and not exact.
+    Measured on trained models: PSNR against the exact picture 60 dB or more, no colour off by more
+    than 0.021 of 1. Opacity and surface stay exact."""
+
     frames: bool = False
     """Write the frames of an orbit as PNG files too."""
 
@@ -102,6 +107,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
     from pcore.cli.output import pictures_folder
     from pcore.cli.runtime import open_model, pick_device, prepare_torch
     from pcore.data.video import require_video
+    from pcore.model.render import FAST_THRESHOLD
 
     _check(command)
     prepare_torch(command.threads)
@@ -120,7 +126,9 @@ def render_run(command: RenderCommand, console: Console) -> None:
         normals=command.normals,
         raw=command.raw,
     )
-    files = draw(saved.papr().to(device), cloud, views, output, wanted, console)
+    threshold = FAST_THRESHOLD if command.fast else 0.0
+    papr = saved.papr().to(device)
+    files = draw(papr, cloud, views, output, wanted, console, threshold=threshold)
     _tell(console, views, output, files)
 
 

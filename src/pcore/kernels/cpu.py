@@ -106,7 +106,6 @@ def _pull_back(
 
 def encode_pairs(
     positions: Tensor,
-    features: Tensor,
     origins: Tensor,
     directions: Tensor,
     neighbours: Tensor,
@@ -114,11 +113,11 @@ def encode_pairs(
     scale: float,
     frequencies: int,
 ) -> tuple[Tensor, Tensor]:
-    """What the embedding networks see of every ray-point pair; see `functional.encode_pairs`."""
-    table, squared = _EncodePairs.apply(
-        positions, features, origins, directions, neighbours, scale, frequencies
+    """Encode what every ray-point pair is like; see `functional.encode_pairs`."""
+    waves, squared = _EncodePairs.apply(
+        positions, origins, directions, neighbours, scale, frequencies
     )
-    return table, squared
+    return waves, squared
 
 
 class _EncodePairs(torch.autograd.Function):
@@ -126,7 +125,6 @@ class _EncodePairs(torch.autograd.Function):
     def forward(
         ctx: Any,
         positions: Tensor,
-        features: Tensor,
         origins: Tensor,
         directions: Tensor,
         neighbours: Tensor,
@@ -135,48 +133,41 @@ class _EncodePairs(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         _use_torch_threads()
         rays, k = neighbours.shape
-        block = 1 + 2 * frequencies
-        table = torch.empty(rays * k, 9 * block + features.shape[1])
+        waves = torch.empty(rays * k, 6 * (1 + 2 * frequencies))
         squared = torch.empty(rays, k)
         directions = per_pair(directions).contiguous()
         neighbours = neighbours.contiguous()
         _encode_forward(
             _as_numpy(positions),
-            _as_numpy(features),
             _as_numpy(per_pair(origins)),
             directions.numpy(),
             neighbours.numpy(),
             np.float32(scale),
             frequencies,
-            table.numpy(),
+            waves.numpy(),
             squared.numpy(),
         )
-        ctx.save_for_backward(directions, neighbours, table)
+        ctx.save_for_backward(directions, neighbours, waves)
         ctx.scale, ctx.frequencies, ctx.points = scale, frequencies, positions.shape[0]
         ctx.mark_non_differentiable(squared)
-        return table, squared
+        return waves, squared
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         _use_torch_threads()
-        directions, neighbours, table = ctx.saved_tensors
-        upstream = gradients[0].contiguous()
-        block = 9 * (1 + 2 * ctx.frequencies)
-        to_position = torch.empty(table.shape[0], 3)
+        directions, neighbours, waves = ctx.saved_tensors
+        to_position = torch.empty(waves.shape[0], 3)
         _encode_backward(
-            upstream.numpy(),
-            table.numpy(),
+            gradients[0].contiguous().numpy(),
+            waves.numpy(),
             directions.numpy(),
             neighbours.shape[1],
             np.float32(ctx.scale),
             ctx.frequencies,
             to_position.numpy(),
         )
-        rows = neighbours.flatten()
-        positions = torch.zeros(ctx.points, 3).index_add_(0, rows, to_position)
-        features = torch.zeros(ctx.points, table.shape[1] - block)
-        features.index_add_(0, rows, upstream[:, block:])
-        return positions, features, None, None, None, None, None
+        positions = torch.zeros(ctx.points, 3).index_add_(0, neighbours.flatten(), to_position)
+        return positions, None, None, None, None, None
 
 
 @numba.njit(cache=True)
@@ -202,22 +193,16 @@ def _encode_scalar(x: float, frequencies: int, row: np.ndarray, column: int) -> 
 @numba.njit(cache=True, parallel=True)
 def _encode_forward(
     positions: np.ndarray,
-    features: np.ndarray,
     origins: np.ndarray,
     directions: np.ndarray,
     neighbours: np.ndarray,
     scale: np.float32,
     frequencies: int,
-    table: np.ndarray,
+    waves: np.ndarray,
     squared: np.ndarray,
 ) -> None:
     rays, k = neighbours.shape
     block = 1 + 2 * frequencies
-    # What only depends on the point is encoded once per point, not once per pair.
-    own = np.empty((positions.shape[0], 3 * block), dtype=np.float32)
-    for i in prange(positions.shape[0]):
-        for axis in range(3):
-            _encode_scalar(scale * positions[i, axis], frequencies, own[i], axis * block)
     shared = directions.shape[1] == 1
     for ray in prange(rays):
         for slot in range(k):
@@ -225,9 +210,7 @@ def _encode_forward(
             origin, direction = origins[ray, seen], directions[ray, seen]
             length = _guarded_length(direction)
             point = neighbours[ray, slot]
-            row = table[ray * k + slot]
-            row[: 3 * block] = own[point]
-            row[9 * block :] = features[point]
+            row = waves[ray * k + slot]
             along = np.float32(0.0)
             for axis in range(3):
                 along += (positions[point, axis] - origin[axis]) * direction[axis]
@@ -237,8 +220,8 @@ def _encode_forward(
                 h = along * direction[axis]
                 t = positions[point, axis] - origin[axis] - h
                 total += t * t
-                _encode_scalar(scale * h, frequencies, row, (3 + axis) * block)
-                _encode_scalar(scale * t, frequencies, row, (6 + axis) * block)
+                _encode_scalar(scale * h, frequencies, row, axis * block)
+                _encode_scalar(scale * t, frequencies, row, (3 + axis) * block)
             squared[ray, slot] = total
 
 
@@ -257,7 +240,7 @@ def _decode_gradient(upstream: np.ndarray, row: np.ndarray, column: int, frequen
 @numba.njit(cache=True, parallel=True)
 def _encode_backward(
     upstream: np.ndarray,
-    table: np.ndarray,
+    waves: np.ndarray,
     directions: np.ndarray,
     k: int,
     scale: np.float32,
@@ -266,15 +249,15 @@ def _encode_backward(
 ) -> None:
     block = 1 + 2 * frequencies
     shared = directions.shape[1] == 1
-    for pair in prange(table.shape[0]):
+    for pair in prange(waves.shape[0]):
         direction = directions[pair // k, 0 if shared else pair % k]
-        row, gradient = table[pair], upstream[pair]
+        row, gradient = waves[pair], upstream[pair]
         # With d d^T divided by the guarded length: h = d d^T (p - o) and t = (I - d d^T)(p - o), so
         # dL/dp = dL/dt + d <d, dL/dh - dL/dt>.
         difference = np.float32(0.0)
         for axis in range(3):
-            to_h = _decode_gradient(gradient, row, (3 + axis) * block, frequencies)
-            to_t = _decode_gradient(gradient, row, (6 + axis) * block, frequencies)
+            to_h = _decode_gradient(gradient, row, axis * block, frequencies)
+            to_t = _decode_gradient(gradient, row, (3 + axis) * block, frequencies)
             to_position[pair, axis] = to_t
             difference += direction[axis] * (to_h - to_t)
         difference /= _guarded_length(direction)

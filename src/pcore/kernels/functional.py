@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from pcore.errors import InputError
-from pcore.kernels import cpu, cpu_search, reference
+from pcore.kernels import cpu, cpu_attention, cpu_search, reference, reference_attention
+from pcore.kernels.networks import Layers
 
 BACKENDS = ("reference", "cpu", "triton")
 
@@ -87,7 +91,6 @@ def _search(name: str) -> Callable[[Tensor, Tensor, Tensor, int], Tensor]:
 
 def encode_pairs(
     positions: Tensor,
-    features: Tensor,
     origins: Tensor,
     directions: Tensor,
     neighbours: Tensor,
@@ -95,15 +98,13 @@ def encode_pairs(
     scale: float,
     frequencies: int,
 ) -> tuple[Tensor, Tensor]:
-    """What PAPR's embedding networks see of every ray-point pair.
+    """Encode where the points lie beside their rays.
 
     With h the part of (point - origin) along the ray and t the rest (paper, Preliminaries), a row
-    is [gamma(scale p), gamma(scale h), gamma(scale t), mu]: the key reads the first three blocks,
-    the value the last three. No gradient flows through gamma(scale p), as in the original.
+    is [gamma(scale h), gamma(scale t)].
 
     Args:
         positions: (N, 3).
-        features: (N, F).
         origins: (R, 3) ray origins, or (R, k, 3) one per pair; not differentiated.
         directions: unit directions of the same shape; not differentiated.
         neighbours: (R, k) indices into the points.
@@ -111,22 +112,144 @@ def encode_pairs(
         frequencies: octaves L of the encoding.
 
     Returns:
-        The table (R k, 9 (1 + 2 L) + F), differentiable in positions and features, and the squared
-        distances |t|^2 (R, k), without gradient.
+        The rows (R k, 6 (1 + 2 L)), differentiable in positions, and the squared distances |t|^2
+        (R, k), without gradient.
     """
-    if backend(positions.device) == "cpu" and positions.dtype == torch.float32:
-        encode = cpu.encode_pairs
-    else:
-        encode = reference.encode_pairs
-    return encode(
+    work = cpu if _takes_cpu(positions) else reference
+    return work.encode_pairs(
         positions,
-        features,
         origins.detach(),
         directions.detach(),
         neighbours,
         scale=scale,
         frequencies=frequencies,
     )
+
+
+def _takes_cpu(tensor: Tensor) -> bool:
+    """Whether the CPU kernels serve a tensor: they know float32 and no autocast."""
+    return (
+        backend(tensor.device) == "cpu"
+        and tensor.dtype == torch.float32
+        and not torch.is_autocast_enabled(tensor.device.type)
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttentionRules:
+    """What proximity attention is besides its networks.
+
+    Attributes:
+        scale: factor on positions before they are encoded.
+        frequencies: octaves of the encoding.
+        background_score: constant score of the background.
+        cutoff: points farther than this from a ray get no attention; None lets all answer.
+        threshold: values of points with less than this weight are left out, and the weights of
+            the others are scaled up to the same sum; the greatest of a ray stays. 0 is exact.
+    """
+
+    scale: float
+    frequencies: int
+    background_score: float
+    cutoff: float | None = None
+    threshold: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attention:
+    """What R rays give to their k neighbours and get from them.
+
+    Attributes:
+        features: (R, C) weighted values.
+        background: (R,) attention that the background keeps.
+        weights: (R, k) attention of the points, renormalised to sum to one; zero where no point
+            is within the cut-off.
+        answering: (R, k) whether a point is within the cut-off.
+    """
+
+    features: Tensor
+    background: Tensor
+    weights: Tensor
+    answering: Tensor
+
+
+def proximity_attention(
+    positions: Tensor,
+    features: Tensor,
+    influence: Tensor,
+    origins: Tensor,
+    directions: Tensor,
+    neighbours: Tensor,
+    *,
+    queries: Tensor,
+    constants: Tensor,
+    key: Layers,
+    value: Layers,
+    rules: AttentionRules,
+) -> Attention:
+    """Attend from rays to the points nearest to them (paper, Preliminaries).
+
+    With p a point, h and t the parts of its offset from the ray and mu its feature, the key is
+    k = standardise(key(standardise([gamma(p), gamma(h), gamma(t)]))), the value is
+    v = value([gamma(h), gamma(t), mu]), and the score is influence relu(<query, k> + constant). No
+    gradient flows through gamma(p), as in the original.
+
+    Args:
+        positions: (N, 3) points, where the rays see them.
+        features: (N, F) vectors mu.
+        influence: (N,) factors on the scores.
+        origins: (R, 3) ray origins, or (R, k, 3) one per pair; not differentiated.
+        directions: unit directions of the same shape; not differentiated.
+        neighbours: (R, k) indices into the points.
+        queries: (R, D) vectors that the keys are compared with.
+        constants: (R,) what is added to the scores of a ray.
+        key: embedding network of the keys, to D numbers.
+        value: embedding network of the values, to C numbers.
+        rules: the rest.
+
+    Returns:
+        Features, background and weights, differentiable in everything but origins and directions.
+    """
+    waves, squared = encode_pairs(
+        positions,
+        origins,
+        directions,
+        neighbours,
+        scale=rules.scale,
+        frequencies=rules.frequencies,
+    )
+    answering = squared <= (math.inf if rules.cutoff is None else rules.cutoff**2)
+    work = cpu_attention if _takes_cpu(positions) else reference_attention
+    own = reference.encode(rules.scale * positions.detach(), rules.frequencies)
+    scores = work.attention_scores(waves, own, neighbours, answering, queries, key)
+    scores = F.relu(scores + constants.unsqueeze(-1))
+    scores = scores * influence.index_select(0, neighbours.flatten()).view(neighbours.shape)
+    scores = scores.masked_fill(~answering, -math.inf)
+    background, weights = _background_softmax(scores, rules.background_score)
+    used = weights if rules.threshold == 0 else _cut(weights, rules.threshold)
+    pooled = work.attention_features(waves, features, neighbours, used, value)
+    # The last linear layer commutes with the weighted sum: once per ray, not once per pair.
+    out = F.linear(pooled, value.weights[-1]) + used.sum(dim=-1, keepdim=True) * value.biases[-1]
+    return Attention(features=out, background=background, weights=weights, answering=answering)
+
+
+def _background_softmax(scores: Tensor, background_score: float) -> tuple[Tensor, Tensor]:
+    """Softmax over k points and the background; then the points' weights renormalised.
+
+    The renormalised weights a_i / sum a are the softmax of the points alone. Computed so, they
+    neither underflow nor divide by a vanishing sum when the background outweighs every point.
+    """
+    constant = scores.new_full((scores.shape[0], 1), background_score)
+    attention = torch.softmax(torch.cat([scores, constant], dim=-1), dim=-1)
+    none = torch.isneginf(scores).all(dim=-1, keepdim=True)
+    weights = torch.softmax(scores.masked_fill(none, 0.0), dim=-1).masked_fill(none, 0.0)
+    return attention[:, -1], weights
+
+
+def _cut(weights: Tensor, threshold: float) -> Tensor:
+    """Drop small weights and scale up the others; the greatest of a ray always stays."""
+    kept = weights.where(weights >= weights.amax(dim=-1, keepdim=True).clamp_max(threshold), 0.0)
+    return kept / kept.sum(dim=-1, keepdim=True).clamp_min(torch.finfo(kept.dtype).tiny)
 
 
 def pull_back(

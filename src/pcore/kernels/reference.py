@@ -36,7 +36,6 @@ def squared_distances(origins: Tensor, directions: Tensor, points: Tensor) -> Te
 
 def encode_pairs(
     positions: Tensor,
-    features: Tensor,
     origins: Tensor,
     directions: Tensor,
     neighbours: Tensor,
@@ -44,16 +43,14 @@ def encode_pairs(
     scale: float,
     frequencies: int,
 ) -> tuple[Tensor, Tensor]:
-    """What the embedding networks see of every ray-point pair; see `functional.encode_pairs`."""
+    """Encode what every ray-point pair is like; see `functional.encode_pairs`."""
     origins, directions = per_pair(origins), per_pair(directions)
-    near = positions[neighbours]
-    from_origin = near - origins
+    from_origin = positions[neighbours] - origins
     guarded = directions / (directions.square().sum(dim=-1, keepdim=True) + LENGTH_GUARD)
     along = (from_origin * directions).sum(dim=-1, keepdim=True) * guarded
     off = from_origin - along
-    encoded = [encode(scale * x, frequencies) for x in (near.detach(), along, off)]
-    table = torch.cat([*encoded, features[neighbours]], dim=-1)
-    return table.flatten(0, 1), off.detach().square().sum(dim=-1)
+    waves = torch.cat([encode(scale * x, frequencies) for x in (along, off)], dim=-1)
+    return waves.flatten(0, 1), off.detach().square().sum(dim=-1)
 
 
 def per_pair(vectors: Tensor) -> Tensor:

@@ -12,7 +12,8 @@ from torch.nn import functional as F
 
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.kernels.functional import encode_pairs
+from pcore.kernels.functional import AttentionRules, proximity_attention
+from pcore.kernels.networks import Layers
 from pcore.kernels.reference import encode
 from pcore.model.config import MlpConfig, PaprConfig
 from pcore.model.encoding import Normalisation, encoded_size
@@ -55,19 +56,19 @@ class Mlp(nn.Module):
             self.layers.append(layer)
             width_in = width_out + (size_in if index == config.skip_after else 0)
 
-    def hidden(self, x: Tensor) -> Tensor:
-        """Everything but the last linear layer."""
-        out = x
-        for index, layer in enumerate(self.layers[:-1], start=1):
-            out = layer(out)
-            out = F.leaky_relu_(out, self.negative_slope) if self.negative_slope else F.relu_(out)
-            if index == self.skip_after:
-                out = torch.cat([out, x], dim=-1)
-        return out
+    def stack(self) -> Layers:
+        """Return the layers as the kernels take them."""
+        layers = [cast("nn.Linear", layer) for layer in self.layers]
+        return Layers(
+            weights=tuple(layer.weight for layer in layers),
+            biases=tuple(layer.bias for layer in layers),
+            negative_slope=self.negative_slope,
+            skip_after=self.skip_after,
+        )
 
     def forward(self, x: Tensor) -> Tensor:
         """Embed (..., size_in)."""
-        return self.layers[-1](self.hidden(x))
+        return self.stack()(x)
 
 
 class NormalisedMlp(nn.Module):
@@ -98,7 +99,12 @@ class ProximityAttention(nn.Module):
         self.w_query = nn.Linear(config.query.size, config.query.size)
 
     def forward(
-        self, cloud: PointCloud, rays: RayBundle, neighbours: Tensor, seen: RayBundle
+        self,
+        cloud: PointCloud,
+        rays: RayBundle,
+        neighbours: Tensor,
+        seen: RayBundle,
+        threshold: float = 0.0,
     ) -> Attended:
         """Attend from R rays to their neighbours.
 
@@ -108,56 +114,61 @@ class ProximityAttention(nn.Module):
             neighbours: (R, k) indices into the cloud.
             seen: the rays as the networks see them: (R,), or (R, k) as each neighbour sees them
                 in the rest state of the cloud.
+            threshold: values with less than this weight are left out; 0 is exact.
 
         Returns:
             The attended features, opacity and surface points.
         """
-        config = self.config
-        rays_count, k = neighbours.shape
-        table, squared = encode_pairs(
+        queries, constants = self._queries(_of_query(seen.directions))
+        inside = self.key.innorm
+        attention = proximity_attention(
             cloud.positions if cloud.frames is None else cloud.frames.rest,
             cloud.features,
+            cloud.influence,
             seen.origins,
             seen.directions,
             neighbours,
-            scale=config.coord_scale,
-            frequencies=config.frequencies,
+            queries=queries,
+            constants=constants,
+            key=self.key.mlp.stack().after(inside.gain * inside.unbias, inside.offset),
+            value=self.value.stack(),
+            rules=AttentionRules(
+                scale=self.config.coord_scale,
+                frequencies=self.config.frequencies,
+                background_score=self.config.background_score,
+                cutoff=self.config.cutoff,
+                threshold=threshold,
+            ),
         )
-        vector = encoded_size(3, config.frequencies)
-        scores = self._scores(table[:, : 3 * vector], _of_query(seen.directions), k)
-        rows = neighbours.flatten()
-        scores = scores * cloud.influence.index_select(0, rows).view(rays_count, k)
-        if config.cutoff is not None:
-            scores = scores.masked_fill(squared > config.cutoff**2, -math.inf)
-        background, weights = _background_softmax(scores, config.background_score)
-        hidden = self.value.hidden(table[:, vector:]).unflatten(0, (rays_count, k))
-        positions = cloud.positions.index_select(0, rows).view(rays_count, k, 3)
-        # The last linear layer commutes with the weighted sum: once per ray, not once per pair.
-        last = cast("nn.Linear", self.value.layers[-1])
-        pooled = torch.bmm(weights.unsqueeze(1), hidden).squeeze(1)
-        features = F.linear(pooled, last.weight) + weights.sum(dim=-1, keepdim=True) * last.bias
+        weights = attention.weights
+        positions = cloud.positions.index_select(0, neighbours.flatten()).unflatten(
+            0, weights.shape
+        )
         # Sums, not matrix products: those would run in half precision under autocast.
         surface = (weights.unsqueeze(-1) * positions).sum(dim=1)
         along = (positions.detach() * rays.directions.unsqueeze(1)).sum(dim=-1)
-        answering = ~torch.isneginf(scores.detach())
-        first = along.masked_fill(~answering, math.inf).amin(dim=-1, keepdim=True)
-        past_first = torch.where(answering, along - first, 0.0)
+        first = along.masked_fill(~attention.answering, math.inf).amin(dim=-1, keepdim=True)
+        past_first = torch.where(attention.answering, along - first, 0.0)
         return Attended(
-            features=features,
-            background=background,
+            features=attention.features,
+            background=attention.background,
             weights=weights,
             surface=surface,
             behind=(weights * past_first.square()).sum(dim=-1),
         )
 
-    def _scores(self, key_input: Tensor, directions: Tensor, k: int) -> Tensor:
-        """relu(<W_q q, W_k k> / sqrt(width)), (R, k); W_k is folded into the query."""
+    def _queries(self, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """What standardised keys are compared with, (R, D), and what is added then, (R,).
+
+        <W_q q, W_k k> / sqrt(D) with k = gain x + offset: W_k, the gain and the offset of the key
+        are folded into the query, once per ray instead of once per pair.
+        """
+        outside = self.key.outnorm
         query = self.query(encode(directions, self.config.frequencies))
         query = self.w_query(query) / math.sqrt(self.config.key.size)
         folded = query @ self.w_key.weight
-        constant = query @ self.w_key.bias
-        keys = self.key(key_input).unflatten(0, (len(directions), k))
-        return F.relu(torch.bmm(keys, folded.unsqueeze(-1)).squeeze(-1) + constant[:, None])
+        constants = query @ self.w_key.bias + folded @ outside.offset
+        return folded * (outside.gain * outside.unbias), constants
 
 
 def _of_query(directions: Tensor) -> Tensor:
@@ -166,16 +177,3 @@ def _of_query(directions: Tensor) -> Tensor:
         return directions
     # The neighbours see the ray from almost the same side; the mean is as good as a query per pair.
     return F.normalize(directions.mean(dim=1), dim=-1)
-
-
-def _background_softmax(scores: Tensor, background_score: float) -> tuple[Tensor, Tensor]:
-    """Softmax over k points and the background; then the points' weights renormalised.
-
-    The renormalised weights a_i / sum a are the softmax of the points alone. Computed so, they
-    neither underflow nor divide by a vanishing sum when the background outweighs every point.
-    """
-    constant = scores.new_full((scores.shape[0], 1), background_score)
-    attention = torch.softmax(torch.cat([scores, constant], dim=-1), dim=-1)
-    none = torch.isneginf(scores).all(dim=-1, keepdim=True)
-    weights = torch.softmax(scores.masked_fill(none, 0.0), dim=-1).masked_fill(none, 0.0)
-    return attention[:, -1], weights

@@ -78,12 +78,23 @@ class Papr(nn.Module):
             behind=attended.behind.reshape(height, width),
         )
 
-    def attend(self, cloud: PointCloud, rays: RayBundle) -> tuple[Attended, Tensor]:
-        """Nearest points and attention of (R,) rays; rays beyond the cut-off cost nothing."""
+    def attend(
+        self, cloud: PointCloud, rays: RayBundle, threshold: float = 0.0
+    ) -> tuple[Attended, Tensor]:
+        """Nearest points and attention of (R,) rays; rays beyond the cut-off cost nothing.
+
+        Args:
+            cloud: the points.
+            rays: (R,) rays, world units.
+            threshold: points with less than this weight add nothing to a feature; 0 is exact.
+
+        Returns:
+            The attention, and the neighbours (R, k).
+        """
         neighbours, near, seen = self._see(cloud, rays)
         if near is None:
-            return self.attention(cloud, rays, neighbours, seen), neighbours
-        part = self.attention(cloud, rays[near], neighbours[near], seen)
+            return self.attention(cloud, rays, neighbours, seen, threshold), neighbours
+        part = self.attention(cloud, rays[near], neighbours[near], seen, threshold)
         return _scatter(part, near, neighbours.shape), neighbours
 
     def _see(self, cloud: PointCloud, rays: RayBundle) -> tuple[Tensor, Tensor | None, RayBundle]:

@@ -24,6 +24,9 @@ from pcore.model.papr import Papr
 from pcore.model.unet import ALIGNMENT, RECEPTIVE_MARGIN
 from pcore.validation import check_count
 
+FAST_THRESHOLD = 0.03
+"""Of `pcore render --fast`. Measured on 12 test views of four trained `tiny` models: PSNR against
+the exact picture 60.4 dB or more, no colour off by more than 0.021 (0.01: 68.6 dB; 0.1: 50.4)."""
 _ATTENTION_BYTES = 256 * 2**20
 _TILE = 256
 _SOLID = 0.5
@@ -61,6 +64,7 @@ def render(
     *,
     max_rays: int | None = None,
     tile: int = _TILE,
+    threshold: float = 0.0,
     cancel: Callable[[], bool] | None = None,
     progress: Progress | None = None,
 ) -> Picture:
@@ -72,6 +76,8 @@ def render(
         camera: at least 4 x 4 pixels (the UNet halves the picture twice).
         max_rays: rays attended to at once; None takes as many as fit about 256 MB.
         tile: side of the UNet's tiles in pixels, a multiple of 4.
+        threshold: points with less than this weight on a ray add nothing to its colour; 0 is
+            exact, `FAST_THRESHOLD` is what `pcore render --fast` takes.
         cancel: asked between chunks; True ends the work.
         progress: told between chunks which share of the work is done, in (0, 1].
 
@@ -95,7 +101,7 @@ def render(
     windows = list(_windows(size, tile))
     steps = _Steps(math.ceil(len(rays.origins) / chunk) + len(windows), cancel, progress)
 
-    features, alpha, surface = _attend(papr, cloud.to(device), rays, chunk, steps)
+    features, alpha, surface = _attend(papr, cloud.to(device), rays, chunk, threshold, steps)
     features, opacity = features.unflatten(0, size), alpha.unflatten(0, size)
     rgb = torch.empty(*size, 3)
     for window in windows:
@@ -233,7 +239,7 @@ class _Steps:
 
 
 def _attend(
-    papr: Papr, cloud: PointCloud, rays: RayBundle, chunk: int, steps: _Steps
+    papr: Papr, cloud: PointCloud, rays: RayBundle, chunk: int, threshold: float, steps: _Steps
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Features (R, C) and opacity (R,) on the model's device, surface (R, 3) on the CPU."""
     device, count = cloud.positions.device, len(rays.origins)
@@ -248,6 +254,7 @@ def _attend(
             RayBundle(
                 origins=rays.origins[part].to(device), directions=rays.directions[part].to(device)
             ),
+            threshold,
         )
         features[part] = attended.features
         alpha[part] = 1 - attended.background
