@@ -2,7 +2,7 @@
 
 Paper, "Application: Skinning Weights Optimization": l(p) = f_phi(gamma(p)), softmax over the 8
 nearest anchors. What it leaves open is a field of `SkinningConfig`; how the values were found
-stands in docs/adr/0007-skinning.md.
+stands in docs/adr/0006-skinning.md.
 """
 
 from __future__ import annotations
