@@ -18,7 +18,7 @@ from pcore.training.objective import Objective
 from pcore.training.output import RunFolder
 from pcore.training.patches import draw_patch
 from pcore.training.schedule import Schedule
-from pcore.training.trainable import trainable
+from pcore.training.trainable import Trainable, trainable
 from pcore.training.trained import Trained
 from pcore.training.validation import validate
 
@@ -56,14 +56,7 @@ def finetune(
     perceptual = perceptual_loss(config.lpips_weight, config.lpips_trunk, where)
     check_images(scene.split("train"))
     anchor = _moved(base, where)
-    work = trainable(
-        "finetune",
-        copy.deepcopy(anchor.papr).train(),
-        anchor.cloud,
-        seed=config.seed,
-        train_points=config.train_points,
-        skinning=_skinning(anchor, config),
-    )
+    work = _work(anchor, config)
     if config.largest_loss is not None and validation:
         work.best = {"weights": {name: t.clone() for name, t in work.weights().items()}}
     objective = Objective(config, work, anchor, perceptual)
@@ -94,10 +87,18 @@ def _moved(base: Trained, device: torch.device) -> Trained:
     )
 
 
-def _skinning(anchor: Trained, config: FinetuneConfig) -> Skinning | None:
-    if config.skinning is None:
-        return None
-    return skinning_to_train(anchor.cloud, config.skinning, seed=config.seed)
+def _work(anchor: Trained, config: FinetuneConfig) -> Trainable:
+    skinning: Skinning | None = None
+    if config.skinning is not None:
+        skinning = skinning_to_train(anchor.cloud, config.skinning, seed=config.seed)
+    return trainable(
+        "finetune",
+        copy.deepcopy(anchor.papr).train(),
+        anchor.cloud,
+        seed=config.seed,
+        train_points=config.train_points,
+        skinning=skinning,
+    )
 
 
 def _plan(config: FinetuneConfig, validation: Sequence[View], scene: str) -> Plan:
