@@ -12,7 +12,8 @@ import tyro
 from benchmarks import metrics
 from benchmarks.gpu import Gpu
 from benchmarks.measure import machine
-from benchmarks.workloads import WORKLOADS, Plan
+from benchmarks.plan import Plan
+from benchmarks.workloads import WORKLOADS
 
 BASELINE = Path(__file__).with_name("baseline.json")
 

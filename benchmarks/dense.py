@@ -7,8 +7,16 @@ and 30,000 points); here they are made in chunks, of the size that was fastest o
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
+from torch.nn import functional as F
+
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
+from pcore.kernels.reference import encode
+from pcore.model.papr import Papr
 
 PAIRS = 2**18
 """Ray-point pairs of a chunk."""
@@ -31,3 +39,47 @@ def _nearest(origins: Tensor, directions: Tensor, points: Tensor, k: int) -> Ten
     along = (to_point * directions.unsqueeze(1)).sum(dim=-1, keepdim=True)
     off = to_point - along * directions.unsqueeze(1)
     return off.norm(dim=-1).topk(k, dim=-1, largest=False).indices
+
+
+def papr_picture(
+    papr: Papr, cloud: PointCloud, rays: RayBundle, *, pairs: int = PAIRS, most: int = 4096
+) -> Tensor:
+    """Colours (H, W, 3), at most so many rays at once; the networks are called, nothing is folded.
+
+    Args:
+        papr: an original one: rays from the camera, no cut-off.
+        cloud: the points.
+        rays: (H, W).
+        pairs: ray-point pairs of a chunk of the search.
+        most: rays whose pairs enter the networks at once.
+    """
+    flat, found = rays.flat(), []
+    for start in range(0, len(flat.origins), most):
+        found.append(_attend(papr, cloud, flat[start : start + most], pairs))
+    features, background = (torch.cat(parts) for parts in zip(*found, strict=True))
+    return papr.shade(features.unflatten(0, rays.shape), 1 - background.unflatten(0, rays.shape))
+
+
+def _attend(papr: Papr, cloud: PointCloud, rays: RayBundle, pairs: int) -> tuple[Tensor, Tensor]:
+    """Features (R, C) and attention of the background (R,): the paper's formulas, pair by pair."""
+    config, attention = papr.config, papr.attention
+    with torch.no_grad():
+        near = nearest_to_rays(
+            rays.origins, rays.directions, cloud.positions, config.neighbours, pairs
+        )
+    points, d = cloud.positions[near], rays.directions.unsqueeze(1)
+    to_point = points - rays.origins.unsqueeze(1)
+    along = (to_point * d).sum(dim=-1, keepdim=True) * d
+    gamma_p, gamma_h, gamma_t = (
+        encode(config.coord_scale * x, config.frequencies)
+        for x in (points.detach(), along, to_point - along)
+    )
+    keys = attention.w_key(attention.key(torch.cat([gamma_p, gamma_h, gamma_t], dim=-1)))
+    queries = attention.query(encode(rays.directions, config.frequencies))
+    queries = attention.w_query(queries).unsqueeze(-1) / math.sqrt(config.key.size)
+    scores = F.relu((keys @ queries).squeeze(-1)) * cloud.influence[near]
+    constant = scores.new_full((len(scores), 1), config.background_score)
+    weights = torch.softmax(torch.cat([scores, constant], dim=-1), dim=-1)
+    values = attention.value(torch.cat([gamma_h, gamma_t, cloud.features[near]], dim=-1))
+    points_share = weights[:, :-1] / weights[:, :-1].sum(dim=-1, keepdim=True)
+    return (points_share.unsqueeze(-1) * values).sum(dim=1), weights[:, -1]

@@ -18,14 +18,12 @@ from torch import Tensor
 
 from benchmarks import scenes
 from benchmarks.measure import machine, seconds
-from benchmarks.workloads import WORKLOADS, Plan
+from benchmarks.plan import Plan
+from benchmarks.workloads import WORKLOADS
 from pcore.data.load import load_scene
-from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.rays import RayBundle
 from pcore.kernels import cpu_search, functional, reference
-from pcore.model.papr import Papr
 from pcore.model.render import render
-from pcore.training.config import PatchConfig, PretrainConfig
+from pcore.training.config import PatchConfig
 from pcore.training.events import Event, ValidationReport
 from pcore.training.loop import autocast
 from pcore.training.presets import preset
@@ -104,26 +102,14 @@ def _share(found: Tensor, expected: Tensor) -> float:
 
 def _features(device: torch.device, points: Tensor, *, quick: bool) -> float:
     """Largest difference of the attention's features from those of the CPU, float32."""
-    papr, cloud = _model(preset("tiny" if quick else "paper"), points, torch.device("cpu"))
+    papr, cloud = scenes.papr(
+        preset("tiny" if quick else "paper").model, points, torch.device("cpu")
+    )
     rays = scenes.patch(8 if quick else 16, 80)
     with torch.no_grad():
         expected = papr(cloud, rays).features
-        found = papr.to(device)(cloud.to(device), _to(rays, device)).features.cpu()
+        found = papr.to(device)(cloud.to(device), scenes.on_device(rays, device)).features.cpu()
     return float((found - expected).abs().max() / expected.abs().max())
-
-
-def _to(rays: RayBundle, device: torch.device) -> RayBundle:
-    return RayBundle(origins=rays.origins.to(device), directions=rays.directions.to(device))
-
-
-def _model(config: PretrainConfig, points: Tensor, device: torch.device) -> tuple[Papr, PointCloud]:
-    torch.manual_seed(0)
-    cloud = PointCloud(
-        positions=points,
-        features=torch.randn(len(points), config.model.feature_size),
-        influence=torch.ones(len(points)),
-    )
-    return Papr(config.model).to(device), cloud.to(device)
 
 
 def speed(device: torch.device, *, quick: bool) -> dict[str, object]:
@@ -138,8 +124,8 @@ def training_step(device: torch.device, *, quick: bool) -> dict[str, float]:
     """Median milliseconds of a step of 160 x 160 rays, forward, backward and Adam."""
     name, side, count = ("tiny", 8, 100) if quick else ("paper", 160, 30_000)
     config = preset(name)
-    work = trainable("pretrain", *_model(config, scenes.cloud(count), device), seed=0)
-    rays = _to(scenes.patch(side, 5 * side), device)
+    work = trainable("pretrain", *scenes.papr(config.model, scenes.cloud(count), device), seed=0)
+    rays = scenes.on_device(scenes.patch(side, 5 * side), device)
 
     def step() -> None:
         work.optimizer.zero_grad(set_to_none=True)

@@ -10,7 +10,10 @@ from pcore.deform.frame import axis_frame
 from pcore.deform.simple import Twist
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
+from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
+from pcore.model.config import PaprConfig
+from pcore.model.papr import Papr
 
 _DISTANCE = 4.0
 _ANGLE = 0.6911
@@ -57,3 +60,21 @@ def near_surface(side: int, size: int, points: Tensor) -> tuple[RayBundle, Tenso
     ends, origins = twist(ends), twist(ends - 0.1 * _DISTANCE * rays.directions)
     moved = RayBundle(origins=origins, directions=normalize(ends - origins, dim=-1))
     return moved, twist(points)
+
+
+def on_device(rays: RayBundle, device: torch.device) -> RayBundle:
+    """Return the rays on a device."""
+    return RayBundle(origins=rays.origins.to(device), directions=rays.directions.to(device))
+
+
+def papr(config: PaprConfig, points: Tensor, device: torch.device) -> tuple[Papr, PointCloud]:
+    """PAPR that has not been trained, with these points; gradients of everything are wanted."""
+    torch.manual_seed(0)
+    networks = Papr(config).to(device)
+    tensors = {
+        "positions": points,
+        "features": torch.randn(len(points), config.feature_size),
+        "influence": torch.ones(len(points)),
+    }
+    wanted = {name: one.to(device).requires_grad_() for name, one in tensors.items()}
+    return networks, PointCloud.from_tensors(wanted)

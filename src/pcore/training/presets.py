@@ -81,7 +81,7 @@ FAST = PretrainConfig(
     influence_start=1.0,
     feature_spread=0.5,
     opacity_weight=0.1,
-    front_weight=0.3,
+    front_weight=0.1,
     mixed_precision=True,
     validate_every=2000,
     save_every=2000,
@@ -92,13 +92,13 @@ TINY = PretrainConfig(
     model=_small_model(neighbours=8, width=64, unet=24),
     origin="reference",
     rates=_SMALL_RATES,
-    steps=3000,
+    steps=4500,
     patch=PatchConfig(side=100),
     points=6000,
     influence_start=1.0,
     feature_spread=0.5,
     opacity_weight=0.1,
-    front_weight=0.3,
+    front_weight=0.1,
     validate_every=500,
     save_every=500,
 )
@@ -126,7 +126,9 @@ def preset(name: PretrainName) -> PretrainConfig:
 
 def demo_pretrain() -> PretrainConfig:
     """Return `tiny`, shortened for the embedded sample."""
-    return replace(TINY, steps=1400, points=4000, validate_every=350, save_every=350)
+    return replace(
+        TINY, steps=1500, points=4000, front_weight=0.3, validate_every=375, save_every=375
+    )
 
 
 def _scaled(rates: Rates, factor: float) -> Rates:
@@ -138,7 +140,7 @@ def _scaled(rates: Rates, factor: float) -> Rates:
 
 
 _SMALL_FINETUNE = FinetuneConfig(
-    steps=800,
+    steps=1200,
     rates=_scaled(_SMALL_RATES, 0.5),
     patch=PatchConfig(side=100),
     alternate=True,
@@ -147,7 +149,7 @@ _SMALL_FINETUNE = FinetuneConfig(
     origin_distance=0.1,
     keep_distance=True,
     opacity_weight=0.1,
-    front_weight=0.3,
+    front_weight=0.1,
     ranges=DeformationRanges(scale_share=0.5),
     largest_loss=0.5,
 )
@@ -201,4 +203,4 @@ def skinning_preset(name: SkinningName) -> SkinningTrainConfig:
 
 def demo_finetune() -> FinetuneConfig:
     """Return the fine-tuning of `tiny`, shortened for the embedded sample."""
-    return replace(_FINETUNE["tiny"], steps=500)
+    return replace(_FINETUNE["tiny"], steps=600, front_weight=0.3)
