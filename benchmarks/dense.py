@@ -15,7 +15,7 @@ from torch.nn import functional as F
 
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.kernels.reference import encode
+from pcore.kernels.reference import LENGTH_GUARD, encode
 from pcore.model.papr import Papr
 
 PAIRS = 2**18
@@ -69,7 +69,8 @@ def _attend(papr: Papr, cloud: PointCloud, rays: RayBundle, pairs: int) -> tuple
         )
     points, d = cloud.positions[near], rays.directions.unsqueeze(1)
     to_point = points - rays.origins.unsqueeze(1)
-    along = (to_point * d).sum(dim=-1, keepdim=True) * d
+    guarded = d / (d.square().sum(dim=-1, keepdim=True) + LENGTH_GUARD)
+    along = (to_point * d).sum(dim=-1, keepdim=True) * guarded
     gamma_p, gamma_h, gamma_t = (
         encode(config.coord_scale * x, config.frequencies)
         for x in (points.detach(), along, to_point - along)

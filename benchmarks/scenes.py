@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from benchmarks import dense
 from pcore.deform.frame import axis_frame
 from pcore.deform.simple import Twist
 from pcore.geometry.camera import Camera
@@ -67,14 +68,33 @@ def on_device(rays: RayBundle, device: torch.device) -> RayBundle:
     return RayBundle(origins=rays.origins.to(device), directions=rays.directions.to(device))
 
 
+def doubled(rays: RayBundle) -> RayBundle:
+    """Return the rays in float64."""
+    return RayBundle(origins=rays.origins.double(), directions=rays.directions.double())
+
+
 def papr(config: PaprConfig, points: Tensor, device: torch.device) -> tuple[Papr, PointCloud]:
-    """PAPR that has not been trained, with these points; gradients of everything are wanted."""
+    """PAPR that has not been trained, with these points; gradients of everything are wanted.
+
+    Untrained, all keys of a ray are almost the same, and its scores all cut to zero or none. The
+    mean key is therefore taken away: about half of the scores are cut, as in trained models.
+    """
     torch.manual_seed(0)
-    networks = Papr(config).to(device)
+    networks = Papr(config)
     tensors = {
         "positions": points,
         "features": torch.randn(len(points), config.feature_size),
         "influence": torch.ones(len(points)),
     }
+    keys: list[Tensor] = []
+
+    def keep(_module: object, _inputs: object, output: Tensor) -> None:
+        keys.append(output)
+
+    hook = networks.attention.key.register_forward_hook(keep)
+    with torch.no_grad():
+        dense.papr_picture(networks, PointCloud.from_tensors(tensors), patch(8, 40))
+        networks.attention.key.outnorm.offset.sub_(keys[0].mean(dim=(0, 1)))
+    hook.remove()
     wanted = {name: one.to(device).requires_grad_() for name, one in tensors.items()}
-    return networks, PointCloud.from_tensors(wanted)
+    return networks.to(device), PointCloud.from_tensors(wanted)

@@ -9,9 +9,14 @@ from pathlib import Path
 import pytest
 import torch
 from benchmarks.__main__ import BASELINE, gate, main
+from benchmarks.papr_workloads import measure_render, measure_step
+from benchmarks.plan import Plan
 
-from benchmarks import dense, metrics, scenes
+from benchmarks import dense, metrics, papr_workloads, scenes
+from pcore.geometry.point_cloud import PointCloud
 from pcore.kernels.reference import nearest_to_rays
+from pcore.model.papr import Papr
+from pcore.training.presets import preset
 
 
 @pytest.fixture
@@ -57,6 +62,46 @@ def test_the_dense_formula_is_the_specification() -> None:
     found = dense.nearest_to_rays(rays.origins, rays.directions, points, 5, pairs=1200)
     expected = nearest_to_rays(rays.origins, rays.directions, points, 5)
     assert torch.equal(found, expected)
+
+
+@pytest.fixture
+def untrained() -> tuple[Papr, PointCloud]:
+    return scenes.papr(preset("paper").model, scenes.cloud(150), torch.device("cpu"))
+
+
+def test_the_dense_picture_is_that_of_the_specification(
+    untrained: tuple[Papr, PointCloud], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Written anew from the paper, in any chunks: the reference kernels give the same."""
+    monkeypatch.setenv("PCORE_KERNELS", "reference")
+    (papr, cloud), rays = untrained, scenes.patch(8, 40)
+    with torch.no_grad():
+        expected = papr(cloud, rays).rgb
+        for most in (17, 4096):
+            found = dense.papr_picture(papr, cloud, rays, pairs=1000, most=most)
+            torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
+
+
+def test_scores_of_untrained_models_are_cut_about_as_in_trained_ones(
+    untrained: tuple[Papr, PointCloud],
+) -> None:
+    """Where all or none were cut, the backward pass would have less or more to do."""
+    papr, cloud = untrained
+    with torch.no_grad():
+        weights = papr.attend(cloud, scenes.patch(8, 40).flat())[0].weights
+    cut = weights == weights.amin(dim=1, keepdim=True)
+    assert 0.3 < float(cut.double().mean()) < 0.8
+
+
+def test_a_step_and_a_picture_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(papr_workloads, "_REPEATS", 1)
+    plan = Plan(device=torch.device("cpu"), quick=True, repeats=1)
+    found = dict(measure_step(plan)) | dict(measure_render(plan))
+    error = {kind: found[f"step/8x8/200/gradient_error/{kind}"].value for kind in ("ours", "dense")}
+    assert error["ours"] < 5 * error["dense"] < 0.05
+    assert found["render/16x16/200/exact/error"].value < 1e-5
+    assert 0 < found["render/16x16/200/fast/kept"].value <= 0.5
+    assert all(metric.value > 0 for metric in found.values())
 
 
 def test_rays_near_the_surface_have_origins_of_their_own_and_hit_it() -> None:
