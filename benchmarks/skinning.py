@@ -1,7 +1,7 @@
 """The paper's skinning table on the six true motions of the evaluation objects.
 
-    python benchmarks/skinning.py DATA RUNS [--joint NAME ...] [--views N] [--lpips FOLDER]
-        [--json FILE]
+    python benchmarks/skinning.py DATA RUNS [--joint NAME ...] [--views N] [--rays plain|aware]
+        [--lpips FOLDER] [--json FILE]
 
 DATA holds `deformed/{knight,robot}`, RUNS holds `knight`, `robot` and, tuned by `pcore finetune`,
 `knight-pcore`, `robot-pcore`. Anchors follow the true mesh; their rotations are estimated from
@@ -34,6 +34,7 @@ from pcore.deform.anchor_distance import (
     distance_weigher,
     path_distance,
 )
+from pcore.deform.local_frames import estimated_frames
 from pcore.deform.sampler import DeformationRanges, sample_deformation
 from pcore.deform.skinning import Weigher, skin
 from pcore.editing.anchors import SIGMA, anchor_graph, pose_from_places
@@ -43,6 +44,7 @@ from pcore.evaluation.protocol import STANDARD, Perceptual, load_perceptual, mea
 from pcore.evaluation.states import State, open_states
 from pcore.evaluation.surface_samples import load_samples
 from pcore.geometry.anchors import ANCHORS, farthest_points
+from pcore.geometry.point_cloud import PointCloud
 from pcore.model.checkpoint import SavedModel, load_model
 from pcore.model.render import render
 from pcore.model.skinning import SkinningConfig, untrained_skinning
@@ -112,10 +114,10 @@ def held_out(points: Tensor, anchors: Tensor, methods: Mapping[str, Weigher]) ->
 
 
 def picture_scores(
-    model: SavedModel, places: Tensor, state: State, views: int, perceptual: Perceptual | None
+    model: SavedModel, moved: PointCloud, state: State, views: int, perceptual: Perceptual | None
 ) -> dict[str, float]:
-    """Mean image scores over evenly chosen test views."""
-    papr, cloud = model.papr(), model.cloud.moved(places)
+    """Mean image scores of the model's networks over evenly chosen test views."""
+    papr, cloud = model.papr(), model.cloud.moved(moved.positions, moved.frames)
     chosen = np.unique(np.linspace(0, len(state.shots) - 1, views).round().astype(int))
     rows = []
     for index in chosen:
@@ -161,6 +163,7 @@ def score_object(
     views: int,
     steps: int,
     perceptual: Perceptual | None,
+    aware: bool,
 ) -> list[Row]:
     """All rows of one object."""
     root = data / "deformed" / name
@@ -170,7 +173,8 @@ def score_object(
     samples = load_samples(root)
     rest = torch.from_numpy(samples.positions(truth, None)).float()
     rows: list[Row] = []
-    points = load_model(runs / name).cloud.positions
+    canonical = load_model(runs / name).cloud
+    points = canonical.positions
     distance = path_distance(points, farthest_points(points, ANCHORS))
     graph = anchor_graph(distance.anchors, distance.between)
     print(f"{name}: {len(points)} points, mean anchor spacing {graph.spacing:.3f}", flush=True)
@@ -196,11 +200,14 @@ def score_object(
                 **{f"surface_{k}": v for k, v in shell.items() if k != "emd"},
                 "error": float((places - carried).norm(dim=1).mean()),
             }
+            # The same rule for all methods: what is around a point is told by its neighbours.
+            frames = estimated_frames(points, places) if aware else None
+            drawn = canonical.moved(places, frames)
             for show in shows:
                 if method not in show.methods:
                     continue
                 called = show.methods[method]
-                pictures = picture_scores(show.model, places, state, views, perceptual)
+                pictures = picture_scores(show.model, drawn, state, views, perceptual)
                 scores = pictures | geometry
                 rows.append(Row(run=show.run, state=state.name, method=called, scores=scores))
                 print(f"  {show.run} {state.name} {called}: {pictures['foreground_psnr']:.2f} dB")
@@ -231,6 +238,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=20, help="test views per state")
     parser.add_argument("--steps", type=int, default=SkinningFitConfig().steps)
     parser.add_argument("--lpips", type=Path, help="folder of LPIPS weights")
+    parser.add_argument("--rays", choices=("plain", "aware"), default="plain")
     parser.add_argument("--json", type=Path, help="where to write every row")
     options = parser.parse_args()
     lpips = load_perceptual(("alex",), folder=options.lpips) if options.lpips else None
@@ -244,6 +252,7 @@ def main() -> None:
             options.views,
             options.steps,
             lpips,
+            options.rays == "aware",
         )
     for title, tuned in (("PAPR", False), ("P-CORE", True)):
         chosen = [row for row in rows if (row.run not in MOTIONS) is tuned]

@@ -13,8 +13,8 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 def shared_data() -> Path:
     """The folder of real test data; tests that need it skip when it is absent."""
     path = Path(os.environ.get("PCORE_SHARED_DATA", REPOSITORY.parent / "shared" / "data"))
-    if not path.is_dir():
-        pytest.skip("shared test data is absent (set PCORE_SHARED_DATA to its folder)")
+    if not (path / "oracle").is_dir():
+        pytest.skip("shared test data is absent (set PCORE_SHARED_DATA to the folder with oracle/)")
     return path
 
 

@@ -128,6 +128,11 @@ CASES = [
         array("start.npy", np.full((9, 3), np.nan)),
     ),
     Case(f"{TRAIN} --init start.ply", "start.ply: cannot read the file of", folder("start.ply")),
+    Case(
+        f"{TRAIN} --points 300 --init start.npy",
+        "--points 300: expected no number where the points come from a file",
+        array("start.npy", np.zeros((9, 3))),
+    ),
     Case("train ball", "-o|required"),
     Case("train ball -o run", "run holds a run already, which is not overwritten: continue it"),
     Case("train ball -o ball", "ball holds other files (test, train, transforms_test.json, ...):"),

@@ -23,8 +23,9 @@ def scene(tmp_path: Path) -> Path:
 
 
 def call(scene: Path, run: Path, *args: object, steps: int = 3) -> int:
-    options = ("--steps", steps, "--points", 60, "--device", "cpu", "--threads", 1)
-    return main(["train", str(scene), "-o", str(run), *map(str, options), *map(str, args)])
+    given = ["--steps", steps, "--device", "cpu", "--threads", 1]
+    given += [] if "--init" in args else ["--points", 60]
+    return main(["train", str(scene), "-o", str(run), *map(str, given), *map(str, args)])
 
 
 def logged(run: Path, kind: str) -> list[int]:
@@ -148,7 +149,7 @@ def test_a_resumed_run_equals_one_that_was_never_interrupted(
     assert call(scene, broken, steps=6) == 130
     said = capsys.readouterr()
     assert f"step 3 is saved in {broken}" in said.err
-    assert "same command and --resume" in said.err
+    assert "the same command goes on from there" in said.err
     assert RunFolder.open(broken).notes["status"] == "stopped"
     assert call(scene, broken, "--resume", steps=6) == 0
     assert "goes on from step 3" in capsys.readouterr().out

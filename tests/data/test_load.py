@@ -153,6 +153,13 @@ def test_pose_that_is_not_rigid(scene: Path) -> None:
         load_scene(scene).split("test")
 
 
+def test_mirrored_pose(scene: Path) -> None:
+    matrix = (np.array(pose(0.0)) * [1, -1, 1, 1]).tolist()
+    change_frame(scene / "transforms_test.json", 1, transform_matrix=matrix)
+    with pytest.raises(SceneError, match=r"frame 1 .*right-handed rotation, got a mirrored one"):
+        load_scene(scene).split("test")
+
+
 def test_transposed_pose(scene: Path) -> None:
     matrix = np.array(pose(1.0)).T.tolist()
     change_frame(scene / "transforms_train.json", 0, transform_matrix=matrix)

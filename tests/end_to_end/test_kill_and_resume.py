@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import random
 import signal
@@ -68,6 +69,13 @@ def kill_later(arguments: Sequence[str], run: Path, moment: random.Random) -> No
     assert process.returncode == -signal.SIGKILL, said.decode()
 
 
+def another_moment() -> random.Random:
+    """Another moment in every run of the test; a failure's log holds the seed that repeats it."""
+    seed = random.randrange(2**32)
+    logging.getLogger(__name__).warning("killed at moments of seed %d", seed)
+    return random.Random(seed)
+
+
 def assert_same_model(first: Path, second: Path) -> None:
     expected, found = (load_file(run / "model.safetensors") for run in (first, second))
     assert expected.keys() == found.keys()
@@ -89,7 +97,7 @@ def train(scene: Path, run: Path, *more: str) -> list[str]:
 def test_training_killed_three_times(scene: Path, tmp_path: Path) -> None:
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert main(train(scene, whole)) == 0
-    moment, seen = random.Random(), list[int]()  # Another moment in every run of the test.
+    moment, seen = another_moment(), list[int]()
     for resume in ((), ("--resume",), ("--resume",)):
         kill_later(train(scene, broken, *resume), broken, moment)
         seen.append(RunFolder.open(broken).saved_step() or 0)
@@ -114,7 +122,7 @@ def test_fine_tuning_killed(scene: Path, tmp_path: Path) -> None:
         return ["finetune", str(base), "-o", str(run), *steps, *ONE_THREAD, *more]
 
     assert main(tune(whole)) == 0
-    kill_later(tune(broken), broken, random.Random())
+    kill_later(tune(broken), broken, another_moment())
     assert 0 < (RunFolder.open(broken).saved_step() or 0) < TUNING_STEPS
     assert main(tune(broken, "--resume")) == 0
     assert_same_model(whole, broken)

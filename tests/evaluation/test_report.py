@@ -114,6 +114,12 @@ def test_texts_are_escaped() -> None:
     assert "a &lt; b" in page
 
 
+@pytest.mark.parametrize(("pictures", "columns"), [(10, 5), (4, 2), (1, 1)])
+def test_depth_maps_stand_under_their_pictures(pictures: int, columns: int) -> None:
+    section = Section(title="Twist", caption="", rows=((TRUTH,) * pictures,))
+    assert f"--columns: {columns}" in render_report(report(sections=(section,)))
+
+
 def test_without_videos_there_is_no_heading_for_them() -> None:
     assert "Once around" in render_report(report())
     assert "Once around" not in render_report(report(videos=()))

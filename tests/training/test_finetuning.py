@@ -266,7 +266,9 @@ def test_weights_that_cost_too_much_are_not_the_result(
     seen, heard = falling(30.0, 29.9, 29.6, 29.4), Heard()
     config = finetune_config(steps=6, largest_loss=0.5, validate_every=2)
     tuned = finetune(box, box_model(), config, listener=heard)
-    assert heard[-1] == Stopped(stage="finetune", step=6, reason="finished")
+    (end,) = heard.of(Stopped)
+    assert (end.step, end.reason) == (6, "finished")
+    assert "weights of step 4" in end.message
     assert_same(weights_of(tuned), weights_of(seen[2]))
 
 
@@ -275,8 +277,27 @@ def test_a_fall_at_the_first_validation_gives_the_base_back(
 ) -> None:
     falling(30.0, 20.0)
     base = box_model()
-    tuned = finetune(box, base, finetune_config(steps=2, validate_every=2, largest_loss=0.5))
+    config, heard = finetune_config(steps=2, validate_every=2, largest_loss=0.5), Heard()
+    tuned = finetune(box, base, config, listener=heard)
     assert_same(weights_of(tuned), weights_of(base))
+    assert [one.accepted for one in heard.of(ValidationReport)] == [False]
+    assert "nothing was learned" in heard.of(Stopped)[0].message
+
+
+def test_the_end_says_which_step_the_result_is_of(
+    box: Scene, falling: Callable[..., list[Trained]], tmp_path: Path
+) -> None:
+    falling(30.0, 29.8, 20.0)
+    config, heard = finetune_config(steps=4, validate_every=2, largest_loss=0.5), Heard()
+    with RunFolder.create(
+        tmp_path / "run", stage="finetune", scene="box", config={}, resume=False
+    ) as folder:
+        finetune(box, box_model(), config, folder=folder, listener=heard)
+    assert [one.accepted for one in heard.of(ValidationReport)] == [True, False]
+    assert "weights of step 2" in heard.of(Stopped)[0].message
+    noted = RunFolder.open(tmp_path / "run").notes["validation"]
+    assert (noted["kept_step"], noted["kept_psnr"]) == (2, 29.8)
+    assert load_model(tmp_path / "run").provenance.step == 2
 
 
 def test_no_limit_no_stop(box: Scene, falling: Callable[..., list[Trained]]) -> None:

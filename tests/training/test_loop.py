@@ -307,7 +307,10 @@ def test_ctrl_c_finishes_the_step_saves_and_says_how_to_go_on(tmp_path: Path) ->
     work, heard = box_work(), Heard()
     with (
         open_folder(path) as run,
-        pytest.raises(KeyboardInterrupt, match=r"step 2 is saved in .*run; .* and --resume"),
+        pytest.raises(
+            KeyboardInterrupt,
+            match=r"step 2 is saved in .*run; the same command goes on .* with --resume",
+        ),
     ):
         run_loop(work, plan(), pull(work, ctrl_c(1)), folder=run, listener=heard)
     assert signal.getsignal(signal.SIGINT) is handler

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from pcore.cli.options import Count, Folder, Output
+from pcore.cli.options import Count, Folder, Output, PresetName, optional
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
@@ -43,6 +43,9 @@ class AblateCommand:
     output: Output = None
     """Folder for the variants and results; default: RUN/ablation."""
 
+    preset: Annotated[PresetName | None, optional("{tiny,fast,paper}")] = None
+    """Settings of every fine-tuning; default: as for `pcore finetune`."""
+
     steps: Count = None
     """Steps of every fine-tuning; default: those of the preset."""
 
@@ -71,7 +74,9 @@ def ablate(command: AblateCommand, console: Console) -> None:
         SceneError: its scene cannot be read or scored.
         InputError: an unknown state or view, or an output folder in use.
         TrainingError: a training diverged or cannot write.
+        WeightsError: the preset asks for LPIPS and its weights are missing.
     """
+    from pcore.cli.losses import check_weights
     from pcore.cli.models import open_run
     from pcore.cli.output import results_folder
     from pcore.cli.runtime import pick_device, prepare_torch, scene_of
@@ -100,7 +105,8 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"{states[1].name}, got {command.view}"
         )
     output = command.output or command.run_folder / "ablation"
-    full = _full_config(run, command.steps)
+    full = _full_config(run, command)
+    check_weights(full.lpips_weight, full.lpips_trunk)
     results_folder(output, about=run.path)
     for variant in VARIANTS:
         path, config = output / variant.folder, variant.config(full)
@@ -110,12 +116,12 @@ def ablate(command: AblateCommand, console: Console) -> None:
     _score(command, console, (run, places), methods, figure)
 
 
-def _full_config(run: Run, steps: int | None) -> FinetuneConfig:
+def _full_config(run: Run, command: AblateCommand) -> FinetuneConfig:
     """Settings of the whole method for this run."""
     from pcore.cli.models import finetune_config
 
-    _, config = finetune_config(run.manifest, run.saved)
-    return config if steps is None else replace(config, steps=steps)
+    _, config = finetune_config(run.manifest, run.saved, command.preset)
+    return config if command.steps is None else replace(config, steps=command.steps)
 
 
 def _train(

@@ -42,7 +42,7 @@ def guarded(action: Callable[[], None]) -> int:
             raise
         return _complain(str(error))
     except KeyboardInterrupt as stop:
-        _say("Interrupted", str(stop) or "nothing more was written; `--resume` goes on with a run")
+        _say("Interrupted", str(stop) or "nothing more was written")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # `pcore info RUN | head`: nobody reads on. Python would complain again while it exits.
@@ -114,6 +114,7 @@ class ProgressDisplay:
             self._step(event)
         elif isinstance(event, ValidationReport):
             best = ", the best so far" if event.best else ""
+            best = best if event.accepted else ", too low: earlier weights are kept"
             self._print(
                 f"{event.stage} {event.step}: held-out views {event.psnr:.2f} dB "
                 f"(mean of {event.views}){best}"

@@ -93,7 +93,7 @@ def build_report(folder: DemoFolder, settings: DemoSettings) -> Report:
             f"deformed state; {AWARE} draws it with rays that know of the deformation, as "
             "pcore render does. The truth is ray-traced from the deformed mesh."
         ),
-        headlines=(*headlines(gain[AWARE]), _cost(folder)),
+        headlines=(*headlines(gain[METHOD]), *headlines(gain[AWARE]), _cost(folder)),
         videos=_videos(folder.path),
         table=comparison_table(means, protocol=STANDARD.name, names=_NAMES, caption=caption),
         sections=_sections(folder.path / "eval" / "panels", means, settings.shown),

@@ -10,7 +10,7 @@ from rich.console import Console
 from tyro.conf import Positional, arg
 
 from pcore.cli.losses import LossOptions, check_weights
-from pcore.cli.options import Count, Folder, optional
+from pcore.cli.options import Count, Folder, PresetName, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from pcore.model.checkpoint import SavedModel
     from pcore.training.config import FinetuneConfig
     from pcore.training.output import RunFolder
-
-PresetName = Literal["tiny", "fast", "paper"]
 
 
 @dataclass(frozen=True, kw_only=True)

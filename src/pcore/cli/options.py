@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
@@ -17,6 +17,9 @@ def optional(metavar: str, *aliases: str) -> Any:
     """
     return arg(metavar=metavar, aliases=aliases, help_behavior_hint="")
 
+
+PresetName = Literal["tiny", "fast", "paper"]
+"""Settings that fine-tuning has a preset for."""
 
 Count = Annotated[int | None, optional("N")]
 """A whole number that may be left out."""

@@ -136,7 +136,7 @@ def show_result(console: Console, path: Path, *, next_command: str) -> None:
     from pcore.training.output import RunFolder
 
     validation = RunFolder.open(path).notes.get("validation") or {}
-    psnr = validation.get("psnr")
-    quality = "" if psnr is None else f": {psnr:.2f} dB on held-out training views at best"
+    psnr = validation.get("kept_psnr" if "kept_step" in validation else "psnr")
+    quality = "" if psnr is None else f": {psnr:.2f} dB on held-out training views"
     console.print(Text(f"{path}{quality}"), soft_wrap=True)
     console.print(Text(f"next: {next_command}"), soft_wrap=True)

@@ -13,6 +13,7 @@ from tyro.conf import Positional, arg
 from pcore.cli.losses import LossOptions, check_weights
 from pcore.cli.options import Count, optional
 from pcore.cli.runtime import DeviceName
+from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.data.scene import Scene
@@ -137,6 +138,11 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     if command.init in ("hull", "grid"):
         changes["start"] = command.init
     elif command.init is not None:
+        if command.points is not None:
+            raise InputError(
+                f"--points {command.points}: expected no number where the points come from a file, "
+                f"got --init {command.init} as well; leave one of the options out"
+            )
         changes["start"] = str(Path(command.init).resolve())
     elif not all(view.has_alpha for view in scene.split("train")):
         console.print("images without alpha have no visual hull: points start on a grid")

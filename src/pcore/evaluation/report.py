@@ -103,6 +103,12 @@ class Report:
     facts: tuple[tuple[str, str], ...]
     notes: tuple[str, ...] = ()
 
+    @property
+    def columns(self) -> int:
+        """Pictures side by side: the depth maps, half of a row, stand under the colours."""
+        found = (len(row) for section in self.sections for row in section.rows)
+        return max(1, next(found, 2) // 2)
+
 
 def render_report(report: Report) -> str:
     """Fill the page; every text is escaped.
@@ -176,7 +182,7 @@ def headlines(gain: Gain) -> tuple[Headline, ...]:
         ),
         Headline(
             value=shown(gain.holes_removed, 0, percent=True),
-            label="of the additional holes closed",
+            label=f"of the additional holes closed by {gain.method}",
             detail=(
                 f"Deformation opens holes in {shown(gain.baseline_holes, 1, percent=True)} of the "
                 f"object with {gain.baseline}, in {shown(gain.method_holes, 1, percent=True)} "
@@ -185,7 +191,7 @@ def headlines(gain: Gain) -> tuple[Headline, ...]:
         ),
         Headline(
             value=f"{shown(gain.canonical_loss)} dB",
-            label="paid on the undeformed object",
+            label=f"paid on the undeformed object by {gain.method}",
             detail=(
                 f"PSNR of the object that {gain.method} loses on canonical test views; below "
                 "zero it gains."

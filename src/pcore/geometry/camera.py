@@ -122,8 +122,13 @@ def _check_pose(pose: Tensor) -> None:
         raise InputError("camera pose: expected finite numbers, got NaN or infinity")
     rotation = pose[:3, :3].double()
     error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max().item()
-    if error > _RIGID_TOLERANCE or torch.linalg.det(rotation).item() < 0:
+    if error <= _RIGID_TOLERANCE and torch.linalg.det(rotation).item() < 0:
         raise InputError(
-            "camera pose: expected a rigid world_from_camera (orthonormal rotation, no mirror), "
+            "camera pose: expected a right-handed rotation, got a mirrored one (determinant -1); "
+            "negate one column of its 3 x 3 block: the camera looks along -z, with y up"
+        )
+    if error > _RIGID_TOLERANCE:
+        raise InputError(
+            "camera pose: expected a rigid world_from_camera (orthonormal rotation), "
             f"got a 3 x 3 block that is off by {error:.2g}; remove scale and shear from the pose"
         )

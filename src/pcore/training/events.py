@@ -55,6 +55,8 @@ class ValidationReport:
     """Other figures by name."""
     best: bool
     """Whether no earlier validation was better."""
+    accepted: bool = True
+    """Whether these weights may become the result."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -58,7 +58,10 @@ def finetune(
     anchor = _moved(base, where)
     work = _work(anchor, config)
     if config.largest_loss is not None and validation:
-        work.best = {"weights": {name: t.clone() for name, t in work.weights().items()}}
+        work.best = {
+            "weights": {name: t.clone() for name, t in work.weights().items()},
+            "kept_step": 0,
+        }
     objective = Objective(config, work, anchor, perceptual)
 
     def losses() -> Losses:

@@ -97,8 +97,20 @@ def run_loop(
                 _save(work, plan, folder, listener, finished=last and not interrupted)
             if interrupted:
                 _stop(work, folder, listener)
-    listener(Stopped(stage=work.stage, step=work.step, reason="finished"))
+    listener(_finished(work))
     return _result(work)
+
+
+def _finished(work: Trainable) -> Stopped:
+    """Say which weights the result has, where they are not the last ones."""
+    kept, message = work.best.get("kept_step", work.step), ""
+    if kept != work.step:
+        whose = f"of step {kept}" if kept else "that it began with, so nothing was learned"
+        message = (
+            f"the result has the weights {whose}: later ones fell too far behind on held-out "
+            "training views; lower the weights of the losses or the learning rates"
+        )
+    return Stopped(stage=work.stage, step=work.step, reason="finished", message=message)
 
 
 def _step(work: Trainable, plan: Plan, losses: Callable[[], Losses]) -> Losses:
@@ -144,8 +156,10 @@ def _validate(
     best = psnr > work.best.get("psnr", -math.inf)
     if best:
         work.best = {**work.best, "psnr": psnr, "step": work.step}
-    if "weights" in work.best and accept(psnr):
+    accepted = accept(psnr)
+    if "weights" in work.best and accepted:
         work.best["weights"] = {k: t.clone() for k, t in (work.average or work.weights()).items()}
+        work.best |= {"kept_step": work.step, "kept_psnr": psnr}
     listener(
         ValidationReport(
             stage=work.stage,
@@ -154,6 +168,7 @@ def _validate(
             views=len(plan.validation),
             scores=scores,
             best=best,
+            accepted=accepted,
         )
     )
 
@@ -188,7 +203,7 @@ def _save(
             config,
             scene=plan.scene,
             stage="pretrain" if work.stage == "pretrain" else "finetune",
-            step=work.step,
+            step=work.best.get("kept_step", work.step),
         ),
     )
     listener(Saved(stage=work.stage, step=work.step, path=str(folder.model)))
@@ -217,7 +232,8 @@ def _stop(work: Trainable, folder: RunFolder | None, listener: Listener) -> None
     if folder is None:
         raise KeyboardInterrupt(f"{work.stage} stopped at step {work.step}; nothing was saved")
     raise KeyboardInterrupt(
-        f"step {work.step} is saved in {folder.path}; go on with the same command and --resume"
+        f"step {work.step} is saved in {folder.path}; the same command goes on from there "
+        "(`pcore train` and `pcore finetune` with --resume)"
     )
 
 

@@ -211,7 +211,8 @@ def write_guard(path: Path) -> Generator[None]:
     except OSError as error:
         raise TrainingError(
             f"cannot write {path}: {error.strerror or error}; {_what_is_saved(path.parent)}. Free "
-            "space on that disk or make it writable, then go on with --resume"
+            "space on that disk or make it writable, then give the same command again "
+            "(`pcore train` and `pcore finetune` with --resume)"
         ) from error
 
 
