@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Mesh = tuple[IntArray, IntArray, IntArray]
+"""Faces, and per corner the edge opposite to it and its sense."""
 
 _FLAT = 1e-8  # share of |u_1||u_2||u_3| below which x lies in the plane of a triangle
 _ON = 1e-6  # radians that the angles lack to a full half turn when x lies on a triangle
@@ -143,17 +145,12 @@ def _sum_faces(
         weight[nearest] = 1.0
         return _ON_CAGE
     _fill_edges(offset, length, edges, slope.shape[0] > 0, scratch)
-    kind = _REGULAR
+    kind, mesh = _REGULAR, (faces, opposite, sense)
     for f in range(faces.shape[0]):
-        c0, c1, c2 = faces[f, 0], faces[f, 1], faces[f, 2]
-        e0 = opposite[f, 0]
-        determinant = sense[f, 0] * (
-            scratch[e0, 0] * offset[c0, 0]
-            + scratch[e0, 1] * offset[c0, 1]
-            + scratch[e0, 2] * offset[c0, 2]
-        )
-        if abs(determinant) > _FLAT * length[c0] * length[c1] * length[c2]:
-            _add_face(f, faces, opposite, sense, offset, determinant, weight, slope, scratch)
+        determinant = _determinant(f, mesh, offset, scratch)
+        reach = length[faces[f, 0]] * length[faces[f, 1]] * length[faces[f, 2]]
+        if abs(determinant) > _FLAT * reach:
+            _add_face(f, mesh, offset, determinant, weight, slope, scratch)
             continue
         kind = max(kind, _IN_PLANE)
         if _lies_on(f, opposite, offset, edges, scratch):
@@ -164,6 +161,15 @@ def _sum_faces(
                 weight[faces[f, k]] = math.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
             return _ON_CAGE
     return kind
+
+
+@numba.njit(cache=True, nogil=True)
+def _determinant(f: int, mesh: Mesh, offset: FloatArray, scratch: FloatArray) -> float:
+    """D of a triangle, from the N of its first corner."""
+    faces, opposite, sense = mesh
+    c, e = faces[f, 0], opposite[f, 0]
+    along = scratch[e, 0] * offset[c, 0] + scratch[e, 1] * offset[c, 1]
+    return sense[f, 0] * (along + scratch[e, 2] * offset[c, 2])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -217,9 +223,7 @@ def _fill_edges(
 @numba.njit(cache=True, nogil=True)
 def _add_face(
     f: int,
-    faces: IntArray,
-    opposite: IntArray,
-    sense: IntArray,
+    mesh: Mesh,
     offset: FloatArray,
     determinant: float,
     weight: FloatArray,
@@ -227,6 +231,7 @@ def _add_face(
     scratch: FloatArray,
 ) -> None:
     """Add one triangle: N_k . m / D to the weights of its corners, and the derivatives."""
+    faces, opposite, sense = mesh
     mx, my, mz = 0.0, 0.0, 0.0
     for k in range(3):
         e = opposite[f, k]
@@ -239,15 +244,13 @@ def _add_face(
         along = scratch[e, 0] * mx + scratch[e, 1] * my + scratch[e, 2] * mz
         weight[faces[f, k]] += sense[f, k] * along / determinant
     if slope.shape[0] > 0:
-        _add_slopes(f, faces, opposite, sense, offset, determinant, (mx, my, mz), slope, scratch)
+        _add_slopes(f, mesh, offset, determinant, (mx, my, mz), slope, scratch)
 
 
 @numba.njit(cache=True, nogil=True)
 def _add_slopes(
     f: int,
-    faces: IntArray,
-    opposite: IntArray,
-    sense: IntArray,
+    mesh: Mesh,
     offset: FloatArray,
     determinant: float,
     m: tuple[float, float, float],
@@ -259,17 +262,8 @@ def _add_slopes(
     With the edge vectors E_k and g = theta / |N|, grad (N_k . m) is
     m x E_k + 1/2 sum_j ((N_j . N_k) grad g_j + g_j N_k x E_j).
     """
-    ax, ay, az, sx, sy, sz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(3):
-        e, t = opposite[f, j], sense[f, j]
-        p, q = faces[f, (j + 1) % 3], faces[f, (j + 2) % 3]
-        half = 0.5 * scratch[e, 3]
-        ax += t * scratch[e, 0]
-        ay += t * scratch[e, 1]
-        az += t * scratch[e, 2]
-        sx += half * (offset[q, 0] - offset[p, 0])
-        sy += half * (offset[q, 1] - offset[p, 1])
-        sz += half * (offset[q, 2] - offset[p, 2])
+    faces, opposite, sense = mesh
+    ax, ay, az, sx, sy, sz = _around(f, mesh, offset, scratch)
     for k in range(3):
         e, s = opposite[f, k], sense[f, k]
         nx, ny, nz = s * scratch[e, 0], s * scratch[e, 1], s * scratch[e, 2]
@@ -291,3 +285,23 @@ def _add_slopes(
         slope[v, 0] += (gx + value * ax) / determinant
         slope[v, 1] += (gy + value * ay) / determinant
         slope[v, 2] += (gz + value * az) / determinant
+
+
+@numba.njit(cache=True, nogil=True)
+def _around(
+    f: int, mesh: Mesh, offset: FloatArray, scratch: FloatArray
+) -> tuple[float, float, float, float, float, float]:
+    """Area normal of a triangle, then 1/2 sum_j g_j E_j."""
+    faces, opposite, sense = mesh
+    ax, ay, az, sx, sy, sz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(3):
+        e, t = opposite[f, j], sense[f, j]
+        p, q = faces[f, (j + 1) % 3], faces[f, (j + 2) % 3]
+        half = 0.5 * scratch[e, 3]
+        ax += t * scratch[e, 0]
+        ay += t * scratch[e, 1]
+        az += t * scratch[e, 2]
+        sx += half * (offset[q, 0] - offset[p, 0])
+        sy += half * (offset[q, 1] - offset[p, 1])
+        sz += half * (offset[q, 2] - offset[p, 2])
+    return ax, ay, az, sx, sy, sz
