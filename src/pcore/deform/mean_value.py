@@ -54,8 +54,9 @@ def weights_at(
     result = np.empty((points.shape[0], count), dtype=np.float32)
     weight, slope = np.empty(count), np.empty((0, 3))
     scratch = np.empty((edges.shape[0], 8))
+    mesh = (faces, opposite, sense)
     for n in range(points.shape[0]):
-        _sum_faces(points[n], vertices, faces, edges, opposite, sense, size, weight, slope, scratch)
+        _sum_faces(points[n], vertices, mesh, edges, size, weight, slope, scratch)
         result[n] = (weight / weight.sum()).astype(np.float32)
     return result
 
@@ -76,23 +77,20 @@ def carried(
     `moves` (V, 3) are the displacements of the cage's vertices.
     """
     total, count, size = points.shape[0], vertices.shape[0], _size(vertices)
+    mesh = (faces, opposite, sense)
     way = np.zeros((total, 3))
     turn = np.zeros((total if with_slope else 0, 3, 3))
     weight, slope = np.empty(count), np.empty((count if with_slope else 0, 3))
     scratch = np.empty((edges.shape[0], 8))
     for n in range(total):
-        kind = _sum_faces(
-            points[n], vertices, faces, edges, opposite, sense, size, weight, slope, scratch
-        )
+        kind = _sum_faces(points[n], vertices, mesh, edges, size, weight, slope, scratch)
         way[n] = _mean(weight, moves)
         if with_slope:
             here = way[n]
             if kind != _REGULAR:
                 # Across a triangle the coordinates have a kink: one side of it is taken.
                 aside = points[n] + _ASIDE * size * np.array([0.48, 0.6, 0.64])
-                _sum_faces(
-                    aside, vertices, faces, edges, opposite, sense, size, weight, slope, scratch
-                )
+                _sum_faces(aside, vertices, mesh, edges, size, weight, slope, scratch)
                 here = _mean(weight, moves)
             sum_weight = weight.sum()
             for v in range(count):
@@ -126,10 +124,8 @@ def _size(vertices: FloatArray) -> float:
 def _sum_faces(
     x: FloatArray,
     vertices: FloatArray,
-    faces: IntArray,
+    mesh: Mesh,
     edges: IntArray,
-    opposite: IntArray,
-    sense: IntArray,
     size: float,
     weight: FloatArray,
     slope: FloatArray,
@@ -145,7 +141,8 @@ def _sum_faces(
         weight[nearest] = 1.0
         return _ON_CAGE
     _fill_edges(offset, length, edges, slope.shape[0] > 0, scratch)
-    kind, mesh = _REGULAR, (faces, opposite, sense)
+    kind = _REGULAR
+    faces, opposite, _ = mesh
     for f in range(faces.shape[0]):
         determinant = _determinant(f, mesh, offset, scratch)
         reach = length[faces[f, 0]] * length[faces[f, 1]] * length[faces[f, 2]]
