@@ -55,6 +55,15 @@ def test_a_tuned_run_is_compared_with_its_base(
     assert [gain["group"] for gain in record["gains"]] == ["analytic"] * 3 + ["skeletal"] * 3 + (
         ["analytic"] * 3 + ["skeletal"] * 3
     )
+    assert "unseen: share of the object's pixels" in out
+    for row in rows:
+        # The box grows to one and a half; at rest nothing is strained.
+        wanted = {"canonical": 1.0, "grown": 1.5}.get(row["state"])
+        assert wanted is None or float(row["strain_99"]) == pytest.approx(wanted, rel=1e-4)
+        assert float(row["hole_score"]) == float(row["self_intersection"]) == 0
+        assert 0 <= float(row["unseen"]) <= 1
+    means = [one["scores"] for one in record["means"]]
+    assert all(one["strain_max"] >= one["strain_99"] for one in means)
     against = {(gain["method"], gain["baseline"]) for gain in record["gains"]}
     assert against == {(method, "PAPR") for method in methods[1:]}
     pictures = sorted(path.name for path in (tuned / "eval" / "pictures").iterdir())
@@ -180,6 +189,18 @@ def test_a_scene_without_meshes(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "'walk' has true images but no mesh in meshes.npz" in capsys.readouterr().err
     assert main(["eval", str(run)]) == 0
     assert "left out: grown, walk" in capsys.readouterr().out
+
+
+def test_without_training_views_nobody_knows_what_was_seen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tiny_scene.write_scene(tmp_path / "box")
+    run = tiny_scene.write_run(tmp_path / "run", scene)
+    (scene / "transforms_train.json").unlink()
+    assert main(["eval", str(run), "--state", "canonical", "--protocol", "papr"]) == 0
+    out = capsys.readouterr().out
+    assert "no training split, so nobody knows what the training views saw" in out
+    assert {row["unseen"] for row in rows_of(run / "eval")} == {""}
 
 
 def test_a_base_that_is_gone(
