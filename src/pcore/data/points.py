@@ -123,7 +123,7 @@ def save_point_glb(path: Path | str, points: Tensor, colors: Tensor | None = Non
     _checked(path, array)
     turned = np.stack([array[:, 0], array[:, 2], -array[:, 1]], axis=1)
     body = trimesh.PointCloud(turned, colors=_paint(path, array, colors))
-    _replace(path, cast("bytes", export_glb(trimesh.Scene(body))))
+    _replace(path, export_glb(trimesh.Scene(body)))
 
 
 def _replace(path: Path, content: bytes) -> None:

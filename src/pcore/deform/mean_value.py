@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Mesh = tuple[IntArray, IntArray, IntArray]
-"""Faces, and per corner the edge opposite to it and its sense."""
+Mesh = tuple[IntArray, IntArray, IntArray]  # faces; per corner the opposite edge and its sense
 
 _FLAT = 1e-8  # share of |u_1||u_2||u_3| below which x lies in the plane of a triangle
 _ON = 1e-6  # radians that the angles lack to a full half turn when x lies on a triangle
@@ -53,8 +52,7 @@ def weights_at(
     count, size = vertices.shape[0], _size(vertices)
     result = np.empty((points.shape[0], count), dtype=np.float32)
     weight, slope = np.empty(count), np.empty((0, 3))
-    scratch = np.empty((edges.shape[0], 8))
-    mesh = (faces, opposite, sense)
+    scratch, mesh = np.empty((edges.shape[0], 8)), (faces, opposite, sense)
     for n in range(points.shape[0]):
         _sum_faces(points[n], vertices, mesh, edges, size, weight, slope, scratch)
         result[n] = (weight / weight.sum()).astype(np.float32)
@@ -77,8 +75,7 @@ def carried(
     `moves` (V, 3) are the displacements of the cage's vertices.
     """
     total, count, size = points.shape[0], vertices.shape[0], _size(vertices)
-    mesh = (faces, opposite, sense)
-    way = np.zeros((total, 3))
+    mesh, way = (faces, opposite, sense), np.zeros((total, 3))
     turn = np.zeros((total if with_slope else 0, 3, 3))
     weight, slope = np.empty(count), np.empty((count if with_slope else 0, 3))
     scratch = np.empty((edges.shape[0], 8))
@@ -141,8 +138,7 @@ def _sum_faces(
         weight[nearest] = 1.0
         return _ON_CAGE
     _fill_edges(offset, length, edges, slope.shape[0] > 0, scratch)
-    kind = _REGULAR
-    faces, opposite, _ = mesh
+    kind, faces, opposite = _REGULAR, mesh[0], mesh[1]
     for f in range(faces.shape[0]):
         determinant = _determinant(f, mesh, offset, scratch)
         reach = length[faces[f, 0]] * length[faces[f, 1]] * length[faces[f, 2]]

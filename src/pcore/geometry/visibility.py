@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import torch
@@ -116,7 +117,7 @@ def unseen_pixels(
     if not front.any() or not bool(object_pixels.any()):
         return result
     column, row, _ = _projected(points, camera)
-    tree = KDTree(np.stack([row[front], column[front]], axis=1))
+    tree: Any = KDTree(np.stack([row[front], column[front]], axis=1))
     votes = min(_VOTES, int(front.sum()))
     _, near = tree.query(object_pixels.nonzero().numpy() + 0.5, k=np.arange(1, votes + 1))
     share = unseen.cpu().numpy()[front][np.asarray(near)].mean(axis=1)
