@@ -191,18 +191,6 @@ def test_a_scene_without_meshes(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "left out: grown, walk" in capsys.readouterr().out
 
 
-def test_without_training_views_nobody_knows_what_was_seen(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene = tiny_scene.write_scene(tmp_path / "box")
-    run = tiny_scene.write_run(tmp_path / "run", scene)
-    (scene / "transforms_train.json").unlink()
-    assert main(["eval", str(run), "--state", "canonical", "--protocol", "papr"]) == 0
-    out = capsys.readouterr().out
-    assert "no training split, so nobody knows what the training views saw" in out
-    assert {row["unseen"] for row in rows_of(run / "eval")} == {""}
-
-
 def test_a_base_that_is_gone(
     tmp_path: Path, scene: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

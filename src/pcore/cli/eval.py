@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from pcore.evaluation.runner import ImageRow, Method, Taken
 
 PICTURES = "pictures"
-NO_TRAINING_VIEWS = (
-    "{}: no training split, so nobody knows what the training views saw; unseen is left out"
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +120,6 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         "factor": places.factor,
     }
     notes = [*([places.left_out] if places.left_out else []), *_mended(rows, methods)]
-    notes += [] if "train" in places.scene.splits else [NO_TRAINING_VIEWS.format(places.path)]
     finish(console, output, rows, about=about, perceptual=perceptual, notes=notes)
 
 

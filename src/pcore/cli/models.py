@@ -95,14 +95,12 @@ def baseline_of(run: Run, given: Path | None, *, device: str = "cpu") -> Run | N
         ) from error
 
 
-def never_seen(cloud: PointCloud, scene: Scene) -> Tensor | None:
-    """(N,) bool, which canonical points no training view saw; None without a training split.
+def never_seen(cloud: PointCloud, scene: Scene) -> Tensor:
+    """(N,) bool, which canonical points no training view saw.
 
     Raises:
         SceneError: the training split is damaged.
     """
-    if "train" not in scene.splits:
-        return None
     return ~seen_by(cloud.positions, [view.camera for view in scene.split("train")])
 
 
