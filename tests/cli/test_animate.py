@@ -6,6 +6,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+import trimesh
 from toys import toy_cameras, write_cameras, write_run, write_scene
 
 from pcore.cli.main import main
@@ -48,6 +49,17 @@ def test_a_video_and_the_points(folder: Path, capsys: pytest.CaptureFixture[str]
     shown = capsys.readouterr().out
     assert "3 files of points in points" in shown
     assert "3 frames in out.mp4" in shown
+
+
+def test_points_as_binary_gltf(folder: Path):
+    assert call("--frames", 2, "--points", "as_ply") == 0
+    assert call("--frames", 2, "--points", "as_glb", "--points-format", "glb") == 0
+    names = sorted(item.name for item in Path("as_glb").iterdir())
+    assert names == ["frame_000.glb", "frame_001.glb"]
+    for name in names:
+        (cloud,) = trimesh.load_scene(Path("as_glb") / name).geometry.values()
+        wanted = load_points(Path("as_ply") / name.replace("glb", "ply")).numpy()
+        np.testing.assert_array_equal(cloud.vertices, wanted[:, [0, 2, 1]] * [1, 1, -1])
 
 
 def test_the_camera_stands_or_goes_round_or_follows_a_path(folder: Path):

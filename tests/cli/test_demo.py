@@ -60,7 +60,7 @@ def test_the_whole_story(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "6/6" in out or "5/6 videos" in out
     page = (folder / "report.html").read_text()
     assert page.count("data:video/mp4;base64,") == 2
-    assert page.count("data:image/png;base64,") == 5 * 10  # states, panels
+    assert page.count("data:image/png;base64,") == 5 * 11  # states, panels
     for text in ("Twist, 60°", "Bend, 60°", "Stretch", "Canonical", "pcore finetune my-run"):
         assert text in page
     for name in FILES:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from toys import write_run
+from toys import write_run, write_scene
 
 from pcore.cli.main import main
 from pcore.data.points import read_point_file
@@ -53,6 +53,8 @@ def test_apply_to_points(folder: Path, capsys: pytest.CaptureFixture[str]):
     assert "strain: 1." in shown
     assert "hole score: 0.0 % of the points" in shown
     assert "self-intersection: 0.0 %" in shown
+    assert "exposed: not known, points alone have no scene; give it with --scene" in shown
+    assert "handles" not in shown
 
 
 def test_apply_to_a_run_in_colours(folder: Path, capsys: pytest.CaptureFixture[str]):
@@ -67,6 +69,41 @@ def test_apply_to_a_run_in_colours(folder: Path, capsys: pytest.CaptureFixture[s
     with Image.open(picture) as image:
         reds = (np.asarray(image) == [214, 38, 31]).all(axis=-1)
     assert reds.sum() > 100
+
+
+def test_what_the_training_views_never_saw_comes_to_light(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+):
+    scene, output = folder / "ball", folder / "moved.ply"
+    write_scene(scene)
+    # All training cameras look from above: below the ball nothing was seen.
+    write_run(folder / "trained", scene="../ball", factor=1, points=3000)
+    write_edit(folder, {"type": "rigid", "axis": "x", "angle_deg": 180})
+    words = ["--edit", folder / "edit.json", "-o", output, "--colors", "strain"]
+    code, shown = call(capsys, "apply", folder / "trained", *words)
+    assert code == 0
+    yellow = read_point_file(output).colors[:, :3] == torch.tensor([250, 189, 5])
+    share = float(yellow.all(dim=1).double().mean())
+    assert 0.05 < share < 0.5
+    assert f"exposed: {100 * share:.1f} % of the points came to light" in shown
+    write_edit(folder)
+    assert "exposed: 0.0 %" in call(capsys, "apply", folder / "trained", *words)[1]
+    words += ["--scene", scene]
+    assert "exposed: 0.0 %" in call(capsys, "apply", folder / "points.npy", *words)[1]
+    _, shown = call(capsys, "apply", folder / "run", *words[:-2])
+    assert "exposed: not known, the scene of the run is not here; give it with --scene" in shown
+
+
+def test_handles_are_diagnosed(folder: Path, capsys: pytest.CaptureFixture[str]):
+    handle = {"near": [0, 0, 1], "to": [0, 0, 2]}
+    pull = {"type": "anchors", "count": 20, "handles": [handle]}
+    write_edit(folder, {"type": "scale", "factor": 1}, {**pull, "reach": 100})
+    words = [folder / "points.npy", "--edit", folder / "edit.json", "-o", folder / "moved.npy"]
+    code, shown = call(capsys, "apply", *words)
+    assert code == 0
+    (line,) = [line for line in shown.splitlines() if line.startswith("edit 2, handles: ")]
+    loose = float(line.split("; ")[1].split(" %")[0])
+    assert 40 < loose < 100
 
 
 def test_apply_at_a_time(folder: Path, capsys: pytest.CaptureFixture[str]):

@@ -55,6 +55,15 @@ def test_a_tuned_run_is_compared_with_its_base(
     assert [gain["group"] for gain in record["gains"]] == ["analytic"] * 3 + ["skeletal"] * 3 + (
         ["analytic"] * 3 + ["skeletal"] * 3
     )
+    assert "unseen: share of the object's pixels" in out
+    for row in rows:
+        # The box grows to one and a half; at rest nothing is strained.
+        wanted = {"canonical": 1.0, "grown": 1.5}.get(row["state"])
+        assert wanted is None or float(row["strain_99"]) == pytest.approx(wanted, rel=1e-4)
+        assert float(row["hole_score"]) == float(row["self_intersection"]) == 0
+        assert 0 <= float(row["unseen"]) <= 1
+    means = [one["scores"] for one in record["means"]]
+    assert all(one["strain_max"] >= one["strain_99"] for one in means)
     against = {(gain["method"], gain["baseline"]) for gain in record["gains"]}
     assert against == {(method, "PAPR") for method in methods[1:]}
     pictures = sorted(path.name for path in (tuned / "eval" / "pictures").iterdir())

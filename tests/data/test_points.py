@@ -8,7 +8,7 @@ import pytest
 import torch
 import trimesh
 
-from pcore.data.points import load_points, read_point_file, save_points
+from pcore.data.points import load_points, read_point_file, save_point_glb, save_points
 from pcore.errors import InputError
 
 POINTS = torch.tensor([[0.0, 1.0, 2.0], [-1.5, 1e-3, 4.0], [7.0, 8.0, 9.0], [0.1, 0.2, 0.3]])
@@ -221,3 +221,32 @@ def test_bad_points_are_not_written(tmp_path: Path):
         with pytest.raises(InputError, match=r"a.npy: expected"):
             save_points(tmp_path / "a.npy", points)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_binary_gltf_reads_back_with_y_up(tmp_path: Path):
+    save_point_glb(tmp_path / "a.glb", POINTS, COLORS)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.glb"]
+    (cloud,) = trimesh.load_scene(tmp_path / "a.glb").geometry.values()
+    assert isinstance(cloud, trimesh.PointCloud)
+    x, y, z = POINTS.unbind(dim=1)
+    np.testing.assert_array_equal(cloud.vertices, torch.stack([x, z, -y], dim=1).numpy())
+    np.testing.assert_array_equal(cloud.colors[:, :3], COLORS.numpy())
+    save_point_glb(tmp_path / "a.glb", POINTS[:2])
+    (cloud,) = trimesh.load_scene(tmp_path / "a.glb").geometry.values()
+    assert len(cloud.vertices) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "points", "colors", "message"),
+    [
+        ("a.gltf", POINTS, None, "expected a file of points that ends in .glb"),
+        ("a.glb", POINTS * torch.nan, None, "NaN or infinity in 4 of 4 points"),
+        ("a.glb", POINTS, COLORS[:2], "expected colours (N, 3) or (N, 4) uint8 for 4 points"),
+        ("none/a.glb", POINTS, None, "expected an existing folder to write to"),
+    ],
+)
+def test_bad_binary_gltf(tmp_path: Path, name: str, points, colors, message: str):
+    with pytest.raises(InputError) as caught:
+        save_point_glb(tmp_path / name, points, colors)
+    assert message in str(caught.value)
+    assert not (tmp_path / name).exists()

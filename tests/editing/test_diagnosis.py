@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from pcore.deform.simple import rigid, uniform_scale
-from pcore.editing.diagnosis import diagnose
+from pcore.editing.diagnosis import diagnose, with_exposed
 from pcore.errors import InputError
+from pcore.geometry.camera import Camera
 
 
 def shell(center: float = 0.0, count: int = 2000) -> torch.Tensor:
@@ -64,3 +65,25 @@ def test_points_in_one_place_are_no_trouble():
 def test_misfits_are_refused():
     with pytest.raises(InputError, match=r"the same points \(N, 3\) twice, at least two, got"):
         diagnose(shell(), shell()[:-1])
+
+
+def test_a_lid_that_opens_exposes_what_it_covered():
+    grid = torch.linspace(-0.5, 0.5, 40)
+    floor = torch.cartesian_prod(grid, grid)
+    floor = torch.cat([floor, torch.zeros(len(floor), 1)], dim=1)
+    points = torch.cat([floor, floor + torch.tensor([0, 0, 0.3])])
+    opened = points.clone()
+    opened[1600:, 0] += 1.2
+    pose = torch.eye(4)
+    pose[2, 3] = 8.0
+    above = Camera.from_fov(pose, width=50, height=50, angle_x=0.6)
+    calm = diagnose(points, opened)
+    assert calm.exposed is None
+    assert "exposed" not in calm.numbers()
+    found = with_exposed(calm, points, opened, [above])
+    # The floor, but for the rim beside which the camera sees it past the lid.
+    assert 0.42 < found.numbers()["exposed"] <= 0.5
+    assert not bool(found.exposed[1600:].any())
+    assert (found.colors()[found.exposed] == torch.tensor([250, 189, 5])).all()
+    assert with_exposed(calm, points, points, [above]).numbers()["exposed"] == 0
+    assert torch.equal(found.strain, calm.strain)

@@ -111,7 +111,7 @@ def ablate(command: AblateCommand, console: Console) -> None:
     for variant in VARIANTS:
         path, config = output / variant.folder, variant.config(full)
         _train(console, (run, places), path, config, device)
-    methods = _methods(run, output, device)
+    methods = _methods(run, output, places, device)
     figure = AblationFigure(states[1].name, command.view)
     _score(command, console, (run, places), methods, figure)
 
@@ -163,15 +163,24 @@ def _train(
     )
 
 
-def _methods(run: Run, output: Path, device: str) -> list[Method]:
-    from pcore.cli.models import open_run
+def _methods(run: Run, output: Path, places: SceneStates, device: str) -> list[Method]:
+    from pcore.cli.models import never_seen, open_run
     from pcore.evaluation.ablation import VANILLA, VARIANTS
     from pcore.evaluation.runner import Method
 
     tuned = [(v.title, open_run(output / v.folder, device=device)) for v in VARIANTS]
     pairs = [(VANILLA, run), *tuned]
     # The paper's question is what its losses do; aware rays would answer for them.
-    return [Method(name=name, papr=one.papr, cloud=one.cloud, aware=False) for name, one in pairs]
+    return [
+        Method(
+            name=name,
+            papr=one.papr,
+            cloud=one.cloud,
+            aware=False,
+            unseen=never_seen(one.cloud, places.scene),
+        )
+        for name, one in pairs
+    ]
 
 
 def _score(

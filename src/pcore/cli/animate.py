@@ -40,7 +40,10 @@ class AnimateCommand:
     """The video, .mp4; replaced if it exists. Without it there must be --points."""
 
     points: Folder = None
-    """Folder for the points of every frame as frame_NNN.ply."""
+    """Folder for the points of every frame as frame_NNN.ply, or .glb."""
+
+    points_format: Literal["ply", "glb"] = "ply"
+    """Format of the points: PLY, or binary glTF (y up, as its readers expect)."""
 
     orbit: bool = False
     """Go once around the object meanwhile; without, the camera stands still."""
@@ -103,7 +106,7 @@ def animate(command: AnimateCommand, console: Console) -> None:
     moved = _frames(animation, saved.cloud, command, console)
     if command.points is not None:
         pictures_folder(command.points, overwrite=command.overwrite)
-        _write_points(command.points, moved)
+        _write_points(command.points, moved, command.points_format)
         console.print(Text(f"{len(moved)} files of points in {command.points}"), soft_wrap=True)
     if command.output is not None:
         cameras = _cameras(command, run, saved.cloud, moved)
@@ -145,12 +148,13 @@ def _frames(
     return [known[time] for time in times]
 
 
-def _write_points(folder: Path, moved: list[PointCloud]) -> None:
-    from pcore.data.points import save_points
+def _write_points(folder: Path, moved: list[PointCloud], suffix: str) -> None:
+    from pcore.data.points import save_point_glb, save_points
 
+    save = save_points if suffix == "ply" else save_point_glb
     digits = max(3, len(str(len(moved) - 1)))
     for number, cloud in enumerate(moved):
-        save_points(folder / f"frame_{number:0{digits}}.ply", cloud.positions)
+        save(folder / f"frame_{number:0{digits}}.{suffix}", cloud.positions)
 
 
 def _cameras(

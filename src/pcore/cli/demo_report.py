@@ -55,7 +55,11 @@ _ABOUT = {
     "stretch": "Drawn out along its long axis; the middle gets thinner, as clay does.",
     "scale2x": "Twice the size, seen with a wider field of view: points lie twice as far apart.",
 }
-_TITLES = ("truth", *METHODS, "depth, truth", *(f"depth, {name}" for name in METHODS))
+_TITLES = (
+    *("truth", *METHODS),
+    *("depth, truth", *(f"depth, {name}" for name in METHODS)),
+    f"strain, {METHOD}",
+)
 _COMMANDS = (
     Command(
         purpose="Train on your own scene (NeRF-Synthetic layout, see docs/guide/scenes.md), "
@@ -82,7 +86,10 @@ def build_report(folder: DemoFolder, settings: DemoSettings) -> Report:
         f"Means over {settings.test_views} test views, protocol “{STANDARD.name}” "
         f"({STANDARD.description}); PSNR in dB. “Object” is over pixels of the object only. Holes: "
         "share of the object's pixels that are see-through or whose depth is off by more than 5 % "
-        "of its size. Spill: wrongly covered background, relative to the object's pixels."
+        "of its size. Spill: wrongly covered background, relative to the object's pixels. Strain: "
+        "growth of the distance to a neighbouring point, at 99 % of the points; in the pictures "
+        "grey is calm, red stretched to twice, blue squeezed to half, violet meets itself. "
+        "Unseen: share of the object's pixels that show what no training view saw."
     )
     return Report(
         title="Deformed, and still in one piece",

@@ -11,12 +11,12 @@ from rich.console import Console
 from torch import Tensor
 
 from pcore.cli.demo_folder import DemoFolder, stamp_of
-from pcore.cli.models import Run, open_run
+from pcore.cli.models import Run, never_seen, open_run
 from pcore.cli.results import counting
 from pcore.data.pictures import to_bytes
 from pcore.data.video import write_video
 from pcore.evaluation.figures import png_bytes
-from pcore.evaluation.panels import depth_maps, object_window, renderings
+from pcore.evaluation.panels import depth_maps, object_window, renderings, strain_maps
 from pcore.evaluation.protocol import load_perceptual
 from pcore.evaluation.runner import Method, Taken, carry, evaluate
 from pcore.evaluation.states import SceneStates, State, open_states
@@ -53,13 +53,13 @@ def evaluate_demo(
     folder: DemoFolder, settings: DemoSettings, models: dict[str, Run], console: Console
 ) -> None:
     """Score both models on all states and keep the pictures that the report shows."""
-    stamp = _stamp(folder, list(settings.shown))
+    stamp = _stamp(folder, list(settings.shown), "strain")
     output = folder.path / "eval"
     if folder.done("evaluation", stamp) and (output / SUMMARY_FILE).is_file():
         return
     (output / "panels").mkdir(parents=True, exist_ok=True)
     states, perceptual = _states(folder), load_perceptual()
-    methods = _methods(models)
+    methods = _methods(models, states)
     with folder.timed("evaluation", stamp), counting(console, "pictures") as tell:
         rows = evaluate(
             methods,
@@ -76,7 +76,7 @@ def evaluate_demo(
 
 
 def panel(output: Path, state: str, view: int, number: int) -> Path:
-    """File of a picture: colours of the truth and of METHODS (0 to 4), then their depth maps."""
+    """File of a picture: truth and METHODS (0 to 4), their depth maps, strain of METHOD (10)."""
     return output / f"{state}-{view}-{number}.png"
 
 
@@ -90,7 +90,7 @@ def film_demo(
         return
     states = _states(folder)
     canonical, deformed = states.select([filmed_state(folder.path / "eval")])
-    methods = _methods(models)
+    methods = _methods(models, states)
     filmed = [one for one in methods if one.name in FILMED]
     stories = [(canonical, methods[1:2]), (deformed, filmed)]
     total = len(stories) * settings.frames
@@ -110,12 +110,14 @@ def filmed_state(output: Path) -> str:
     return max(states, key=lambda name: holes[name, BASELINE] - holes[name, AWARE])
 
 
-def _methods(models: dict[str, Run]) -> list[Method]:
+def _methods(models: dict[str, Run], states: SceneStates) -> list[Method]:
     """Both runs with plain rays, then both with rays that know of the deformation."""
+    unseen = {name: never_seen(run.cloud, states.scene) for name, run in models.items()}
+    hidden = [*unseen.values(), *unseen.values()]
     runs = [(aware, run) for aware in (False, True) for run in models.values()]
     return [
-        Method(name=name, papr=run.papr, cloud=run.cloud, aware=aware)
-        for name, (aware, run) in zip(METHODS, runs, strict=True)
+        Method(name=name, papr=run.papr, cloud=run.cloud, aware=aware, unseen=own)
+        for name, (aware, run), own in zip(METHODS, runs, hidden, strict=True)
     ]
 
 
@@ -132,7 +134,9 @@ def _keep(taken: Taken, shown: tuple[int, ...], output: Path) -> None:
     if taken.index not in shown:
         return
     names, window = METHODS, object_window(taken)
-    for number, pixels in enumerate([*renderings(taken, names), *depth_maps(taken, names)]):
+    strain = strain_maps(taken, [METHOD])[1:]
+    pictures = [*renderings(taken, names), *depth_maps(taken, names), *strain]
+    for number, pixels in enumerate(pictures):
         if pixels is not None:
             path = panel(output, taken.state, taken.index, number)
             write_atomically(path, png_bytes(pixels[window]))

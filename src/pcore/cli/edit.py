@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from pcore.cli.options import Number, optional
+from pcore.cli.options import Folder, Number, optional
 from pcore.errors import EditError, InputError
 
 if TYPE_CHECKING:
@@ -41,10 +41,13 @@ class ApplyCommand:
 
     colors: Literal["none", "strain"] = "none"
     """Colour the points of a .ply by strain: grey calm, red stretched, blue squeezed, violet where
-    the surface meets itself."""
+    the surface meets itself, yellow where it comes to light and no training view saw it."""
 
     picture: Annotated[Path | None, optional("PNG")] = None
     """Also write a PNG of the points in these colours, seen from the side."""
+
+    scene: Folder = None
+    """Folder of the scene whose training views tell what was seen; default: that of the run."""
 
     def run(self) -> None:
         """Do it; raises PcoreError subclasses for what the user can mend."""
@@ -130,12 +133,15 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
     Raises:
         CheckpointError: no model there.
         EditError: the edit file is not valid or does not fit the points.
+        SceneError: the scene is damaged.
         InputError: points or pictures that cannot be read or written.
     """
+    from pcore.cli.diagnosing import report, training_cameras
     from pcore.cli.runtime import learned_rig
     from pcore.data.points import check_point_path, save_points
     from pcore.editing.animation import load_animation
-    from pcore.editing.diagnosis import diagnose
+    from pcore.editing.diagnosis import diagnose, with_exposed
+    from pcore.editing.handles import handles_of
 
     check_point_path(command.output)
     if command.colors != "none" and command.output.suffix.lower() != ".ply":
@@ -151,8 +157,12 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
     rig = learned_rig(command.source, points)
     moved = script.bind(points, rig=rig)(points.double()).to(points.dtype)
     found = diagnose(points, moved)
+    cameras, why_not = training_cameras(command.source, command.scene)
+    if cameras:
+        found = with_exposed(found, points, moved, cameras)
+    handles = handles_of(script, points, rig)
     save_points(command.output, moved, found.colors() if command.colors == "strain" else None)
-    for line in [*lines_of(script), *report(points, moved, found)]:
+    for line in [*lines_of(script), *report(points, moved, found, handles, why_not)]:
         console.print(Text(line), soft_wrap=True)
     if command.picture is not None:
         _write_picture(command.picture, moved, found)
@@ -189,21 +199,6 @@ def lines_of(script: EditScript) -> list[str]:
         lines.append(line)
     lines += [f"frozen: {_region(region)}" for region in content.get("freeze", [])]
     return lines or ["no edit"]
-
-
-def report(points: Tensor, moved: Tensor, found: Diagnosis) -> list[str]:
-    """Say how far the points went and what may be going wrong."""
-    way = (moved - points).norm(dim=-1)
-    numbers = found.numbers()
-    return [
-        f"{len(points):,} points moved by {float(way.mean()):.4g} on average, "
-        f"{float(way.max()):.4g} at most; {int((way == 0).sum()):,} did not move",
-        f"strain: {numbers['strain_median']:.2f} in the middle, {numbers['strain_99']:.2f} at 99 "
-        f"percent, {numbers['strain_max']:.2f} at most",
-        f"hole score: {100 * numbers['hole_score']:.1f} % of the points stand twice as far apart",
-        f"self-intersection: {100 * numbers['self_intersection']:.1f} % of the points met another "
-        "part",
-    ]
 
 
 def _write_picture(path: Path, points: Tensor, found: Diagnosis) -> None:

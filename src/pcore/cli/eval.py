@@ -16,6 +16,7 @@ from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
     from pcore.cli.models import Run
+    from pcore.data.scene import Scene
     from pcore.evaluation.protocol import Perceptual
     from pcore.evaluation.runner import ImageRow, Method, Taken
 
@@ -99,7 +100,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     check_images(shot.view for state in states for shot in state.shots)
     output = command.output or command.run_folder / "eval"
     results_folder(output, about=run.path)
-    methods = _methods(run, base, command.rays)
+    methods = _methods(run, base, command.rays, places.scene)
     chosen = PROTOCOLS.values() if command.protocol == "both" else [PROTOCOLS[command.protocol]]
     perceptual = load_perceptual()
     with counting(console, "pictures") as tell:
@@ -159,11 +160,13 @@ def _mended(rows: Sequence[ImageRow], methods: Sequence[Method]) -> list[str]:
     ]
 
 
-def _methods(run: Run, base: Run | None, rays: str) -> list[Method]:
+def _methods(run: Run, base: Run | None, rays: str, scene: Scene) -> list[Method]:
     """Baseline first; two methods of one name are told apart by the folders of their runs."""
+    from pcore.cli.models import never_seen
     from pcore.evaluation.runner import Method
 
     runs = [run] if base is None else [base, run]
+    unseen = [never_seen(one.cloud, scene) for one in runs]
     alike = base is not None and base.label == run.label
     return [
         Method(
@@ -171,10 +174,11 @@ def _methods(run: Run, base: Run | None, rays: str) -> list[Method]:
             papr=one.papr,
             cloud=one.cloud,
             aware=aware,
+            unseen=hidden,
         )
         for aware in (False, True)
         if rays in ("both", "aware" if aware else "plain")
-        for one in runs
+        for one, hidden in zip(runs, unseen, strict=True)
     ]
 
 

@@ -6,9 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from pcore.cli.runtime import recorded_factor
+from pcore.data.scene import Scene
 from pcore.errors import CheckpointError
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.visibility import seen_by
 from pcore.model.checkpoint import SavedModel, load_model
 from pcore.model.papr import Papr
 from pcore.training.config import FinetuneConfig, PresetName
@@ -89,6 +93,15 @@ def baseline_of(run: Run, given: Path | None, *, device: str = "cpu") -> Run | N
             f"{run.path} was fine-tuned from {run.base}, which cannot be read: {error}; give that "
             "run with --baseline"
         ) from error
+
+
+def never_seen(cloud: PointCloud, scene: Scene) -> Tensor:
+    """(N,) bool, which canonical points no training view saw.
+
+    Raises:
+        SceneError: the training split is damaged.
+    """
+    return ~seen_by(cloud.positions, [view.camera for view in scene.split("train")])
 
 
 def finetune_config(

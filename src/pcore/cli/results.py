@@ -28,6 +28,15 @@ _COLUMNS = (
     ("spill_to_object", "\nspill", 1, True),
 )
 
+_HEALTH = (
+    ("strain_median", "strain\nmedian", 2, False),
+    ("strain_99", "strain\n99 %", 2, False),
+    ("strain_max", "strain\nmost", 2, False),
+    ("hole_score", "hole\nscore", 1, True),
+    ("self_intersection", "self-\nintersection", 1, True),
+    ("unseen", "\nunseen", 1, True),
+)
+
 _WIDTH = 96
 
 
@@ -63,16 +72,18 @@ def show_results(
     perceptual: Perceptual | None,
     notes: Sequence[str] = (),
 ) -> None:
-    """Print a table for every protocol, the gains below it, and why columns are missing."""
+    """Print tables of every protocol and of the points, the gains, and why columns are missing."""
     for protocol in dict.fromkeys(one.protocol for one in means):
         chosen = [one for one in means if one.protocol == protocol]
         # A table cut to a narrow terminal loses figures; one that is too wide is only ugly.
-        console.print(_table(protocol, chosen), width=max(console.width, _WIDTH), crop=False)
+        table = _table(f"protocol {protocol}", chosen, _COLUMNS)
+        console.print(table, width=max(console.width, _WIDTH), crop=False)
         console.print(Text(_caption(protocol, chosen), "dim"), soft_wrap=True)
         for gain in gains:
             if gain.protocol == protocol:
                 console.print(Text(gain_text(gain)), soft_wrap=True)
         console.print()
+    _show_health(console, means)
     missing = ", ".join(perceptual.missing) if perceptual is not None else ""
     why = f"no LPIPS with {missing}: weights are missing; `pcore doctor` says which files go where"
     for line in [*notes, *([why] if missing else [])]:
@@ -95,15 +106,26 @@ def gain_text(gain: Gain) -> str:
     return "\n".join(parts)
 
 
-def _table(protocol: str, means: Sequence[StateMean]) -> Table:
-    columns = [c for c in _COLUMNS if any(one.scores.get(c[0]) is not None for one in means)]
-    table = Table(
-        title=f"protocol {protocol}", title_justify="left", box=None, padding=(0, 2, 0, 0)
-    )
+def _show_health(console: Console, means: Sequence[StateMean]) -> None:
+    """The points themselves, which are the same under every protocol."""
+    chosen = [one for one in means if one.protocol == means[0].protocol]
+    if any(one.scores.get("strain_99") is not None for one in chosen):
+        table = _table("points", chosen, _HEALTH)
+        console.print(table, width=max(console.width, _WIDTH), crop=False)
+        said = "unseen: share of the object's pixels that show what no training view saw"
+        console.print(Text(said, "dim"), soft_wrap=True)
+        console.print()
+
+
+def _table(
+    title: str, means: Sequence[StateMean], known: Sequence[tuple[str, str, int, bool]]
+) -> Table:
+    columns = [c for c in known if any(one.scores.get(c[0]) is not None for one in means)]
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))
     table.add_column("state", no_wrap=True)
     table.add_column("method", no_wrap=True)
-    for _, title, _, _ in columns:
-        table.add_column(title, justify="right", no_wrap=True)
+    for _, heading, _, _ in columns:
+        table.add_column(heading, justify="right", no_wrap=True)
     before = ""
     for one in means:
         cells = [shown(one.scores.get(key), n, percent=p) for key, _, n, p in columns]

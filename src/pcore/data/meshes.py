@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 import trimesh
+from numpy.typing import NDArray
 from torch import Tensor
 
 from pcore.errors import InputError
@@ -41,6 +42,25 @@ def read_mesh(path: Path | str, *, up: Literal["y", "z"] = "z") -> MeshFile:
         InputError: missing file, another suffix, damaged, no triangles, NaN or infinity.
     """
     path = Path(path)
+    vertices, faces = _parsed(path)
+    if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0:
+        raise InputError(f"{path}: expected a mesh with faces, got {len(vertices)} bare points")
+    if not np.isfinite(vertices).all():
+        raise InputError(
+            f"{path}: expected finite coordinates, got NaN or infinity in its vertices"
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(
+            f"{path}: expected faces that refer to vertices 0 to {len(vertices) - 1}, "
+            f"got {faces.min()} to {faces.max()}"
+        )
+    if up == "y":
+        vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
+    return MeshFile(vertices=torch.from_numpy(vertices), faces=torch.from_numpy(faces))
+
+
+def _parsed(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices and faces as they stand in the file."""
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(
             f"{path}: expected a mesh that ends in .ply, .obj or .glb, got "
@@ -60,17 +80,4 @@ def read_mesh(path: Path | str, *, up: Literal["y", "z"] = "z") -> MeshFile:
         raise InputError(
             f"{path}: expected a mesh, got a file that is damaged or holds something else: {error}"
         ) from error
-    if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0:
-        raise InputError(f"{path}: expected a mesh with faces, got {len(vertices)} bare points")
-    if not np.isfinite(vertices).all():
-        raise InputError(
-            f"{path}: expected finite coordinates, got NaN or infinity in its vertices"
-        )
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise InputError(
-            f"{path}: expected faces that refer to vertices 0 to {len(vertices) - 1}, "
-            f"got {faces.min()} to {faces.max()}"
-        )
-    if up == "y":
-        vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
-    return MeshFile(vertices=torch.from_numpy(vertices), faces=torch.from_numpy(faces))
+    return vertices, faces

@@ -12,6 +12,7 @@ import torch
 import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
+from trimesh.exchange.gltf import export_glb
 from trimesh.exchange.ply import export_ply, load_ply
 
 from pcore.errors import InputError
@@ -99,6 +100,33 @@ def save_points(
         content = buffer.getvalue()
     else:
         content = _ply_content(path, array, colors, faces)
+    _replace(path, content)
+
+
+def save_point_glb(path: Path | str, points: Tensor, colors: Tensor | None = None) -> None:
+    """Write points (N, 3) as binary glTF (.glb, float32); replaces the file at once.
+
+    A glTF file has y up: (x, y, z) is written as (x, z, -y), which importers turn back.
+
+    Args:
+        path: where to, ending in .glb; the folder must exist.
+        points: (N, 3) world units, z up.
+        colors: (N, 3) or (N, 4) uint8.
+
+    Raises:
+        InputError: another suffix or shape, NaN or infinity, or a place that is not writable.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".glb":
+        raise InputError(f"{path}: expected a file of points that ends in .glb")
+    array = points.detach().cpu().numpy()
+    _checked(path, array)
+    turned = np.stack([array[:, 0], array[:, 2], -array[:, 1]], axis=1)
+    body = trimesh.PointCloud(turned, colors=_paint(path, array, colors))
+    _replace(path, export_glb(trimesh.Scene(body)))
+
+
+def _replace(path: Path, content: bytes) -> None:
     if not path.parent.is_dir():
         raise InputError(f"{path}: expected an existing folder to write to, got {path.parent}")
     partial = path.with_name(f".{path.name}.partial")
@@ -184,12 +212,7 @@ def _triangles(path: Path, faces: Any, vertices: int) -> Tensor | None:
 def _ply_content(
     path: Path, array: NDArray[Any], colors: Tensor | None, faces: Tensor | None
 ) -> bytes:
-    paint = None if colors is None else colors.detach().cpu().numpy()
-    if paint is not None and (paint.dtype != np.uint8 or paint.shape not in _paint_shapes(array)):
-        raise InputError(
-            f"{path}: expected colours (N, 3) or (N, 4) uint8 for {len(array)} points, "
-            f"got {paint.shape} {paint.dtype}"
-        )
+    paint = _paint(path, array, colors)
     if faces is None:
         body: Any = trimesh.PointCloud(array, colors=paint)
     else:
@@ -197,6 +220,16 @@ def _ply_content(
         # process=False: merging vertices would change their number and order.
         body = trimesh.Trimesh(array, triangles, process=False, vertex_colors=paint)
     return export_ply(body, vertex_normal=False)
+
+
+def _paint(path: Path, array: NDArray[Any], colors: Tensor | None) -> NDArray[np.uint8] | None:
+    paint = None if colors is None else colors.detach().cpu().numpy()
+    if paint is not None and (paint.dtype != np.uint8 or paint.shape not in _paint_shapes(array)):
+        raise InputError(
+            f"{path}: expected colours (N, 3) or (N, 4) uint8 for {len(array)} points, "
+            f"got {paint.shape} {paint.dtype}"
+        )
+    return paint
 
 
 def _paint_shapes(array: NDArray[Any]) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Mesh = tuple[IntArray, IntArray, IntArray]  # faces; per corner the opposite edge and its sense
 
 _FLAT = 1e-8  # share of |u_1||u_2||u_3| below which x lies in the plane of a triangle
 _ON = 1e-6  # radians that the angles lack to a full half turn when x lies on a triangle
@@ -51,9 +52,9 @@ def weights_at(
     count, size = vertices.shape[0], _size(vertices)
     result = np.empty((points.shape[0], count), dtype=np.float32)
     weight, slope = np.empty(count), np.empty((0, 3))
-    scratch = np.empty((edges.shape[0], 8))
+    scratch, mesh = np.empty((edges.shape[0], 8)), (faces, opposite, sense)
     for n in range(points.shape[0]):
-        _sum_faces(points[n], vertices, faces, edges, opposite, sense, size, weight, slope, scratch)
+        _sum_faces(points[n], vertices, mesh, edges, size, weight, slope, scratch)
         result[n] = (weight / weight.sum()).astype(np.float32)
     return result
 
@@ -74,23 +75,19 @@ def carried(
     `moves` (V, 3) are the displacements of the cage's vertices.
     """
     total, count, size = points.shape[0], vertices.shape[0], _size(vertices)
-    way = np.zeros((total, 3))
+    mesh, way = (faces, opposite, sense), np.zeros((total, 3))
     turn = np.zeros((total if with_slope else 0, 3, 3))
     weight, slope = np.empty(count), np.empty((count if with_slope else 0, 3))
     scratch = np.empty((edges.shape[0], 8))
     for n in range(total):
-        kind = _sum_faces(
-            points[n], vertices, faces, edges, opposite, sense, size, weight, slope, scratch
-        )
+        kind = _sum_faces(points[n], vertices, mesh, edges, size, weight, slope, scratch)
         way[n] = _mean(weight, moves)
         if with_slope:
             here = way[n]
             if kind != _REGULAR:
                 # Across a triangle the coordinates have a kink: one side of it is taken.
                 aside = points[n] + _ASIDE * size * np.array([0.48, 0.6, 0.64])
-                _sum_faces(
-                    aside, vertices, faces, edges, opposite, sense, size, weight, slope, scratch
-                )
+                _sum_faces(aside, vertices, mesh, edges, size, weight, slope, scratch)
                 here = _mean(weight, moves)
             sum_weight = weight.sum()
             for v in range(count):
@@ -124,10 +121,8 @@ def _size(vertices: FloatArray) -> float:
 def _sum_faces(
     x: FloatArray,
     vertices: FloatArray,
-    faces: IntArray,
+    mesh: Mesh,
     edges: IntArray,
-    opposite: IntArray,
-    sense: IntArray,
     size: float,
     weight: FloatArray,
     slope: FloatArray,
@@ -143,17 +138,12 @@ def _sum_faces(
         weight[nearest] = 1.0
         return _ON_CAGE
     _fill_edges(offset, length, edges, slope.shape[0] > 0, scratch)
-    kind = _REGULAR
+    kind, faces, opposite = _REGULAR, mesh[0], mesh[1]
     for f in range(faces.shape[0]):
-        c0, c1, c2 = faces[f, 0], faces[f, 1], faces[f, 2]
-        e0 = opposite[f, 0]
-        determinant = sense[f, 0] * (
-            scratch[e0, 0] * offset[c0, 0]
-            + scratch[e0, 1] * offset[c0, 1]
-            + scratch[e0, 2] * offset[c0, 2]
-        )
-        if abs(determinant) > _FLAT * length[c0] * length[c1] * length[c2]:
-            _add_face(f, faces, opposite, sense, offset, determinant, weight, slope, scratch)
+        determinant = _determinant(f, mesh, offset, scratch)
+        reach = length[faces[f, 0]] * length[faces[f, 1]] * length[faces[f, 2]]
+        if abs(determinant) > _FLAT * reach:
+            _add_face(f, mesh, offset, determinant, weight, slope, scratch)
             continue
         kind = max(kind, _IN_PLANE)
         if _lies_on(f, opposite, offset, edges, scratch):
@@ -164,6 +154,15 @@ def _sum_faces(
                 weight[faces[f, k]] = math.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
             return _ON_CAGE
     return kind
+
+
+@numba.njit(cache=True, nogil=True)
+def _determinant(f: int, mesh: Mesh, offset: FloatArray, scratch: FloatArray) -> float:
+    """D of a triangle, from the N of its first corner."""
+    faces, opposite, sense = mesh
+    c, e = faces[f, 0], opposite[f, 0]
+    along = scratch[e, 0] * offset[c, 0] + scratch[e, 1] * offset[c, 1]
+    return sense[f, 0] * (along + scratch[e, 2] * offset[c, 2])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -217,9 +216,7 @@ def _fill_edges(
 @numba.njit(cache=True, nogil=True)
 def _add_face(
     f: int,
-    faces: IntArray,
-    opposite: IntArray,
-    sense: IntArray,
+    mesh: Mesh,
     offset: FloatArray,
     determinant: float,
     weight: FloatArray,
@@ -227,6 +224,7 @@ def _add_face(
     scratch: FloatArray,
 ) -> None:
     """Add one triangle: N_k . m / D to the weights of its corners, and the derivatives."""
+    faces, opposite, sense = mesh
     mx, my, mz = 0.0, 0.0, 0.0
     for k in range(3):
         e = opposite[f, k]
@@ -239,15 +237,13 @@ def _add_face(
         along = scratch[e, 0] * mx + scratch[e, 1] * my + scratch[e, 2] * mz
         weight[faces[f, k]] += sense[f, k] * along / determinant
     if slope.shape[0] > 0:
-        _add_slopes(f, faces, opposite, sense, offset, determinant, (mx, my, mz), slope, scratch)
+        _add_slopes(f, mesh, offset, determinant, (mx, my, mz), slope, scratch)
 
 
 @numba.njit(cache=True, nogil=True)
 def _add_slopes(
     f: int,
-    faces: IntArray,
-    opposite: IntArray,
-    sense: IntArray,
+    mesh: Mesh,
     offset: FloatArray,
     determinant: float,
     m: tuple[float, float, float],
@@ -259,17 +255,8 @@ def _add_slopes(
     With the edge vectors E_k and g = theta / |N|, grad (N_k . m) is
     m x E_k + 1/2 sum_j ((N_j . N_k) grad g_j + g_j N_k x E_j).
     """
-    ax, ay, az, sx, sy, sz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for j in range(3):
-        e, t = opposite[f, j], sense[f, j]
-        p, q = faces[f, (j + 1) % 3], faces[f, (j + 2) % 3]
-        half = 0.5 * scratch[e, 3]
-        ax += t * scratch[e, 0]
-        ay += t * scratch[e, 1]
-        az += t * scratch[e, 2]
-        sx += half * (offset[q, 0] - offset[p, 0])
-        sy += half * (offset[q, 1] - offset[p, 1])
-        sz += half * (offset[q, 2] - offset[p, 2])
+    faces, opposite, sense = mesh
+    ax, ay, az, sx, sy, sz = _around(f, mesh, offset, scratch)
     for k in range(3):
         e, s = opposite[f, k], sense[f, k]
         nx, ny, nz = s * scratch[e, 0], s * scratch[e, 1], s * scratch[e, 2]
@@ -291,3 +278,23 @@ def _add_slopes(
         slope[v, 0] += (gx + value * ax) / determinant
         slope[v, 1] += (gy + value * ay) / determinant
         slope[v, 2] += (gz + value * az) / determinant
+
+
+@numba.njit(cache=True, nogil=True)
+def _around(
+    f: int, mesh: Mesh, offset: FloatArray, scratch: FloatArray
+) -> tuple[float, float, float, float, float, float]:
+    """Area normal of a triangle, then 1/2 sum_j g_j E_j."""
+    faces, opposite, sense = mesh
+    ax, ay, az, sx, sy, sz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(3):
+        e, t = opposite[f, j], sense[f, j]
+        p, q = faces[f, (j + 1) % 3], faces[f, (j + 2) % 3]
+        half = 0.5 * scratch[e, 3]
+        ax += t * scratch[e, 0]
+        ay += t * scratch[e, 1]
+        az += t * scratch[e, 2]
+        sx += half * (offset[q, 0] - offset[p, 0])
+        sy += half * (offset[q, 1] - offset[p, 1])
+        sz += half * (offset[q, 2] - offset[p, 2])
+    return ax, ay, az, sx, sy, sz

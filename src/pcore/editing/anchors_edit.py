@@ -12,7 +12,7 @@ from torch import Tensor
 from pcore.deform.base import Deformation
 from pcore.deform.motion import rigid
 from pcore.editing.anchors import AnchorRig, rig_of
-from pcore.editing.arap import Handle, drag
+from pcore.editing.arap import Dragger, Handle
 from pcore.editing.edits import PlacedEdit
 from pcore.editing.fields import Angle, Axis, Number, Triple
 from pcore.editing.regions import Setting
@@ -88,15 +88,19 @@ class AnchorsEdit(PlacedEdit):
         Raises:
             EditError: also where the run's weights are of other points.
         """
+        return self.bind_to(self.rig(setting))
+
+    def rig(self, setting: Setting) -> AnchorRig:
+        """Return the points as they arrive at this edit, with its anchors; errors as `place`."""
         rig = setting.rig
         if rig is None or not rig.is_of(count=self.count, seed=self.seed):
-            return self.bind(setting.points)
+            return rig_of(setting.points, count=self.count, seed=self.seed)
         if not torch.equal(rig.points, setting.rest.to(rig.points.dtype)):
             raise EditError(
                 f"learned skinning: expected the {len(rig.points)} points that its weights belong "
                 f"to, got {len(setting.rest)} others; give the points of the same run"
             )
-        return self.bind_to(rig.at(setting.points))
+        return rig.at(setting.points)
 
     def bind_to(self, rig: AnchorRig) -> Deformation:
         """Pose a rig that is known already, such as one with learned weights.
@@ -104,8 +108,14 @@ class AnchorsEdit(PlacedEdit):
         Raises:
             EditError: an unknown anchor, a place far from the object, or two handles on one anchor.
         """
+        dragger, handles = self.dragger(rig)
+        return rig.deformation(dragger.pose(handles))
+
+    def dragger(self, rig: AnchorRig) -> tuple[Dragger, dict[int, Handle]]:
+        """Return what poses the anchors, and its handles; errors as `bind_to`."""
+        handles = self.placed(rig)
         reach = _REACH * rig.size if self.reach is None else self.reach
-        return rig.deformation(drag(rig.graph, self.placed(rig), reach=reach))
+        return Dragger(rig.graph, tuple(handles), reach=reach), handles
 
     def placed(self, rig: AnchorRig) -> dict[int, Handle]:
         """Return the handles by anchor index, in world units; errors as `bind_to`."""

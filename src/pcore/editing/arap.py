@@ -85,6 +85,11 @@ class Dragger:
         self._fixed, self._free = np.flatnonzero(fixed), np.flatnonzero(~fixed)
         self._system = _System(graph, self._free, self._fixed)
 
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Anchors whose place is given: those of the handles, and those kept at rest."""
+        return tuple(self._fixed.tolist())
+
     def pose(self, handles: Mapping[int, Handle]) -> AnchorPose:
         """Pose all anchors for new places of the same handles.
 

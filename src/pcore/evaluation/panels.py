@@ -15,6 +15,7 @@ from pcore.evaluation.figures import (
     sheet,
     truth_pixels,
 )
+from pcore.evaluation.health import tinted_pixels
 from pcore.evaluation.runner import Taken
 
 TRUTH = "truth"
@@ -42,9 +43,27 @@ def depth_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
     return [first, *drawn]
 
 
+def strain_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
+    """Points of every method in the colours of their strain; None in the place of the truth."""
+    return [None, *(taken.health[name].strain_pixels(taken.camera) for name in names)]
+
+
+def unseen_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
+    """Renderings, yellow where they show what no training view saw; None where not known."""
+    shown = [(taken.photos[name].rgb, taken.unseen[name]) for name in names]
+    return [None, *(None if mask is None else tinted_pixels(rgb, mask) for rgb, mask in shown)]
+
+
 def comparison_sheet(taken: Taken, names: Sequence[str], *, cell: int = 220) -> Pixels:
-    """One sheet: truth and methods in columns, colours above depth maps."""
-    rows = [("rendering", renderings(taken, names)), ("depth", depth_maps(taken, names))]
+    """One sheet: truth and methods in columns; colours, depth, strain and what was never seen."""
+    rows = [
+        ("rendering", renderings(taken, names)),
+        ("depth", depth_maps(taken, names)),
+        ("strain", strain_maps(taken, names)),
+    ]
+    unseen = unseen_maps(taken, names)
+    if any(picture is not None for picture in unseen):
+        rows.append(("unseen", unseen))
     return sheet([TRUTH, *names], rows, cell=cell)
 
 

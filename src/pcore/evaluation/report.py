@@ -22,6 +22,8 @@ _METRICS = (
     ("hole_rate", "Holes", 1, True, False),
     ("depth_error_relative", "Depth error", 2, True, False),
     ("spill_to_object", "Spill", 1, True, False),
+    ("strain_99", "Strain, 99 %", 2, False, False),
+    ("unseen", "Unseen", 1, True, False),
 )
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from pcore.errors import EditError, InputError
 from pcore.evaluation.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
+from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
 from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
@@ -55,12 +56,14 @@ class Method:
         papr: the networks, which have been trained on white or render on white.
         cloud: canonical points, world units.
         aware: render deformed states with deformation-aware rays, else with plain ones.
+        unseen: (N,) bool, which points no training view saw; None where that is not known.
     """
 
     name: str
     papr: Papr
     cloud: PointCloud
     aware: bool
+    unseen: Tensor | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +98,10 @@ class Taken:
         rgba: (H, W, 4) truth, straight alpha.
         depth: (H, W) true camera z, infinite on the background; None when not known.
         photos: method -> what it rendered.
+        camera: where the pictures were taken from.
+        health: method -> what the state does to its points.
+        unseen: method -> pixels (H, W) bool that show points which no training view saw; None
+            where that is not known.
     """
 
     state: str
@@ -103,6 +110,9 @@ class Taken:
     rgba: Tensor
     depth: Tensor | None
     photos: Mapping[str, Photo]
+    camera: Camera
+    health: Mapping[str, Health]
+    unseen: Mapping[str, Tensor | None]
 
 
 def evaluate(
@@ -141,8 +151,9 @@ def evaluate(
     carried = [carry(methods, state) for state in states]
     for state, clouds in zip(states, carried, strict=True):
         mended = {name: one.frames and len(one.frames.mended) for name, one in clouds.items()}
+        health = _health(methods, clouds)
         for index in range(len(state.shots)):
-            taken = _take(methods, clouds, state, index, draw)
+            taken = _take(methods, clouds, health, state, index, draw)
             rows += _score(taken, state, protocols, perceptual, mended)
             done += len(methods)
             if progress is not None:
@@ -155,6 +166,7 @@ def evaluate(
 def _take(
     methods: Sequence[Method],
     clouds: Mapping[str, PointCloud],
+    health: Mapping[str, Health],
     state: State,
     index: int,
     draw: Draw,
@@ -170,6 +182,9 @@ def _take(
         rgba=shot.view.rgba(),
         depth=None if shot.depth is None else shot.depth(),
         photos=photos,
+        camera=shot.camera,
+        health=health,
+        unseen={n: health[n].shows_unseen(shot.camera, p.alpha) for n, p in photos.items()},
     )
 
 
@@ -184,6 +199,7 @@ def _score(
     rows: list[ImageRow] = []
     for name, photo in taken.photos.items():
         geometry = _geometry(photo, taken, state)
+        own = taken.health[name].row(taken.unseen[name], photo.alpha)
         for protocol in protocols:
             images = measure(protocol, photo.rgb, taken.rgba, perceptual).row()
             row = ImageRow(
@@ -192,7 +208,7 @@ def _score(
                 kind=state.kind,
                 protocol=protocol.name,
                 view=taken.view,
-                scores={**images, **geometry, "mended_frames": mended[name]},
+                scores={**images, **geometry, "mended_frames": mended[name], **own},
             )
             rows.append(row)
     return rows
@@ -218,6 +234,16 @@ def carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
             frames = _frames(state, rest.cpu(), moved) if method.aware else None
             known[key] = method.cloud.detached().moved(moved, frames).to(rest.device)
     return {m.name: known[id(m.cloud), m.aware] for m in methods}
+
+
+def _health(methods: Sequence[Method], clouds: Mapping[str, PointCloud]) -> dict[str, Health]:
+    """Diagnose every method's points; methods of one run share the work."""
+    known: dict[int, Health] = {}
+    for method in methods:
+        if id(method.cloud) not in known:
+            rest, moved = method.cloud.positions, clouds[method.name].positions
+            known[id(method.cloud)] = health_of(rest, moved, method.unseen)
+    return {method.name: known[id(method.cloud)] for method in methods}
 
 
 def _frames(state: State, rest: Tensor, moved: Tensor) -> LocalFrames | None:

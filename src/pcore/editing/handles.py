@@ -1,0 +1,118 @@
+"""What tells that an edit by anchors has too few handles or too few anchors for its motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pcore.deform.skinning import AnchorPose
+from pcore.editing.anchors import AnchorRig
+from pcore.editing.anchors_edit import AnchorsEdit
+from pcore.editing.binding import begin
+from pcore.editing.script import EditScript
+from pcore.errors import EditError
+
+TORN = 0.02
+"""Share of the object's size by which anchors may disagree about a point."""
+FAR = 0.25
+"""Share of the object's size from the nearest held anchor beyond which nobody controls a point."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HandleDiagnosis:
+    """How well the handles of an edit say where every point goes.
+
+    Attributes:
+        disagreement: (N,) how far apart the anchors of a point put it, as a share of the object's
+            size: sqrt(sum_k w_k |R_k p + t_k - p'|^2) / size with p' = sum_k w_k (R_k p + t_k).
+        distance: (N,) path length from the strongest anchor of a point to the nearest anchor that
+            is held, by a handle or at rest because it is out of reach; as a share of the size.
+        moves: (N,) bool; the edit moves the point.
+    """
+
+    disagreement: Tensor
+    distance: Tensor
+    moves: Tensor
+
+    @property
+    def torn(self) -> Tensor:
+        """(N,) bool; the anchors around disagree: more anchors are needed, or less motion."""
+        return self.disagreement > TORN
+
+    @property
+    def loose(self) -> Tensor:
+        """(N,) bool; moves though no handle is near: more handles are needed, or less reach."""
+        return self.moves & (self.distance > FAR)
+
+    def numbers(self) -> dict[str, float]:
+        """All of it as figures for a report."""
+        return {
+            "anchors_disagree": float(self.torn.double().mean()),
+            "disagreement_99": float(torch.quantile(self.disagreement, 0.99)),
+            "without_handle": float(self.loose.double().mean()),
+        }
+
+
+def diagnose_handles(rig: AnchorRig, pose: AnchorPose, held: Iterable[int]) -> HandleDiagnosis:
+    """Tell where anchors are too sparse and handles too far away for a pose.
+
+    Args:
+        rig: the cloud with its anchors.
+        pose: where the anchors are.
+        held: anchors whose place is given: those with a handle, and those kept at rest.
+
+    Raises:
+        EditError: no anchor is held.
+    """
+    fixed = sorted({*held})
+    if not fixed:
+        raise EditError("handles: expected at least one anchor that is held, got none")
+    points = rig.points.double()
+    anchors, weights = rig.weights.anchors, rig.weights.values.detach().double()
+    turns, rest = pose.rotations.double()[anchors], pose.rest.double()[anchors]
+    wishes = (turns @ (points.unsqueeze(1) - rest).unsqueeze(-1)).squeeze(-1)
+    wishes = wishes + pose.moved.double()[anchors]
+    meant = (weights.unsqueeze(-1) * wishes).sum(dim=1, keepdim=True)
+    spread = (weights * (wishes - meant).square().sum(dim=-1)).sum(dim=1).sqrt()
+    strongest = anchors.gather(1, weights.argmax(dim=1, keepdim=True)).squeeze(1)
+    away = rig.graph.between[:, fixed].double().amin(dim=1)
+    way = (meant.squeeze(1) - points).norm(dim=1)
+    size = max(rig.size, torch.finfo(torch.float32).tiny)
+    return HandleDiagnosis(
+        disagreement=spread / size,
+        distance=away[strongest] / size,
+        # Rounding of the blend is no motion.
+        moves=way > 1e-6 * size,
+    )
+
+
+def handles_of(
+    script: EditScript, points: Tensor, rig: AnchorRig | None = None
+) -> dict[int, HandleDiagnosis]:
+    """Diagnose every edit by anchors of a script, before its region and frozen parts act.
+
+    Args:
+        script: the edits.
+        points: (N, 3) the canonical cloud, world units.
+        rig: see `EditScript.bind`.
+
+    Returns:
+        Number of the edit, from 1 -> its diagnosis; empty without edits by anchors.
+
+    Raises:
+        EditError: as `EditScript.bind`, which is to be called first for its messages.
+    """
+    resting = points.detach().to(device="cpu", dtype=torch.float64)
+    bound = begin(resting, script.freeze, rig=rig, allow_folds=True)
+    found: dict[int, HandleDiagnosis] = {}
+    for number, edit in enumerate(script.edits, start=1):
+        if isinstance(edit, AnchorsEdit):
+            own = edit.rig(bound.setting)
+            dragger, handles = edit.dragger(own)
+            pose = dragger.pose(handles)
+            found[number] = diagnose_handles(own, pose, dragger.held)
+        bound = bound.then(edit)
+    return found
