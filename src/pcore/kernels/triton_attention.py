@@ -12,6 +12,7 @@ float32 stays float32 (no TF32); under autocast the products are in its type, su
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -22,16 +23,8 @@ from pcore.kernels.networks import Layers
 from pcore.kernels.triton_networks import pack
 from pcore.kernels.triton_pairs import launch_features, launch_scores
 
-LARGEST_WIDTH, MOST_NEIGHBOURS = 256, 128
-"""Networks whose layers are wider, and rays with more neighbours, do not fit a program."""
 _RECOMPUTED_BYTES = 2**30
 """Activations that a backward pass holds at a time."""
-
-
-def fits(key: Layers, value: Layers, neighbours: int) -> bool:
-    """Whether the kernels serve networks of these sizes and so many neighbours of a ray."""
-    widths = (len(bias) for bias in (*key.biases, *value.biases[:-1]))
-    return max(widths) <= LARGEST_WIDTH and neighbours <= MOST_NEIGHBOURS
 
 
 def attention_scores(
@@ -119,12 +112,11 @@ class _Features(torch.autograd.Function):
     ) -> Tensor:
         ctx.save_for_backward(waves, weights, features, neighbours, *parameters)
         ctx.like, ctx.half = value, half
-        count = len(value.weights)
-        hidden = _layers([*parameters[: count - 1], *parameters[count:-1]], value)
+        hidden = all_but_last(_layers(parameters, value))
         sizes = waves.shape[1], features.shape[1]
         packed = pack(hidden, *sizes, half or torch.float32, neighbours.shape[1])
         pooled = launch_features(packed, waves, features, neighbours, weights)
-        if value.skip_after == count - 1:  # The last layer takes the input, too.
+        if value.skip_after == len(hidden.weights):  # The last layer takes the input, too.
             pairs = [waves, features.index_select(0, neighbours.flatten())]
             sums = [weights.unsqueeze(1) @ one.unflatten(0, neighbours.shape) for one in pairs]
             pooled = torch.cat([pooled, *(one.squeeze(1) for one in sums)], dim=1)
@@ -152,6 +144,11 @@ class _Features(torch.autograd.Function):
         to_features, *to_parameters = to_shared
         to_waves = to_waves.flatten(0, 1)
         return to_waves, to_weights, to_features, None, None, None, *to_parameters
+
+
+def all_but_last(network: Layers) -> Layers:
+    """Return a network without its last layer."""
+    return replace(network, weights=network.weights[:-1], biases=network.biases[:-1])
 
 
 def _layers(parameters: Sequence[Tensor], like: Layers) -> Layers:

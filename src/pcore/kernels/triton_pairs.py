@@ -15,8 +15,8 @@ from pcore.kernels.triton_networks import (
     activated,
     all_but_last,
     columns_of_layer,
+    launch_options,
     standardised,
-    warps,
 )
 
 
@@ -49,9 +49,7 @@ def pair_scores(
         ray = pair // neighbours
         for start in range(0, SHAPE.width, SHAPE.part):
             columns = start + tl.arange(0, SHAPE.part)
-            key = columns_of_layer(
-                rows, hidden, weights, biases, columns, SHAPE.layers - 1, SHAPE
-            )
+            key = columns_of_layer(rows, hidden, weights, biases, columns, SHAPE.layers - 1, SHAPE)
             query = tl.load(
                 queries + ray[:, None] * SHAPE.size + columns[None, :],
                 mask=(columns < SHAPE.size)[None, :],
@@ -131,8 +129,7 @@ def launch_scores(
             neighbours.shape[1],
             packed.shape,
             EPSILON,
-            num_warps=warps(packed.shape),
-            enable_fp_fusion=True,
+            **launch_options(packed.shape),
         )
     return out
 
@@ -156,8 +153,7 @@ def launch_features(
             k,
             packed.shape,
             sum_rows(packed.shape, k),
-            num_warps=warps(packed.shape),
-            enable_fp_fusion=True,
+            **launch_options(packed.shape),
         )
     return out
 
