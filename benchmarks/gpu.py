@@ -6,11 +6,16 @@ minutes, into one JSON file. `--quick --device cpu` shows on any machine that it
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
 import statistics
 import time
+import warnings
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from unittest import mock
 
 import torch
 import tyro
@@ -22,6 +27,7 @@ from benchmarks.plan import Plan
 from benchmarks.workloads import WORKLOADS
 from pcore.data.load import load_scene
 from pcore.kernels import cpu_search, functional, reference
+from pcore.kernels.backends import usable
 from pcore.model.render import render
 from pcore.training.config import PatchConfig
 from pcore.training.events import Event, ValidationReport
@@ -59,6 +65,7 @@ class Gpu:
         parts = {
             "parity": lambda: parity(device, quick=self.quick),
             "speed": lambda: speed(device, quick=self.quick),
+            "attention": lambda: attention(device, quick=self.quick),
             "step": lambda: training_step(device, quick=self.quick),
             "training": lambda: training(self, trained),
             "rendering": lambda: rendering(trained[0], quick=self.quick),
@@ -121,7 +128,10 @@ def speed(device: torch.device, *, quick: bool) -> dict[str, object]:
 
 
 def training_step(device: torch.device, *, quick: bool) -> dict[str, float]:
-    """Median milliseconds of a step of 160 x 160 rays, forward, backward and Adam."""
+    """Median milliseconds of a step of 160 x 160 rays, forward, backward and Adam.
+
+    And how often such a step waits for the GPU.
+    """
     name, side, count = ("tiny", 8, 100) if quick else ("paper", 160, 30_000)
     config = preset(name)
     work = trainable("pretrain", *scenes.papr(config.model, scenes.cloud(count), device), seed=0)
@@ -135,7 +145,55 @@ def training_step(device: torch.device, *, quick: bool) -> dict[str, float]:
         work.optimizer.step()
 
     times = [seconds(step) for _ in range(3 if quick else 20)]
-    return {"milliseconds": 1e3 * statistics.median(times[2:])}
+    found = {"milliseconds": 1e3 * statistics.median(times[2:])}
+    return found | {"waits": waits(step)} if device.type == "cuda" else found
+
+
+def waits(step: Callable[[], None]) -> int:
+    """How often a step makes the processor wait for the GPU, as torch counts it."""
+    mode = torch.cuda.get_sync_debug_mode()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        torch.cuda.set_sync_debug_mode("warn")
+        try:
+            step()
+        finally:
+            torch.cuda.set_sync_debug_mode(mode)
+    return sum("synchronizing" in str(one.message) for one in caught)
+
+
+def attention(device: torch.device, *, quick: bool) -> dict[str, float]:
+    """Milliseconds of attention, forward and with gradients, by every backend of the device.
+
+    And the largest difference of the gradients from those of the specification in float32,
+    relative to the largest of each parameter.
+    """
+    name, side, count = ("tiny", 8, 100) if quick else ("paper", 64, 30_000)
+    papr, cloud = scenes.papr(preset(name).model, scenes.cloud(count), device)
+    rays = scenes.on_device(scenes.patch(side, 5 * side).flat(), device)
+    leaves = list(papr.attention.parameters())
+    found: dict[str, float] = {}
+    expected: list[Tensor] = []
+    for kind, half in itertools.product(usable(device), (False, True)):
+
+        def forward(half: bool = half) -> Tensor:
+            with autocast(device, enabled=half):
+                return papr.attend(cloud, rays)[0].features.float().square().mean()
+
+        with mock.patch.dict(os.environ, PCORE_KERNELS=kind):
+            gradients = torch.autograd.grad(forward(), leaves)
+            label = f"{kind}/{'half' if half else 'single'}"
+            with torch.no_grad():
+                found[f"forward/{label}"] = 1e3 * min(seconds(forward) for _ in range(3))
+            found[f"both/{label}"] = 1e3 * min(
+                seconds(lambda: torch.autograd.grad(forward(), leaves)) for _ in range(3)
+            )
+        expected = expected or list(gradients)
+        found[f"gradients/{label}"] = max(
+            float((one - other).abs().max() / other.abs().max().clamp_min(1e-12))
+            for one, other in zip(gradients, expected, strict=True)
+        )
+    return found
 
 
 def training(wanted: Gpu, trained: list[Trained]) -> dict[str, object]:

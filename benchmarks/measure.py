@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-from pcore.kernels.functional import backend
+from pcore.kernels.backends import backend
 
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 

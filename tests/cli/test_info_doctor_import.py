@@ -9,7 +9,7 @@ import yaml
 from pcore.cli import doctor
 from pcore.cli.main import main
 from pcore.geometry.point_cloud import PointCloud
-from pcore.kernels import functional
+from pcore.kernels import backends
 from pcore.model.checkpoint import load_model
 from pcore.model.config import MlpConfig, PaprConfig
 from pcore.model.official import to_official_state
@@ -79,7 +79,16 @@ def test_doctor_reports_everything(
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     assert main(["doctor"]) == 0
     shown = capsys.readouterr().out
-    for name in ("torch", "device", "threads", "memory", "disk", "kernels", "tensorboard"):
+    for name in (
+        "torch",
+        "device",
+        "threads",
+        "memory",
+        "disk",
+        "search",
+        "attention",
+        "tensorboard",
+    ):
         assert name in shown
     assert torch.__version__ in shown
     assert "LPIPS vgg      missing" in shown
@@ -104,7 +113,7 @@ def test_doctor_says_what_would_be_slow(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setattr(doctor, "usable_cores", lambda: 64)
     found = {item.name: item for item in doctor.examine()}
-    assert "unset PCORE_KERNELS" in found["kernels"].advice
+    assert "unset PCORE_KERNELS" in found["attention"].advice
     assert "use `tiny`" in found["device"].advice
     assert "of 64 usable cores" in found["threads"].value
     assert "slower than it could be" in found["threads"].advice
@@ -113,18 +122,25 @@ def test_doctor_says_what_would_be_slow(monkeypatch: pytest.MonkeyPatch) -> None
 def test_doctor_says_which_kernels_are_used_and_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("PCORE_KERNELS", raising=False)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    assert doctor._search().value.startswith("cpu for cpu (numba ")
+    for found in kernels().values():
+        assert found.value.startswith("cpu for cpu (numba ")
     monkeypatch.setenv("PCORE_KERNELS", "cpu")
-    assert "chosen by PCORE_KERNELS" in doctor._search().value
+    assert "chosen by PCORE_KERNELS" in kernels()["search"].value
     monkeypatch.delenv("PCORE_KERNELS")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(functional, "has_triton", lambda: True)
-    assert doctor._search().value.startswith("triton for cuda (triton ")
-    monkeypatch.setattr(functional, "has_triton", lambda: False)
-    missing = doctor._search()
-    assert missing.value == "reference for cuda (plain PyTorch)"
-    assert not missing.good
-    assert "pip install triton" in missing.advice
+    monkeypatch.setattr(backends, "has_triton", lambda: True)
+    for found in kernels().values():
+        assert found.value.startswith("triton for cuda (triton ")
+    assert "reference beyond 256 wide layers" in kernels()["attention"].value
+    monkeypatch.setattr(backends, "has_triton", lambda: False)
+    for missing in kernels().values():
+        assert missing.value == "reference for cuda (plain PyTorch)"
+        assert not missing.good
+        assert "pip install triton" in missing.advice
+
+
+def kernels() -> dict[str, doctor.Finding]:
+    return {found.name: found for found in doctor._kernels()}
 
 
 def test_a_container_with_less_memory_than_the_machine(tmp_path: Path) -> None:

@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
-from pcore.kernels import functional
-from pcore.kernels.functional import backend, nearest_to_rays, usable
+from pcore.kernels import backends
+from pcore.kernels.backends import backend, usable
+from pcore.kernels.functional import nearest_to_rays
 
 BACKENDS = usable(torch.device("cpu"))
 
@@ -146,7 +147,7 @@ def test_empty_cloud_and_k(points: int, k: int) -> None:
 @pytest.mark.parametrize("name", ["cpu", "triton"])
 def test_backend_that_cannot_work_on_the_device(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PCORE_KERNELS", name)
-    monkeypatch.setattr(functional, "has_triton", lambda: True)
+    monkeypatch.setattr(backends, "has_triton", lambda: True)
     kind = "cuda" if name == "cpu" else "cpu"
     with pytest.raises(InputError, match=rf"PCORE_KERNELS: .* tensors on {kind}, got '{name}'"):
         backend(torch.device(kind))
@@ -156,7 +157,7 @@ def test_the_best_usable_backend_is_chosen(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.delenv("PCORE_KERNELS")
     assert backend(torch.device("cpu")) == "cpu"
     for there, expected in ((True, "triton"), (False, "reference")):
-        monkeypatch.setattr(functional, "has_triton", lambda there=there: there)
+        monkeypatch.setattr(backends, "has_triton", lambda there=there: there)
         assert backend(torch.device("cuda")) == expected
         assert backend(torch.device("mps")) == "reference"
 

@@ -6,16 +6,18 @@ import math
 
 import pytest
 import torch
+from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels import reference_attention
-from pcore.kernels.functional import usable
+from pcore.kernels.backends import usable
 from pcore.kernels.reference import encode
+from pcore.model import papr as papr_module
 from pcore.model.attention import Mlp
-from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.config import MlpConfig, PaprConfig, ReferenceOrigin
 from pcore.model.encoding import Normalisation, encoded_size
 from pcore.model.papr import Papr
 from pcore.model.unet import Unet
@@ -288,3 +290,24 @@ def test_surface_points_keep_full_precision_under_autocast() -> None:
     assert found.surface.dtype == torch.float32
     weighted = (found.weights.unsqueeze(-1).float() * cloud.positions[near]).sum(dim=1)
     torch.testing.assert_close(found.surface, weighted, rtol=0, atol=1e-5)
+
+
+def test_the_numbers_of_a_configuration_are_sent_to_a_device_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Sending them at every step would make it wait for the GPU every time."""
+    papr_module._sent_once.cache_clear()
+    made: list[tuple[float, ...]] = []
+    tensor = torch.tensor
+
+    def counted(values: tuple[float, ...], **options: object) -> Tensor:
+        made.append(values)
+        return tensor(values, **options)  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+    monkeypatch.setattr(papr_module.torch, "tensor", counted)
+    reference = ReferenceOrigin(center=(0.1, 0.2, 0.3), distance=2.0)
+    single = papr_module._constant(reference.center, torch.zeros(1))
+    assert papr_module._constant(reference.center, torch.ones(2)) is single
+    assert made == [(0.1, 0.2, 0.3)]
+    double = papr_module._constant(reference.center, torch.zeros(1, dtype=torch.float64))
+    assert double.tolist() == [0.1, 0.2, 0.3]

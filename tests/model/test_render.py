@@ -12,10 +12,10 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.config import MlpConfig, PaprConfig
 from pcore.model.papr import Papr
+from pcore.model.passes import RenderCancelledError
 from pcore.model.render import (
     FAST_THRESHOLD,
     Picture,
-    RenderCancelledError,
     normals,
     rays_within,
     render,
@@ -84,7 +84,7 @@ def test_a_tile_without_its_surroundings_would_differ(
     """The margin is needed: the test above would see a smaller one."""
     papr, cam = Papr(config()).eval(), camera(40, 40)
     exact = render(papr, cloud, cam)
-    monkeypatch.setattr("pcore.model.render.RECEPTIVE_MARGIN", 8)
+    monkeypatch.setattr("pcore.model.passes.RECEPTIVE_MARGIN", 8)
     assert float((render(papr, cloud, cam, tile=16).rgb - exact.rgb).abs().max()) > 1e-5
 
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
+from pcore.training import patches
 from pcore.training.config import PatchConfig
 from pcore.training.patches import Patch, draw_patch
 
@@ -80,10 +81,10 @@ def test_images_smaller_than_the_patch_are_taken_whole(side: int, size: tuple[in
 
 def test_a_random_background_is_another_one_every_time() -> None:
     candidates = views()
-    patches = [draw(candidates, background="random", seed=seed) for seed in range(3)]
-    colors = torch.stack([patch.background for patch in patches])
+    drawn = [draw(candidates, background="random", seed=seed) for seed in range(3)]
+    colors = torch.stack([patch.background for patch in drawn])
     assert len(colors.unique(dim=0)) == 3
-    for patch in patches:
+    for patch in drawn:
         view, top, left = place(patch, candidates)
         expected = view.rgb(patch.background)[top : top + 8, left : left + 8]
         assert torch.equal(patch.rgb, expected)
@@ -114,3 +115,28 @@ def test_patches_that_miss_the_object_are_drawn_again() -> None:
 def test_an_empty_image_ends_the_search() -> None:
     patch = draw([FakeView(view.camera, torch.zeros(14, 20, 4)) for view in views()])
     assert torch.equal(patch.rgb, torch.ones(8, 8, 3))
+
+
+def test_a_gpu_gets_patches_from_pinned_memory_without_waiting(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pinned: list[int] = []
+    waited: list[bool] = []
+
+    def pin(self: Tensor) -> Tensor:
+        pinned.append(id(self))
+        return self
+
+    def to(self: Tensor, device: torch.device, *, non_blocking: bool = False) -> Tensor:
+        assert device.type == "cuda"
+        assert pinned[-1] == id(self)
+        waited.append(not non_blocking)
+        return self
+
+    candidates, generator = views(), torch.Generator().manual_seed(0)
+    with monkeypatch.context() as patched:
+        patched.setattr(patches, "composite", lambda crop, color: crop[..., :3])
+        patched.setattr(Tensor, "pin_memory", pin)
+        patched.setattr(Tensor, "to", to)
+        draw_patch(candidates, PatchConfig(side=8), "white", generator, torch.device("cuda"))
+    assert waited == [False] * 5

@@ -62,7 +62,7 @@ def examine() -> list[Finding]:
         _threads(),
         _memory(),
         _disk(Path.cwd()),
-        _search(),
+        *_kernels(),
         *_packages(),
         *_lpips(),
     ]
@@ -158,11 +158,11 @@ def _disk(folder: Path) -> Finding:
     )
 
 
-def _search() -> Finding:
-    """Say which backend searches and encodes neighbours, and why that one."""
+def _kernels() -> list[Finding]:
+    """Say which backend searches neighbours and which attends to them, and why these."""
     import torch
 
-    from pcore.kernels.functional import backend
+    from pcore.kernels.backends import LARGEST_WIDTH, MOST_NEIGHBOURS, backend
 
     kind = "cuda" if torch.cuda.is_available() else "cpu"
     used = backend(torch.device(kind))
@@ -176,9 +176,16 @@ def _search() -> Finding:
             "unset PCORE_KERNELS" if kind == "cpu" else "`pip install triton`, PCORE_KERNELS unset"
         )
         advice = f"the reference kernels are slow: {mend}"
-    return Finding(
-        name="kernels", value=f"{used} for {kind} ({reason})", good=not advice, advice=advice
-    )
+    value = f"{used} for {kind} ({reason})"
+    attention = value
+    if used == "triton":
+        attention += (
+            f"; reference beyond {LARGEST_WIDTH} wide layers and {MOST_NEIGHBOURS} neighbours"
+        )
+    return [
+        Finding(name="search", value=value, good=not advice, advice=advice),
+        Finding(name="attention", value=attention, good=not advice, advice=advice),
+    ]
 
 
 def _packages() -> list[Finding]:

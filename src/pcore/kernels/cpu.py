@@ -11,8 +11,7 @@ import torch
 from numba import prange
 from torch import Tensor
 
-from pcore.kernels.numba_bridge import as_float32 as _as_numpy
-from pcore.kernels.numba_bridge import use_torch_threads as _use_torch_threads
+from pcore.kernels.numba_bridge import as_float32, use_torch_threads
 from pcore.kernels.reference import LENGTH_GUARD, SHORTEST, per_pair
 
 
@@ -26,16 +25,16 @@ def pull_back(
     k: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Rays of the rest state as each candidate sees them; see `functional.pull_back`."""
-    _use_torch_threads()
+    use_torch_threads()
     rays = len(origins)
     chosen = torch.empty(rays, k, dtype=torch.int64)
     seen_from, seen_along = torch.empty(rays, k, 3), torch.empty(rays, k, 3)
     _pull_back(
-        _as_numpy(origins),
-        _as_numpy(directions),
-        _as_numpy(positions),
-        _as_numpy(rest),
-        _as_numpy(to_rest),
+        as_float32(origins),
+        as_float32(directions),
+        as_float32(positions),
+        as_float32(rest),
+        as_float32(to_rest),
         candidates.contiguous().numpy(),
         chosen.numpy(),
         seen_from.numpy(),
@@ -131,15 +130,15 @@ class _EncodePairs(torch.autograd.Function):
         scale: float,
         frequencies: int,
     ) -> tuple[Tensor, Tensor]:
-        _use_torch_threads()
+        use_torch_threads()
         rays, k = neighbours.shape
         waves = torch.empty(rays * k, 6 * (1 + 2 * frequencies))
         squared = torch.empty(rays, k)
         directions = per_pair(directions).contiguous()
         neighbours = neighbours.contiguous()
         _encode_forward(
-            _as_numpy(positions),
-            _as_numpy(per_pair(origins)),
+            as_float32(positions),
+            as_float32(per_pair(origins)),
             directions.numpy(),
             neighbours.numpy(),
             np.float32(scale),
@@ -154,7 +153,7 @@ class _EncodePairs(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        _use_torch_threads()
+        use_torch_threads()
         directions, neighbours, waves = ctx.saved_tensors
         to_position = torch.empty(waves.shape[0], 3)
         _encode_backward(

@@ -1,13 +1,11 @@
-"""Public face of the kernels: one signature each, the backend chosen by device."""
+"""Public face of the kernels: one signature each, the backend chosen by `backends`."""
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from importlib.util import find_spec
+from types import ModuleType
 
 import torch
 from torch import Tensor
@@ -15,43 +13,8 @@ from torch.nn import functional as F
 
 from pcore.errors import InputError
 from pcore.kernels import cpu, cpu_attention, cpu_search, reference, reference_attention
+from pcore.kernels.backends import backend, of_attention, takes_cpu
 from pcore.kernels.networks import Layers
-
-BACKENDS = ("reference", "cpu", "triton")
-
-
-def backend(device: torch.device) -> str:
-    """Name of the backend that the kernels use on a device.
-
-    PCORE_KERNELS=reference|cpu|triton overrides the choice.
-
-    Raises:
-        InputError: the variable names no backend, or one that cannot work on the device.
-    """
-    wanted = os.environ.get("PCORE_KERNELS")
-    if wanted is None:
-        return usable(device)[-1]
-    if wanted not in BACKENDS:
-        raise InputError(f"PCORE_KERNELS: expected one of {', '.join(BACKENDS)}, got {wanted!r}")
-    if wanted not in usable(device):
-        raise InputError(
-            f"PCORE_KERNELS: expected one of {', '.join(usable(device))} for tensors on "
-            f"{device.type}, got {wanted!r}; unset it, or see what `pcore doctor` says"
-        )
-    return wanted
-
-
-def usable(device: torch.device) -> tuple[str, ...]:
-    """Backends that can work on a device, the best last."""
-    if device.type == "cpu":
-        return ("reference", "cpu")
-    return ("reference", "triton") if device.type == "cuda" and has_triton() else ("reference",)
-
-
-@cache
-def has_triton() -> bool:
-    """Whether Triton can be imported; torch for CUDA brings it along on Linux."""
-    return find_spec("triton") is not None
 
 
 def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int) -> Tensor:
@@ -115,7 +78,7 @@ def encode_pairs(
         The rows (R k, 6 (1 + 2 L)), differentiable in positions, and the squared distances |t|^2
         (R, k), without gradient.
     """
-    work = cpu if _takes_cpu(positions) else reference
+    work = cpu if takes_cpu(positions) else reference
     return work.encode_pairs(
         positions,
         origins.detach(),
@@ -123,15 +86,6 @@ def encode_pairs(
         neighbours,
         scale=scale,
         frequencies=frequencies,
-    )
-
-
-def _takes_cpu(tensor: Tensor) -> bool:
-    """Whether the CPU kernels serve a tensor: they know float32 and no autocast."""
-    return (
-        backend(tensor.device) == "cpu"
-        and tensor.dtype == torch.float32
-        and not torch.is_autocast_enabled(tensor.device.type)
     )
 
 
@@ -219,7 +173,7 @@ def proximity_attention(
         frequencies=rules.frequencies,
     )
     answering = squared <= (math.inf if rules.cutoff is None else rules.cutoff**2)
-    work = cpu_attention if _takes_cpu(positions) else reference_attention
+    work = _attention(of_attention(positions, key, value, neighbours.shape[1]))
     own = reference.encode(rules.scale * positions.detach(), rules.frequencies)
     scores = work.attention_scores(waves, own, neighbours, answering, queries, key)
     scores = F.relu(scores + constants.unsqueeze(-1))
@@ -231,6 +185,14 @@ def proximity_attention(
     # The last linear layer commutes with the weighted sum: once per ray, not once per pair.
     out = F.linear(pooled, value.weights[-1]) + used.sum(dim=-1, keepdim=True) * value.biases[-1]
     return Attention(features=out, background=background, weights=weights, answering=answering)
+
+
+def _attention(name: str) -> ModuleType:
+    if name == "triton":
+        from pcore.kernels import triton_attention
+
+        return triton_attention
+    return cpu_attention if name == "cpu" else reference_attention
 
 
 def _background_softmax(scores: Tensor, background_score: float) -> tuple[Tensor, Tensor]:

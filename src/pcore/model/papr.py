@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from torch import Tensor, nn
@@ -116,16 +117,26 @@ class Papr(nn.Module):
             # The nearest in the rest state are sought among more than k of the deformed state.
             neighbours, near, seen = _pulled_back(positions, frames, rays, k, cutoff)
         if reference is not None:
-            seen = seen.slid(positions.new_tensor(reference.center), reference.distance)
+            seen = seen.slid(_constant(reference.center, positions), reference.distance)
         return neighbours, near, seen
 
     def shade(self, features: Tensor, alpha: Tensor, background: Tensor | None = None) -> Tensor:
         """Colours (H, W, 3) of a feature map (H, W, C) over a background (3,)."""
         colours: Tensor = self.unet(features.permute(2, 0, 1).unsqueeze(0))[0].permute(1, 2, 0)
         if background is None:
-            background = colours.new_tensor(self.config.background)
+            background = _constant(self.config.background, colours)
         opacity = alpha.unsqueeze(-1)
         return colours * opacity + background * (1 - opacity)
+
+
+def _constant(values: tuple[float, ...], like: Tensor) -> Tensor:
+    return _sent_once(values, like.dtype, like.device)
+
+
+@lru_cache(maxsize=64)
+def _sent_once(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Numbers on a device; sending them there makes it wait, so it is done once."""
+    return torch.tensor(values, dtype=dtype, device=device)
 
 
 def _pulled_back(

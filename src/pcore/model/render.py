@@ -1,59 +1,42 @@
 """Whole pictures with bounded memory: rays in chunks, the renderer network in tiles.
 
-The result is that of one forward pass over the whole image. Attention looks at every ray by
-itself; the UNet looks `RECEPTIVE_MARGIN` pixels around, so a tile is computed with that much of
-its surroundings, cut where the pooling grid of the whole image lies, and then trimmed.
+The result is that of one forward pass over the whole image; see `passes`.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from pcore.errors import InputError, PcoreError
+from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.rays import RayBundle
 from pcore.model.config import PaprConfig
 from pcore.model.encoding import encoded_size
 from pcore.model.papr import Papr
-from pcore.model.unet import ALIGNMENT, RECEPTIVE_MARGIN
+from pcore.model.passes import (
+    Canvas,
+    Picture,
+    Progress,
+    Steps,
+    attend,
+    shade,
+    windows,
+)
+from pcore.model.unet import ALIGNMENT
 from pcore.validation import check_count
 
 FAST_THRESHOLD = 0.03
 """Of `pcore render --fast`. Measured on 12 test views of four trained `tiny` models: PSNR against
 the exact picture 60.4 dB or more, no colour off by more than 0.021 (0.01: 68.6 dB; 0.1: 50.4)."""
 _ATTENTION_BYTES = 256 * 2**20
-_TILE = 256
+TILE = 256
 _SOLID = 0.5
 _STEEPEST = math.tan(math.radians(80))
-
-Progress = Callable[[float], None]
-
-
-class RenderCancelledError(PcoreError):
-    """The caller asked a running `render` to stop; there is no picture."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Picture:
-    """One rendered view; float32 on the CPU, world units.
-
-    Attributes:
-        rgb: (H, W, 3) colours over the model's background, not clamped.
-        alpha: (H, W) opacity in [0, 1].
-        depth: (H, W) camera z of the surface; NaN where a ray has no attention at all.
-        surface: (H, W, 3) predicted surface points; NaN where a ray has no attention at all.
-    """
-
-    rgb: Tensor
-    alpha: Tensor
-    depth: Tensor
-    surface: Tensor
 
 
 @torch.no_grad()
@@ -63,7 +46,7 @@ def render(
     camera: Camera,
     *,
     max_rays: int | None = None,
-    tile: int = _TILE,
+    tile: int = TILE,
     threshold: float = 0.0,
     cancel: Callable[[], bool] | None = None,
     progress: Progress | None = None,
@@ -86,6 +69,19 @@ def render(
             infinity in its positions or frames, or frames that fold space.
         RenderCancelledError: `cancel` said so.
     """
+    chunk = check_request(papr, cloud, camera, max_rays, tile)
+    size = (camera.height, camera.width)
+    total = math.ceil(camera.height * camera.width / chunk) + len(list(windows(size, tile)))
+    canvas, steps = Canvas.blank(papr, size), Steps(total, cancel, progress)
+    for _ in paint(canvas, papr, cloud, camera, chunk, tile, threshold, steps):
+        pass
+    return canvas.picture(camera)
+
+
+def check_request(
+    papr: Papr, cloud: PointCloud, camera: Camera, max_rays: int | None, tile: int
+) -> int:
+    """Raise InputError where `render` would; return the number of rays of a chunk."""
     if camera.height < ALIGNMENT or camera.width < ALIGNMENT:
         raise InputError(
             f"render: expected an image of at least {ALIGNMENT} x {ALIGNMENT} pixels, "
@@ -95,23 +91,33 @@ def render(
     if tile % ALIGNMENT:
         raise InputError(f"render: expected a tile that is a multiple of {ALIGNMENT}, got {tile}")
     _check_cloud(cloud)
-    chunk = check_count("render: max_rays", max_rays or rays_within(papr.config, _ATTENTION_BYTES))
-    device = next(papr.parameters()).device
-    rays, size = camera.rays().flat(), (camera.height, camera.width)
-    windows = list(_windows(size, tile))
-    steps = _Steps(math.ceil(len(rays.origins) / chunk) + len(windows), cancel, progress)
+    return check_count("render: max_rays", max_rays or rays_within(papr.config, _ATTENTION_BYTES))
 
-    features, alpha, surface = _attend(papr, cloud.to(device), rays, chunk, threshold, steps)
-    features, opacity = features.unflatten(0, size), alpha.unflatten(0, size)
-    rgb = torch.empty(*size, 3)
-    for window in windows:
+
+def paint(
+    canvas: Canvas,
+    papr: Papr,
+    cloud: PointCloud,
+    camera: Camera,
+    chunk: int,
+    tile: int,
+    threshold: float,
+    steps: Steps,
+) -> Iterator[int]:
+    """Fill a canvas from above; yield the number of its complete rows with every row of tiles."""
+    rays, cloud = camera.rays().flat(), cloud.to(canvas.alpha.device)
+    waiting = deque(windows((camera.height, camera.width), tile))
+    for start in range(0, len(rays.origins), chunk):
         steps.check()
-        rgb[window.kept] = papr.shade(features[window.seen], opacity[window.seen])[
-            window.trimmed
-        ].cpu()
+        attend(canvas, papr, cloud, rays, slice(start, start + chunk), threshold)
         steps.done()
-    surface = surface.unflatten(0, size)
-    return Picture(rgb=rgb, alpha=opacity.cpu(), depth=camera.depth(surface), surface=surface)
+        while waiting and waiting[0].seen[0].stop * camera.width <= start + chunk:
+            steps.check()
+            window = waiting.popleft()
+            shade(canvas, papr, window)
+            steps.done()
+            if window.kept[1].stop == camera.width:
+                yield window.kept[0].stop
 
 
 def _check_cloud(cloud: PointCloud) -> None:
@@ -187,78 +193,3 @@ def _smooth(picture: Picture, camera: Camera) -> Tensor:
         one_surface = (beside - center).abs() <= steepest * torch.maximum(beside, center)
         valid = valid & solid[rows, columns] & one_surface
     return valid
-
-
-Slices = tuple[slice, slice]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Window:
-    """One tile: `seen` with its surroundings, `trimmed` inside of that, `kept` in the image."""
-
-    seen: Slices
-    trimmed: Slices
-    kept: Slices
-
-
-def _windows(size: tuple[int, int], tile: int) -> Iterator[_Window]:
-    for top in range(0, size[0], tile):
-        for left in range(0, size[1], tile):
-            spans = [_span(start, tile, end) for start, end in zip((top, left), size, strict=True)]
-            seen, trimmed, kept = zip(*spans, strict=True)
-            yield _Window(seen=seen, trimmed=trimmed, kept=kept)
-
-
-def _span(start: int, tile: int, end: int) -> tuple[slice, slice, slice]:
-    """Seen, trimmed and kept part along one axis."""
-    stop = min(start + tile, end)
-    first = max(0, start - RECEPTIVE_MARGIN)
-    last = min(end, stop + RECEPTIVE_MARGIN)
-    return slice(first, last), slice(start - first, stop - first), slice(start, stop)
-
-
-class _Steps:
-    """Counts chunks of work and talks to the caller between them."""
-
-    def __init__(
-        self, total: int, cancel: Callable[[], bool] | None, progress: Progress | None
-    ) -> None:
-        self._total = total
-        self._count = 0
-        self._cancel = cancel
-        self._progress = progress
-
-    def check(self) -> None:
-        if self._cancel is not None and self._cancel():
-            raise RenderCancelledError("the rendering was cancelled before it was complete")
-
-    def done(self) -> None:
-        self._count += 1
-        if self._progress is not None:
-            self._progress(self._count / self._total)
-
-
-def _attend(
-    papr: Papr, cloud: PointCloud, rays: RayBundle, chunk: int, threshold: float, steps: _Steps
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Features (R, C) and opacity (R,) on the model's device, surface (R, 3) on the CPU."""
-    device, count = cloud.positions.device, len(rays.origins)
-    features = torch.empty(count, papr.config.value.size, device=device)
-    alpha = torch.empty(count, device=device)
-    surface = torch.empty(count, 3)
-    for start in range(0, count, chunk):
-        steps.check()
-        part = slice(start, start + chunk)
-        attended, _ = papr.attend(
-            cloud,
-            RayBundle(
-                origins=rays.origins[part].to(device), directions=rays.directions[part].to(device)
-            ),
-            threshold,
-        )
-        features[part] = attended.features
-        alpha[part] = 1 - attended.background
-        none = attended.weights.sum(dim=-1, keepdim=True) == 0
-        surface[part] = attended.surface.masked_fill(none, math.nan).cpu()
-        steps.done()
-    return features, alpha, surface

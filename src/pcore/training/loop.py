@@ -126,19 +126,20 @@ def _step(work: Trainable, plan: Plan, losses: Callable[[], Losses]) -> Losses:
 
 
 def _report(work: Trainable, plan: Plan, found: Losses, clock: _Clock) -> StepReport:
-    loss = float(found.total.detach())
+    figures = [found.total, found.squared_error, *found.terms.values()]
+    # All at once: every transfer from a GPU waits for it.
+    loss, error, *terms = torch.stack(figures).detach().tolist()
     if not math.isfinite(loss):
         raise TrainingError(
             f"{work.stage}: the loss is {loss} at step {work.step}; what was saved before is "
             "untouched. Lower the learning rates, or check the images and poses"
         )
-    error = float(found.squared_error)
     return StepReport(
         stage=work.stage,
         step=work.step,
         steps=plan.steps,
         loss=loss,
-        losses={name: float(term.detach()) for name, term in found.terms.items()},
+        losses=dict(zip(found.terms, terms, strict=True)),
         psnr=-10 * math.log10(max(error, 1e-12)),
         points=len(work.cloud),
         seconds_left=clock.seconds_left(work.step),

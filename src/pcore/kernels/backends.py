@@ -1,0 +1,76 @@
+"""Which backend serves what, and what each of them takes."""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from importlib.util import find_spec
+
+import torch
+from torch import Tensor
+
+from pcore.errors import InputError
+from pcore.kernels.networks import Layers
+
+BACKENDS = ("reference", "cpu", "triton")
+LARGEST_WIDTH, MOST_NEIGHBOURS = 256, 128
+"""Attention by Triton takes networks and rays up to these: more does not fit a program."""
+
+
+def backend(device: torch.device) -> str:
+    """Name of the backend that the kernels use on a device.
+
+    PCORE_KERNELS=reference|cpu|triton overrides the choice.
+
+    Raises:
+        InputError: the variable names no backend, or one that cannot work on the device.
+    """
+    wanted = os.environ.get("PCORE_KERNELS")
+    if wanted is None:
+        return usable(device)[-1]
+    if wanted not in BACKENDS:
+        raise InputError(f"PCORE_KERNELS: expected one of {', '.join(BACKENDS)}, got {wanted!r}")
+    if wanted not in usable(device):
+        raise InputError(
+            f"PCORE_KERNELS: expected one of {', '.join(usable(device))} for tensors on "
+            f"{device.type}, got {wanted!r}; unset it, or see what `pcore doctor` says"
+        )
+    return wanted
+
+
+def usable(device: torch.device) -> tuple[str, ...]:
+    """Backends that can work on a device, the best last."""
+    if device.type == "cpu":
+        return ("reference", "cpu")
+    return ("reference", "triton") if device.type == "cuda" and has_triton() else ("reference",)
+
+
+@cache
+def has_triton() -> bool:
+    """Whether Triton can be imported; torch for CUDA brings it along on Linux."""
+    return find_spec("triton") is not None
+
+
+def takes_cpu(tensor: Tensor) -> bool:
+    """Whether the CPU kernels serve a tensor: they know float32 and no autocast."""
+    return (
+        backend(tensor.device) == "cpu"
+        and tensor.dtype == torch.float32
+        and not torch.is_autocast_enabled(tensor.device.type)
+    )
+
+
+def of_attention(positions: Tensor, key: Layers, value: Layers, neighbours: int) -> str:
+    """Name of the backend that serves an attention; `reference` serves what the others do not.
+
+    The CPU kernels take float32 without autocast. Triton takes float32, with autocast or without,
+    layers of up to `LARGEST_WIDTH` and up to `MOST_NEIGHBOURS` neighbours of a ray: all presets.
+    """
+    if takes_cpu(positions):
+        return "cpu"
+    if backend(positions.device) != "triton" or positions.dtype != torch.float32:
+        return "reference"
+    # The value network's last layer is applied once per ray, outside.
+    widest = max(len(bias) for bias in (*key.biases, *value.biases[:-1]))
+    fits = widest <= LARGEST_WIDTH and neighbours <= MOST_NEIGHBOURS
+    return "triton" if fits else "reference"

@@ -1,0 +1,159 @@
+"""What pictures are made of: attention of rays in chunks, colours in tiles.
+
+Attention looks at every ray by itself; the UNet looks `RECEPTIVE_MARGIN` pixels around, so a tile
+is computed with that much of its surroundings, cut where the pooling grid of the whole image lies,
+and then trimmed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pcore.errors import PcoreError
+from pcore.geometry.camera import Camera
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
+from pcore.model.papr import Papr
+from pcore.model.unet import RECEPTIVE_MARGIN
+
+Progress = Callable[[float], None]
+
+
+class RenderCancelledError(PcoreError):
+    """The caller asked a running `render` to stop; there is no picture."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """One rendered view; float32 on the CPU, world units.
+
+    Attributes:
+        rgb: (H, W, 3) colours over the model's background, not clamped.
+        alpha: (H, W) opacity in [0, 1].
+        depth: (H, W) camera z of the surface; NaN where a ray has no attention at all.
+        surface: (H, W, 3) predicted surface points; NaN where a ray has no attention at all.
+    """
+
+    rgb: Tensor
+    alpha: Tensor
+    depth: Tensor
+    surface: Tensor
+
+
+Slices = tuple[slice, slice]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """One tile: `seen` with its surroundings, `trimmed` inside of that, `kept` in the image."""
+
+    seen: Slices
+    trimmed: Slices
+    kept: Slices
+
+
+def windows(size: tuple[int, int], tile: int) -> Iterator[Window]:
+    """Tiles of an image (H, W), row by row."""
+    for top in range(0, size[0], tile):
+        for left in range(0, size[1], tile):
+            spans = [_span(start, tile, end) for start, end in zip((top, left), size, strict=True)]
+            seen, trimmed, kept = zip(*spans, strict=True)
+            yield Window(seen=seen, trimmed=trimmed, kept=kept)
+
+
+def _span(start: int, tile: int, end: int) -> tuple[slice, slice, slice]:
+    """Seen, trimmed and kept part along one axis."""
+    stop = min(start + tile, end)
+    first = max(0, start - RECEPTIVE_MARGIN)
+    last = min(end, stop + RECEPTIVE_MARGIN)
+    return slice(first, last), slice(start - first, stop - first), slice(start, stop)
+
+
+class Steps:
+    """Counts chunks of work and talks to the caller between them."""
+
+    def __init__(
+        self, total: int, cancel: Callable[[], bool] | None, progress: Progress | None
+    ) -> None:
+        self._total = total
+        self._count = 0
+        self._cancel = cancel
+        self._progress = progress
+
+    def check(self) -> None:
+        """Raise RenderCancelledError when the caller says so."""
+        if self._cancel is not None and self._cancel():
+            raise RenderCancelledError("the rendering was cancelled before it was complete")
+
+    def done(self) -> None:
+        """Count one chunk."""
+        self._count += 1
+        if self._progress is not None:
+            self._progress(self._count / self._total)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Canvas:
+    """A picture that fills up.
+
+    Attributes:
+        features: (H, W, C) on the model's device.
+        alpha: (H, W) on the model's device.
+        surface: (H, W, 3) on the CPU.
+        rgb: (H, W, 3) on the CPU.
+    """
+
+    features: Tensor
+    alpha: Tensor
+    surface: Tensor
+    rgb: Tensor
+
+    @classmethod
+    def blank(cls, papr: Papr, size: tuple[int, int]) -> Canvas:
+        """Room for a picture (H, W) of a model."""
+        device = next(papr.parameters()).device
+        return cls(
+            features=torch.empty(*size, papr.config.value.size, device=device),
+            alpha=torch.empty(size, device=device),
+            surface=torch.empty(*size, 3),
+            rgb=torch.empty(*size, 3),
+        )
+
+    def picture(self, camera: Camera) -> Picture:
+        """Return what is there as a picture that a camera took."""
+        depth = camera.depth(self.surface)
+        return Picture(rgb=self.rgb, alpha=self.alpha.cpu(), depth=depth, surface=self.surface)
+
+
+def attend(
+    canvas: Canvas,
+    papr: Papr,
+    cloud: PointCloud,
+    rays: RayBundle,
+    wanted: Tensor | slice,
+    threshold: float,
+) -> None:
+    """Fill the wanted pixels, given by their numbers, with what (R,) rays of the picture meet."""
+    device = canvas.alpha.device
+    attended, _ = papr.attend(
+        cloud,
+        RayBundle(
+            origins=rays.origins[wanted].to(device), directions=rays.directions[wanted].to(device)
+        ),
+        threshold,
+    )
+    canvas.features.view(-1, canvas.features.shape[-1])[wanted] = attended.features
+    canvas.alpha.view(-1)[wanted] = 1 - attended.background
+    none = attended.weights.sum(dim=-1, keepdim=True) == 0
+    canvas.surface.view(-1, 3)[wanted] = attended.surface.masked_fill(none, math.nan).cpu()
+
+
+def shade(canvas: Canvas, papr: Papr, window: Window) -> None:
+    """Fill the colours of a tile whose surroundings are attended to."""
+    colours = papr.shade(canvas.features[window.seen], canvas.alpha[window.seen])
+    canvas.rgb[window.kept] = colours[window.trimmed].cpu()
