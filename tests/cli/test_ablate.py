@@ -50,7 +50,7 @@ def test_all_variants_are_trained_scored_and_drawn(
     assert settings["full"]["base"] == "../.."
     record = json.loads((output / "summary.json").read_text())
     methods = list(dict.fromkeys(mean["method"] for mean in record["means"]))
-    assert methods == ["PAPR", "w/o R&P", "w/o Pt-Only", "w/o L_tex", "Full"]
+    assert methods == ["PAPR", "Photos only", "w/o R&P", "w/o Pt-Only", "w/o L_tex", "Full"]
     assert {mean["state"] for mean in record["means"]} == {"canonical", "scale:2"}
     with Image.open(output / "ablation.png") as figure:
         assert figure.width > 6 * 200
@@ -67,7 +67,7 @@ def test_finished_variants_are_not_trained_again(
     before = {name: path.stat().st_mtime_ns for name, path in models.items()}
     capsys.readouterr()
     assert main(words) == 0
-    assert capsys.readouterr().out.count("finished already") == 4
+    assert capsys.readouterr().out.count("finished already") == 5
     assert {name: path.stat().st_mtime_ns for name, path in models.items()} == before
     assert main([*words, "--steps", "3"]) == 2
     assert "finetune.steps: 2 -> 3" in capsys.readouterr().err

@@ -67,6 +67,7 @@ TRAP = pickle.dumps(Trap())
 SKEWED = [[1.5, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
 NO_NUMBER = [[float("nan"), 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
 TRAIN = "train ball -o new --device cpu --steps 2 --points 20 --no-tensorboard"
+FROM_FILE = TRAIN.replace("--points 20 ", "") + " --init"
 TUNE = "finetune run -o new --device cpu --steps 2 --no-tensorboard"
 RENDER = "render run -o new --device cpu"
 EVAL = "eval run --device cpu"
@@ -111,25 +112,25 @@ CASES = [
     Case(f"{TRAIN} --preset tyni", "--preset|tyni"),
     Case(f"{TRAIN} --front-weight -1", "expected front_weight to be a finite number of 0 or more,"),
     Case(f"{TRAIN} --lpips-weight 0.1", "weights are missing. Needed: trunk: vgg16|Looked in"),
-    Case(f"{TRAIN} --init absent.ply", "absent.ply: no such file; expected a .npy or .ply of"),
+    Case(f"{FROM_FILE} absent.ply", "absent.ply: no such file; expected a .npy or .ply of"),
     Case(
-        f"{TRAIN} --init points.obj",
+        f"{FROM_FILE} points.obj",
         "expected a file of points that ends in .npy or .ply, got '.obj'",
         text("points.obj", "v 0 0 0"),
     ),
     Case(
-        f"{TRAIN} --init start.ply",
+        f"{FROM_FILE} start.ply",
         "start.ply: expected at least one point, got none",
         text("start.ply", EMPTY_PLY),
     ),
     Case(
-        f"{TRAIN} --init start.npy",
+        f"{FROM_FILE} start.npy",
         "expected finite coordinates, got NaN or infinity in 9 of 9 points; remove them first",
         array("start.npy", np.full((9, 3), np.nan)),
     ),
-    Case(f"{TRAIN} --init start.ply", "start.ply: cannot read the file of", folder("start.ply")),
+    Case(f"{FROM_FILE} start.ply", "start.ply: cannot read the file of", folder("start.ply")),
     Case(
-        f"{TRAIN} --points 300 --init start.npy",
+        f"{FROM_FILE} start.npy --points 300",
         "--points 300: expected no number where the points come from a file",
         array("start.npy", np.zeros((9, 3))),
     ),

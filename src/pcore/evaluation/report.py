@@ -186,9 +186,9 @@ def headlines(gain: Gain) -> tuple[Headline, ...]:
             value=shown(gain.holes_removed, 0, percent=True),
             label=f"of the additional holes closed by {gain.method}",
             detail=(
-                f"Deformation opens holes in {shown(gain.baseline_holes, 1, percent=True)} of the "
-                f"object with {gain.baseline}, in {shown(gain.method_holes, 1, percent=True)} "
-                f"with {gain.method}."
+                f"Deformation adds {shown(gain.baseline_holes, 1, percent=True)} of the object to "
+                f"the holes of {gain.baseline}, {shown(gain.method_holes, 1, percent=True)} to "
+                f"those of {gain.method}; below zero they shrink."
             ),
         ),
         Headline(
