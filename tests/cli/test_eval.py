@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,9 @@ def test_a_pretrained_run_alone(run: Path, capsys: pytest.CaptureFixture[str]) -
     rows = rows_of(run / "eval")
     assert {row["state"] for row in rows} == {"canonical", "scale:2"}
     assert {row["method"] for row in rows} == {"PAPR"}
+    assert main(["info", str(run)]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"object PSNR, PAPR canonical -?\d+\.\d\d dB, scale:2 -?\d+\.\d\d dB", told)
 
 
 def test_why_lpips_is_missing(

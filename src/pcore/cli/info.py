@@ -50,7 +50,30 @@ def describe(path: Path) -> Rows:
         rows.append(("can resume from", f"step {run.saved_step()}"))
     rows += _model_rows(run.model) if run.model.exists() else [("model", "none saved yet")]
     rows += _skinning_rows(run.skinning) if run.skinning.exists() else []
+    rows += _score_rows(path / "eval")
     return rows + _flat(run.config, "config.")
+
+
+def _score_rows(folder: Path) -> Rows:
+    """PSNR of the object by method and state, where `pcore eval` left its summary."""
+    from pcore.evaluation.protocol import STANDARD
+    from pcore.evaluation.tables import SUMMARY_FILE, read_summary
+
+    if not (folder / SUMMARY_FILE).is_file():
+        return []
+    means, _ = read_summary(folder / SUMMARY_FILE)
+    means = [one for one in means if one.protocol == STANDARD.name]
+    return [
+        (
+            f"object PSNR, {method}",
+            ", ".join(
+                f"{one.state} {one.scores['foreground_psnr']:.2f} dB"
+                for one in means
+                if one.method == method and "foreground_psnr" in one.scores
+            ),
+        )
+        for method in dict.fromkeys(one.method for one in means)
+    ]
 
 
 def _model_rows(path: Path) -> Rows:
@@ -87,6 +110,8 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Rows:
     for key, value in values.items():
         if isinstance(value, dict):
             rows += _flat(cast("dict[str, Any]", value), f"{prefix}{key}.")
+        elif isinstance(value, float):
+            rows.append((f"{prefix}{key}", f"{value:.6g}"))
         else:
             rows.append((f"{prefix}{key}", value if isinstance(value, str) else json.dumps(value)))
     return rows

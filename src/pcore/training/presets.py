@@ -158,6 +158,7 @@ _FINETUNE: dict[PresetName, FinetuneConfig] = {
     "fast": replace(_SMALL_FINETUNE, steps=1000, patch=PatchConfig(), mixed_precision=True),
     "paper": FinetuneConfig(
         rates=_scaled(_PAPER_RATES, 1.0),
+        largest_loss=0.5,
         geometry_weight=0.1,
         origin_distance=0.1,
         keep_distance=True,
