@@ -75,7 +75,11 @@ def _gradients(papr: Papr, cloud: PointCloud, picture: Callable[[], Tensor]) -> 
 def _gradient_errors(
     name: str, papr: Papr, cloud: PointCloud, plan: Plan
 ) -> Iterator[tuple[str, Metric]]:
-    """Largest relative error of a gradient against float64, ours and the dense formula's."""
+    """Error of gradients against float64 relative to the largest entry, ours and the dense one's.
+
+    Of the worst parameter, of 999 entries in 1,000: a unit that lies on the kink of its ReLU may
+    go either way in float32, which changes the gradient of a single point.
+    """
     rays = scenes.on_device(scenes.patch(8, 40), plan.device)
     exact_papr, exact_rays = deepcopy(papr).double(), scenes.doubled(rays)
     exact_cloud = PointCloud.from_tensors(
@@ -92,7 +96,10 @@ def _gradient_errors(
         ("dense", lambda: dense.papr_picture(papr, cloud, rays)),
     ):
         found = _gradients(papr, cloud, picture)
-        error = max(float((a - b).norm() / b.norm()) for a, b in zip(found, exact, strict=True))
+        error = max(
+            float((a - b).abs().flatten().quantile(0.999) / b.abs().max())
+            for a, b in zip(found, exact, strict=True)
+        )
         yield f"{name}/gradient_error/{kind}", Metric(value=error, direction="lower", tolerance=9.0)
 
 
