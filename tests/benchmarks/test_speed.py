@@ -47,13 +47,17 @@ def test_a_quick_run_and_its_gate(
     assert gate(slower, result, ("render",)) == 0, "what was not asked for is not missing"
 
 
-def test_the_baseline_holds_the_bars_of_the_search() -> None:
+def test_the_baseline_holds_the_bars() -> None:
     baseline = metrics.read(BASELINE)
     bars = {name: m.bar for name, m in baseline.items() if m.bar is not None}
     assert bars["search/patch/30000/ratio"] == 400
     assert bars["search/patch/30000/memory"] == 64
     assert bars["search/patch/growth"] == 4
     assert bars["search/near_surface/30000/ratio"] == 50
+    assert bars["step/64x64/30000/ratio"] == 4
+    assert bars["step/160x160/30000/memory"] == 5
+    assert bars["render/200x200/30000/exact/ratio"] == 6
+    assert bars["render/200x200/30000/fast/ratio"] == 12
     assert metrics.regressions(baseline, baseline) == []
 
 
