@@ -67,10 +67,10 @@ def test_a_missing_key_is_not_filled_in_by_a_default() -> None:
 
 def test_differences_are_named_by_dotted_keys() -> None:
     old = {"a": {"b": 1, "c": 2}, "gone": 0}
-    new = {"a": {"b": 1, "c": 3}, "new": None}
+    new = {"a": {"b": 1, "c": 3}, "new": 5, "unused": None}
     assert differing_keys(old, new) == [
         "a.c: 2 -> 3",
         "gone: 0 -> (absent)",
-        "new: (absent) -> null",
+        "new: (absent) -> 5",
     ]
     assert differing_keys(old, old) == []

@@ -113,6 +113,15 @@ def test_resuming_with_other_settings_names_the_keys(tmp_path: Path) -> None:
     assert "neighbours" not in message
 
 
+def test_settings_that_came_later_and_are_not_used_do_not_keep_a_run_from_going_on(
+    tmp_path: Path,
+) -> None:
+    create(tmp_path, config={"steps": 100}).close()
+    create(tmp_path, resume=True, config={"steps": 100, "skinning": None}).close()
+    with pytest.raises(InputError, match=r"skinning: \(absent\) -> 3"):
+        create(tmp_path, resume=True, config={"steps": 100, "skinning": 3})
+
+
 def test_nothing_to_resume(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nothing to resume at"):
         create(tmp_path / "absent", resume=True)

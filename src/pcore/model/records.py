@@ -57,7 +57,9 @@ def differing_keys(old: Any, new: Any, prefix: str = "") -> list[str]:
                 a.get(key, _ABSENT), b.get(key, _ABSENT), f"{prefix}.{key}" if prefix else key
             )
         return lines
-    return [] if old == new else [f"{prefix}: {_show(old)} -> {_show(new)}"]
+    # A later pcore added the setting, and null leaves it unused.
+    unused = {id(old), id(new)} == {id(_ABSENT), id(None)}
+    return [] if old == new or unused else [f"{prefix}: {_show(old)} -> {_show(new)}"]
 
 
 _ABSENT = object()
