@@ -11,6 +11,7 @@ import torch
 from pcore.deform.anchor_distance import path_distance
 from pcore.editing.anchors import AnchorRig, rig_with
 from pcore.editing.anchors_edit import AnchorsEdit
+from pcore.editing.regions import Setting
 from pcore.editing.script import EditScript, parse_edit
 from pcore.editing.session import EditSession
 from pcore.errors import EditError
@@ -68,6 +69,22 @@ def test_points_keep_their_weights_after_other_edits() -> None:
     found = script(RIGID, moved_drag).bind(BAR, rig=RIG)(BAR.double())
     expected = motion(script(DRAG).bind(BAR, rig=RIG)(BAR.double()))
     torch.testing.assert_close(found, expected, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("angle", [40.0, 80.0])
+def test_anchors_without_learned_weights_stay_the_same_after_other_edits(angle: float) -> None:
+    """Chosen anew on what an earlier edit made, they would jump from frame to frame."""
+    bend = {"type": "bend", "axis": "z", "angle_deg": angle}
+    moved = script(bend).bind(BAR)(BAR.double())
+    edit = AnchorsEdit.model_validate(DRAG)
+    chosen = edit.rig(Setting(points=moved, rest=BAR.double()))
+    atrest = edit.rig(Setting(points=BAR.double(), rest=BAR.double()))
+    places = [
+        torch.cdist(one.graph.rest.double(), cloud.double()).argmin(dim=1)
+        for one, cloud in ((chosen, moved), (atrest, BAR))
+    ]
+    assert torch.equal(*places)
+    assert torch.equal(chosen.weights.values, atrest.weights.values)
 
 
 def test_what_is_not_of_the_moved_cloud_follows_its_nearest_point() -> None:

@@ -94,7 +94,9 @@ class AnchorsEdit(PlacedEdit):
         """Return the points as they arrive at this edit, with its anchors; errors as `place`."""
         rig = setting.rig
         if rig is None or not rig.is_of(count=self.count, seed=self.seed):
-            return rig_of(setting.points, count=self.count, seed=self.seed)
+            # Anchors of the rest state: what earlier edits do, in any frame, chooses no others.
+            rest = rig_of(setting.rest, count=self.count, seed=self.seed)
+            return rest.at(setting.points)
         if not torch.equal(rig.points, setting.rest.to(rig.points.dtype)):
             raise EditError(
                 f"learned skinning: expected the {len(rig.points)} points that its weights belong "
