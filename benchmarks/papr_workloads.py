@@ -147,10 +147,9 @@ def _sharpened(papr: Papr, cloud: PointCloud, rays: RayBundle) -> tuple[PointClo
     Returns:
         The cloud, and the part of the neighbours that are kept.
     """
-    sharpness, kept = 1.0, 1.0
-    while kept > _KEPT and sharpness < 2**20:
-        sharpness *= 1.25
-        sharp = replace(cloud, influence=sharpness * cloud.influence)
-        weights = papr.attend(sharp, rays[::8, ::8].flat())[0].weights
+    kept, most = 1.0, 2**20 * float(cloud.influence.max())
+    while kept > _KEPT and float(cloud.influence.max()) < most:
+        cloud = replace(cloud, influence=1.25 * cloud.influence)
+        weights = papr.attend(cloud, rays[::8, ::8].flat())[0].weights
         kept = float((weights >= FAST_THRESHOLD).double().mean())
-    return replace(cloud, influence=sharpness * cloud.influence), kept
+    return cloud, kept

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -141,3 +144,16 @@ class FakeView:
 
     def alpha(self) -> Tensor:
         return self.pixels[..., 3].clone()
+
+
+def ctrl_c_at(monkeypatch: pytest.MonkeyPatch, module: ModuleType, step: int) -> None:
+    """Press Ctrl-C while a training module draws its patch of that number, from 1."""
+    original, count = module.draw_patch, [0]
+
+    def draw(*args: object) -> object:
+        count[0] += 1
+        if count[0] == step:
+            signal.raise_signal(signal.SIGINT)
+        return original(*args)
+
+    monkeypatch.setattr(module, "draw_patch", draw)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from small_training import (
     assert_same,
     box_model,
     copied,
+    ctrl_c_at,
     finetune_config,
     weights_of,
 )
@@ -338,15 +338,7 @@ def test_resuming_is_bitwise(
 ) -> None:
     config = finetune_config(**changes)
     expected = finetune(box, box_model(), config)
-    original, count = module.draw_patch, [0]
-
-    def draw(*args: object) -> object:
-        count[0] += 1
-        if count[0] == step:
-            signal.raise_signal(signal.SIGINT)
-        return original(*args)  # pyright: ignore[reportArgumentType]
-
-    monkeypatch.setattr(module, "draw_patch", draw)
+    ctrl_c_at(monkeypatch, module, step)
     with pytest.raises(KeyboardInterrupt, match=f"step {step} is saved"):
         in_folder(box, config, tmp_path / "run", resume=False)
     result = in_folder(box, config, tmp_path / "run", resume=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from small_training import (
     Heard,
     assert_same,
     box_model,
+    ctrl_c_at,
     finetune_config,
     weights_of,
 )
@@ -170,15 +170,7 @@ def test_resuming_is_bitwise(
 ) -> None:
     config = finetune_config(skinning=SKINNING, **changes)
     expected = finetune(box, box_model(), config)
-    original, count = module.draw_patch, [0]
-
-    def draw(*args: object) -> object:
-        count[0] += 1
-        if count[0] == step:
-            signal.raise_signal(signal.SIGINT)
-        return original(*args)  # pyright: ignore[reportArgumentType]
-
-    monkeypatch.setattr(module, "draw_patch", draw)
+    ctrl_c_at(monkeypatch, module, step)
     with pytest.raises(KeyboardInterrupt, match=f"step {step} is saved"):
         in_folder(box, config, tmp_path / "run", resume=False)
     heard = Heard()

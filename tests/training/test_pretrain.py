@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 from PIL import Image
-from small_training import Heard, assert_same, pretrain_config, weights_of
+from small_training import Heard, assert_same, ctrl_c_at, pretrain_config, weights_of
 
 import pcore.data.images
 from pcore.data.load import load_scene
@@ -18,6 +16,7 @@ from pcore.data.points import save_points
 from pcore.data.scene import Scene, hold_out
 from pcore.errors import InputError, SceneError, TrainingError
 from pcore.model.config import MlpConfig, PaprConfig
+from pcore.training import pretrain as module
 from pcore.training.config import GrowConfig, PatchConfig, PretrainConfig, PruneConfig, Rates
 from pcore.training.events import PopulationReport, StepReport, ValidationReport
 from pcore.training.output import RunFolder
@@ -280,32 +279,13 @@ def test_grown_points_are_trained(box: Scene) -> None:
 # --- interruption -----------------------------------------------------------------------------
 
 
-@pytest.fixture
-def ctrl_c_at(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
-    """Press Ctrl-C while so many patches have been drawn."""
-    from pcore.training import pretrain as module
-
-    def arm(step: int) -> None:
-        original, count = module.draw_patch, [0]
-
-        def draw(*args: object) -> object:
-            count[0] += 1
-            if count[0] == step:
-                signal.raise_signal(signal.SIGINT)
-            return original(*args)  # pyright: ignore[reportArgumentType]
-
-        monkeypatch.setattr(module, "draw_patch", draw)
-
-    return arm
-
-
 def in_folder(scene: Scene, config: PretrainConfig, path: Path, *, resume: bool) -> Trained:
     with RunFolder.create(path, stage="pretrain", scene="box", config={}, resume=resume) as folder:
         return pretrain(scene, config, folder=folder)
 
 
 def test_resuming_after_the_population_changed_is_bitwise(
-    box: Scene, tmp_path: Path, ctrl_c_at: Callable[[int], None]
+    box: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = pretrain_config(
         background="random",
@@ -317,7 +297,7 @@ def test_resuming_after_the_population_changed_is_bitwise(
     expected = pretrain(box, config, listener=heard)
     assert sum(event.pruned for event in heard.of(PopulationReport)) > 0
     assert sum(event.grown for event in heard.of(PopulationReport)) == 14
-    ctrl_c_at(2 * 7)
+    ctrl_c_at(monkeypatch, module, 2 * 7)
     with pytest.raises(KeyboardInterrupt, match="step 7 is saved"):
         in_folder(box, config, tmp_path / "run", resume=False)
     result = in_folder(box, config, tmp_path / "run", resume=True)

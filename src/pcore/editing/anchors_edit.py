@@ -80,7 +80,7 @@ class AnchorsEdit(PlacedEdit):
 
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`; weights are those by path length."""
-        return self.bind_to(rig_of(points, count=self.count, seed=self.seed))
+        return self.place(Setting(points=points, rest=points))
 
     def place(self, setting: Setting) -> Deformation:
         """See `Edit.place`; weights are those of the run, where they are of the same anchors.

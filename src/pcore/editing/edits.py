@@ -37,6 +37,7 @@ from pcore.editing.fields import (
     Limits,
     Positive,
     Triple,
+    check_turn,
 )
 from pcore.editing.regions import REGION, AnyRegion, Setting
 from pcore.errors import EditError
@@ -212,11 +213,7 @@ class RigidEdit(PlacedEdit):
 
     @model_validator(mode="after")
     def _turn_needs_axis(self) -> RigidEdit:
-        if self.axis is None and self.angle_deg != 0.0:
-            raise ValueError(
-                '"axis": expected "x", "y", "z" or [x, y, z] to turn about because "angle_deg" '
-                f"is {self.angle_deg}, got none"
-            )
+        check_turn(self.axis, self.angle_deg)
         return self
 
     def bind(self, points: Tensor) -> Deformation:

@@ -100,3 +100,12 @@ StoredFile = Annotated[
     AfterValidator(_found_from),
     PlainSerializer(_written_from, return_type=str),
 ]
+
+
+def check_turn(axis: str | tuple[float, float, float] | None, angle_deg: float) -> None:
+    """Raise ValueError when an edit has an angle and nothing to turn about."""
+    if axis is None and angle_deg != 0.0:
+        raise ValueError(
+            '"axis": expected "x", "y", "z" or [x, y, z] to turn about because "angle_deg" '
+            f"is {angle_deg}, got none"
+        )

@@ -12,7 +12,7 @@ from torch import Tensor
 from pcore.deform.base import Affine, Compose, Deformation
 from pcore.deform.simple import rigid, uniform_scale
 from pcore.editing.edits import Edit
-from pcore.editing.fields import AXIS, Angle, Axis, Positive, Triple
+from pcore.editing.fields import AXIS, Angle, Axis, Positive, Triple, check_turn
 from pcore.editing.regions import REGION, AnyRegion, Setting, bind_region
 
 _TRIPLE = "three finite numbers [x, y, z]"
@@ -31,11 +31,7 @@ class PartEdit(Edit):
 
     @model_validator(mode="after")
     def _turn_needs_axis(self) -> PartEdit:
-        if self.axis is None and self.angle_deg != 0.0:
-            raise ValueError(
-                '"axis": expected "x", "y", "z" or [x, y, z] to turn about because "angle_deg" '
-                f"is {self.angle_deg}, got none"
-            )
+        check_turn(self.axis, self.angle_deg)
         return self
 
     def bind(self, points: Tensor) -> Deformation:
