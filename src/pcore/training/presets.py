@@ -37,9 +37,10 @@ _SMALL_RATES = Rates(
 )
 
 
-def _small_model(*, neighbours: int, width: int, unet: int) -> PaprConfig:
+def _small_model(*, neighbours: int, frequencies: int, width: int, unet: int) -> PaprConfig:
     return PaprConfig(
         neighbours=neighbours,
+        frequencies=frequencies,
         feature_size=width // 2,
         key=MlpConfig(layers=3, width=width, size=width),
         query=MlpConfig(layers=3, width=width, size=width),
@@ -73,10 +74,11 @@ PAPER_LEGO = replace(
 """The original's configuration for its scene `lego`."""
 
 FAST = PretrainConfig(
-    model=_small_model(neighbours=12, width=128, unet=48),
+    model=_small_model(neighbours=12, frequencies=6, width=128, unet=48),
     origin="reference",
     rates=_SMALL_RATES,
     steps=20_000,
+    patch=PatchConfig(turned=True),
     points=20_000,
     influence_start=1.0,
     feature_spread=0.5,
@@ -89,11 +91,11 @@ FAST = PretrainConfig(
 """For one GPU; asks for no weights."""
 
 TINY = PretrainConfig(
-    model=_small_model(neighbours=8, width=64, unet=24),
+    model=_small_model(neighbours=8, frequencies=4, width=64, unet=24),
     origin="reference",
     rates=_SMALL_RATES,
     steps=4500,
-    patch=PatchConfig(side=100),
+    patch=PatchConfig(side=100, turned=True),
     points=6000,
     influence_start=1.0,
     feature_spread=0.5,
@@ -142,7 +144,7 @@ def _scaled(rates: Rates, factor: float) -> Rates:
 _SMALL_FINETUNE = FinetuneConfig(
     steps=1200,
     rates=_scaled(_SMALL_RATES, 0.5),
-    patch=PatchConfig(side=100),
+    patch=PatchConfig(side=100, turned=True),
     alternate=True,
     geometry_weight=0.1,
     texture_target="photo",
@@ -155,7 +157,9 @@ _SMALL_FINETUNE = FinetuneConfig(
 )
 _FINETUNE: dict[PresetName, FinetuneConfig] = {
     "tiny": _SMALL_FINETUNE,
-    "fast": replace(_SMALL_FINETUNE, steps=1000, patch=PatchConfig(), mixed_precision=True),
+    "fast": replace(
+        _SMALL_FINETUNE, steps=1000, patch=PatchConfig(turned=True), mixed_precision=True
+    ),
     "paper": FinetuneConfig(
         rates=_scaled(_PAPER_RATES, 1.0),
         largest_loss=0.5,
