@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
 from PIL import Image
 from toys import write_run, write_scene
 
@@ -180,3 +181,59 @@ def test_upgrading(folder: Path, capsys: pytest.CaptureFixture[str]):
     call(capsys, "upgrade", old)
     assert load_edit(old) == before
     assert json.loads(old.read_text())["version"] == 2
+
+
+def test_upgrading_keeps_keyframes(folder: Path, capsys: pytest.CaptureFixture[str]):
+    track = {"keyframes": [[0, 1], [2, 3]], "easing": "in"}
+    edit = write_edit(folder, {"type": "scale", "factor": track})
+    code, shown = call(capsys, "upgrade", edit, "-o", folder / "new.json")
+    assert code == 0
+    assert "version 2 -> 2" in shown
+    assert json.loads((folder / "new.json").read_text())["edits"][0]["factor"] == track
+
+
+def test_validating_looks_at_all_keys_and_between(folder: Path, capsys: pytest.CaptureFixture[str]):
+    # A bend by 300 degrees folds; it is reached in the middle, and at a key of its own.
+    for keys in ([[0, 0], [1, 300], [2, 0]], [[0, -300], [1, 300]]):
+        angle = {"keyframes": keys, "easing": "smooth"}
+        bend = {"type": "bend", "axis": "z", "angle_deg": angle, "limits": [0.4, 0.6]}
+        edit = write_edit(folder, bend)
+        code, shown = call(capsys, "validate", edit, "--run", folder / "points.npy")
+        assert code == 2
+        assert "at time" in shown
+        assert "singular deformation" in shown
+    move = {
+        "shape": "sphere",
+        "center": {"keyframes": [[0, [0, 0, 1]], [1, [0, 0, -1]]]},
+        "radius": 0.3,
+    }
+    edit = write_edit(folder, {**SHIFT, "translation": [0, 0, 0.001], "region": move})
+    words = ["validate", edit, "--run", folder / "points.npy"]
+    code, shown = call(capsys, *words, "--frames", 2)
+    assert code == 0
+    assert "times checked: 2" in shown
+    # At both ends the ball holds a piece of the shell, in the middle nothing.
+    code, shown = call(capsys, *words)
+    assert code == 2
+    assert "empty region" in shown
+
+
+def test_points_outside_a_cage_are_warned_of(folder: Path, capsys: pytest.CaptureFixture[str]):
+    mesh = trimesh.creation.icosphere(subdivisions=1, radius=1.2)
+    mesh.vertices[:, 2] += 0.5
+    mesh.export(folder / "cage.ply")
+    cage = {"type": "cage", "before": "cage.ply", "after": "cage.ply"}
+    cage["amount"] = {"keyframes": [[0, 0], [1, 1]]}
+    edit = write_edit(folder, cage)
+    code, shown = call(capsys, "validate", edit, "--run", folder / "points.npy", "--frames", 3)
+    assert code == 0
+    assert shown.count("warning: edit 1 (cage): ") == 1
+    assert "of 300 points lie outside the cage" in shown
+    output = folder / "moved.npy"
+    words = [folder / "points.npy", "--edit", edit, "-o", output, "--time", 1]
+    assert "of 300 points lie outside the cage" in call(capsys, "apply", *words)[1]
+    mesh.vertices[:, 2] += 5
+    mesh.export(folder / "cage.ply")
+    code, shown = call(capsys, "validate", edit, "--run", folder / "points.npy")
+    assert code == 2
+    assert "holds none of the 300 points" in shown

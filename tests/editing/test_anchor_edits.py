@@ -13,6 +13,7 @@ from pcore.deform.motion import rigid
 from pcore.editing.anchors import anchor_graph, pose_from_places, rig_of, rig_with
 from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.arap import Dragger, Handle, drag
+from pcore.editing.script import parse_edit
 from pcore.errors import EditError, InputError
 from pcore.evaluation.ground_truth import load_truth
 from pcore.evaluation.surface_samples import load_samples
@@ -278,6 +279,55 @@ def test_it_reads_back_as_it_was_written() -> None:
 
 
 # --- the bars, on a real cloud --------------------------------------------------------------------
+
+
+def test_what_is_wrong_with_a_handle_is_said_by_name() -> None:
+    good = {"near": [0, 0, 0], "to": [0, 0, 1]}
+
+    def said(**change: object) -> str:
+        content = {"type": "anchors", "handles": [good, {**good, **change}]}
+        with pytest.raises(EditError) as caught:
+            parse_edit({"version": 2, "edits": [content]})
+        return str(caught.value)
+
+    place = 'edit 1 (anchors): key "handles", number 2: '
+    assert (
+        place + 'unknown key "angel_deg" for a handle, expected only "anchor", "near", "to", "a'
+        in (said(angel_deg=30))
+    )
+    text = said(anchor=3)
+    assert place + 'expected either "anchor" (its number) or "near" (a place [x, y, z])' in text
+    assert text.endswith("got both")
+    assert said(near=None).endswith("got neither")
+    assert place + 'key "to": expected three finite numbers [x, y, z], got [1, 2]' in said(
+        to=[1, 2]
+    )
+    assert said(to=["a", "b", 1]).count('key "to"') == 1
+    assert 'key "anchor": expected the number of an anchor, from 0, got -1' in said(
+        near=None, anchor=-1
+    )
+    assert 'needs an "axis" to turn about, got none' in said(angle_deg=30)
+    text = said(angel_deg=30, to=[1, 2])
+    assert 'unknown key "angel_deg"' in text
+    assert 'key "to"' in text
+
+
+END = [1.0, 0.0, 0.0]
+
+
+def test_a_share_of_a_drag_is_a_drag_by_a_share_of_the_way() -> None:
+    points = BAR
+    handle = {"near": END, "to": [h + 0.2 for h in END], "axis": "z", "angle_deg": 40}
+    half = {"near": END, "to": [h + 0.1 for h in END], "axis": "z", "angle_deg": 20}
+
+    def moved(handle: dict, **more: object) -> torch.Tensor:
+        edit = {"type": "anchors", "handles": [handle], "count": 40, **more}
+        return parse_edit({"version": 2, "edits": [edit]}).bind(points)(points)
+
+    torch.testing.assert_close(moved(handle, amount=0.5), moved(half), rtol=0, atol=1e-5)
+    assert torch.equal(moved(handle, amount=0), points)
+    assert torch.equal(moved(handle, amount=1.0), moved(handle))
+    assert not torch.equal(moved(handle), points)
 
 
 @pytest.fixture

@@ -131,3 +131,41 @@ def test_version_1_has_no_keyframes():
         parse_animation(data)
     with pytest.raises(InputError, match="frames: expected a whole number of at least 1, got 0"):
         animation(3).times(0)
+
+
+def test_saving_keeps_keyframes_and_renames_files(tmp_path: Path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "other").mkdir()
+    mask = {"shape": "mask", "file": "mask.npy"}
+    edits = [
+        {
+            "type": "displacement",
+            "before": "a.npy",
+            "after": "b.npy",
+            "amount": track([0, 0], [1, 1]),
+        },
+        {"type": "cage", "before": "../c.ply", "after": [[0.0, 1.0, 2.0]], "region": mask},
+    ]
+    (tmp_path / "sub" / "edit.json").write_text(json.dumps({"version": 2, "edits": edits}))
+    made = load_animation(tmp_path / "sub" / "edit.json")
+    for folder in ("other", ".", "sub"):
+        made.save(tmp_path / folder / "new.json")
+        again = load_animation(tmp_path / folder / "new.json")
+        assert again.key_times == (0, 1)
+        for time in (0, 0.5, 1):
+            then = [edit.model_dump() for edit in again.at(time).edits]
+            assert then[0]["before"] == str(tmp_path / "sub" / "a.npy")
+            assert then[0]["amount"] == time
+            assert Path(then[1]["before"]).resolve() == tmp_path / "c.ply"
+            assert then[1]["region"]["file"] == str(tmp_path / "sub" / "mask.npy")
+    text = json.loads((tmp_path / "new.json").read_text())
+    assert text["edits"][0]["before"] == "sub/a.npy"
+    assert text["edits"][0]["amount"] == {"keyframes": [[0, 0], [1, 1]]}
+    assert json.loads((tmp_path / "sub" / "new.json").read_text())["edits"][0]["before"] == "a.npy"
+
+
+def test_times_that_are_checked_hold_all_keys():
+    made = animation(track([0, 0], [1, 60], [3, 0]))
+    assert made.times_to_check(4) == [0, 1, 2, 3]
+    assert made.times_to_check(3) == [0, 1, 1.5, 3]
+    assert animation(40).times_to_check(60) == [0]

@@ -331,3 +331,31 @@ def test_a_dragged_hand_leaves_the_rest_of_the_knight_alone(shared_data: Path):
     far = (points - hand).norm(dim=-1) > 0.4 * size
     assert int(far.sum()) > 1000
     assert float(way[far].max()) <= 0.01 * size
+
+
+def test_a_region_that_holds_points_in_its_seam_only_is_empty():
+    beside = {"shape": "sphere", "center": [0.9, 0, 0], "radius": 0.1, "falloff": 0.6}
+    text = bind_message({**SHIFT, "region": beside})
+    assert (
+        "empty region: expected the sphere to hold at least one of the 500 points, got none ("
+        in text
+    )
+    assert "lie in its seam, where it fades); move it or make it larger" in text
+    text = bind_message({**SHIFT, "region": {**beside, "center": [9, 0, 0]}})
+    assert "got none; move it or make it larger" in text
+    # The weights of a mask of numbers are meant as they are, though none is 1.
+    np.save("weights.npy", np.full(500, 0.5))
+    script({**SHIFT, "region": {"shape": "mask", "file": "weights.npy"}}).bind(cloud())
+    np.save("weights.npy", np.zeros(500))
+    text = bind_message({**SHIFT, "region": {"shape": "mask", "file": "weights.npy"}})
+    assert "empty region: expected the mask to hold" in text
+
+
+def test_a_geodesic_ball_far_from_the_object_is_refused():
+    far = {"shape": "geodesic", "center": [5, 0, 0], "radius": 3}
+    text = bind_message({**SHIFT, "region": far})
+    assert 'key "center": expected a place on the object, got [5.0, 0.0, 0.0], which is 4.5' in text
+    assert "from the nearest point (object size 1.7" in text
+    assert "at most 15% of it); is it in world units?" in text
+    near = {**far, "center": [0.6, 0, 0], "radius": 0.2}
+    script({**SHIFT, "region": near}).bind(cloud())

@@ -1,13 +1,17 @@
 """A session: every command makes a state or changes nothing."""
 
+import json
 from pathlib import Path
 
 import pytest
 import torch
 
+from pcore.editing import anchors
+from pcore.editing.apply import deformed_cloud
 from pcore.editing.script import load_edit, parse_one
 from pcore.editing.session import EditSession
 from pcore.errors import EditError
+from pcore.geometry.point_cloud import PointCloud
 
 TWIST = {"type": "twist", "axis": "z", "angle_deg": 40}
 SHIFT = {"type": "rigid", "translation": [0, 0, 0.1]}
@@ -124,12 +128,42 @@ def test_a_bad_edit_leaves_the_session_as_it_was(edit: dict, expected: str):
     made = session(TWIST, SHIFT)
     made.undo()
     now = made.state
-    for command in (made.do, made.preview):
+    # A preview does not look for folds.
+    commands = (made.do,) if "singular" in expected else (made.do, made.preview)
+    for command in commands:
         with pytest.raises(EditError) as caught:
             command(edit)
         assert expected in str(caught.value)
         assert made.state is now
         assert made.can_redo
+
+
+def test_a_preview_shows_a_fold_and_a_picture_of_it_is_refused():
+    made = session(TWIST)
+    bend = {"type": "bend", "axis": "z", "angle_deg": 300}
+    shown = made.preview(bend)
+    assert bool(torch.isfinite(shown.points).all())
+    papr_cloud = PointCloud(
+        positions=cloud(), features=torch.zeros(300, 2), influence=torch.zeros(300)
+    )
+    with pytest.raises(EditError, match="singular deformation"):
+        deformed_cloud(papr_cloud, shown.deformation)
+    with pytest.raises(EditError, match="singular deformation"):
+        made.do(bend)
+
+
+def test_a_file_with_keyframes_is_loaded_at_a_time(tmp_path: Path):
+    path, made = tmp_path / "edit.json", session(TWIST)
+    track = {"keyframes": [[1, 1], [3, 2]]}
+    path.write_text(json.dumps({"version": 2, "edits": [{"type": "scale", "factor": track}]}))
+    now = made.state
+    with pytest.raises(EditError, match=r"edit.json: expected time= between 1 and 3, because it"):
+        made.load(path)
+    assert made.state is now
+    state = made.load(path, time=2)
+    torch.testing.assert_close(state.points, 1.5 * cloud())
+    assert made.undo() is now
+    assert made.load(path, time=0).script.edits[0].factor == 1
 
 
 def test_a_bad_freeze_or_file_leaves_the_session_as_it_was(tmp_path: Path):
@@ -144,3 +178,23 @@ def test_a_bad_freeze_or_file_leaves_the_session_as_it_was(tmp_path: Path):
     with pytest.raises(EditError, match="expected an existing folder"):
         made.save(tmp_path / "none" / "edit.json")
     assert made.state is now
+
+
+def test_a_second_drag_of_an_anchor_measures_no_path_again(monkeypatch: pytest.MonkeyPatch):
+    calls: list[int] = []
+    whole = anchors.path_distance
+
+    def counting(points: torch.Tensor, indices: torch.Tensor):
+        calls.append(len(points))
+        return whole(points, indices)
+
+    monkeypatch.setattr(anchors, "path_distance", counting)
+    anchors._rig.cache_clear()
+    made = EditSession(cloud())
+    for step in (0.1, 0.2, 0.3):
+        handle = {"near": [0.4, 0, 0], "to": [0.4, 0, step]}
+        edit = {"type": "anchors", "count": 20, "handles": [handle]}
+        shown = made.preview(edit)
+    assert calls == [300]
+    assert torch.equal(made.do(edit).points, shown.points)
+    assert calls == [300]

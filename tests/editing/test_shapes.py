@@ -7,6 +7,9 @@ import pytest
 import torch
 import trimesh
 
+from pcore.deform.cage import Cage
+from pcore.editing import cage as cages
+from pcore.editing.animation import parse_animation
 from pcore.editing.script import EditScript, load_edit, parse_edit
 from pcore.editing.session import EditSession
 from pcore.errors import EditError
@@ -212,3 +215,133 @@ def test_a_bad_file_leaves_a_session_as_it_was():
     with pytest.raises(EditError, match=r"edit 1 .cage.: .*none\.ply: no such file"):
         session.do({"type": "cage", "before": "before.ply", "after": "none.ply"})
     assert session.state is now
+
+
+def test_a_cage_that_holds_no_point_is_refused():
+    mesh = trimesh.load_mesh("before.ply", process=False)
+    mesh.vertices += [0, 0, 5]
+    mesh.export("beside.ply")
+    text = bind_message(type="cage", before="beside.ply", after="beside.ply")
+    assert (
+        "beside.ply: expected a cage around the object, got one that holds none of the 300" in text
+    )
+    assert "it goes from (-1, -1, 4) to (1, 1, 6), they from (-0.89" in text
+    assert 'check its units and the axis that is "up"' in text
+    # A flat sheet of two sides is closed and holds nothing.
+    flat = trimesh.Trimesh([[-9, -9, 0], [9, -9, 0], [0, 9, 0]], [[0, 1, 2], [0, 2, 1]])
+    flat.export("flat.ply")
+    text = bind_message(type="cage", before="flat.ply", after="flat.ply")
+    assert "holds none of the 300 points" in text
+
+
+def test_points_outside_a_cage_are_counted():
+    mesh = trimesh.load_mesh("before.ply", process=False)
+    mesh.vertices[:, 2] += 1
+    mesh.export("high.ply")
+    points = cloud()
+    made = script(type="cage", before="high.ply", after="high.ply")
+    expected = int(((points - torch.tensor([0, 0, 1])).norm(dim=-1) > 1).sum())
+    (note,) = made.bound(points).notes
+    count = int(note.removeprefix("edit 1 (cage): ").split(" of 300 points lie outside")[0])
+    assert abs(count - expected) < 12  # The cage is a ball with corners.
+    assert count > 100
+    held = {"shape": "half_space", "normal": "z", "origin": [0, 0, 0.6], "falloff": 0}
+    assert (
+        script(type="cage", before="high.ply", after="high.ply", region=held).bound(points).notes
+        == ()
+    )
+    assert script(type="cage", before="before.ply", after="after.ply").bound(points).notes == ()
+    low = {"shape": "half_space", "normal": [0, 0, -1], "origin": [0, 0, -0.1], "falloff": 0}
+    made = script(type="cage", before="high.ply", after="high.ply", region=low)
+    with pytest.raises(EditError, match="holds none of the"):
+        made.bind(points)
+
+
+KINDS = [
+    {"type": "cage", "before": "before.ply", "after": "after.ply"},
+    {"type": "mesh", "before": "before.ply", "after": "after.ply"},
+    {"type": "displacement", "before": "before.npy", "after": "after.npy"},
+]
+
+
+@pytest.mark.parametrize("edit", KINDS)
+def test_a_share_of_an_edit_from_a_file(edit: dict):
+    points = cloud().double()
+    whole = script(**edit).bind(points)
+    none, part = (script(**edit, amount=amount).bind(points) for amount in (0, 0.25))
+    assert torch.equal(none(points), points)
+    torch.testing.assert_close(none.jacobian(points), torch.eye(3).double().expand(300, 3, 3))
+    torch.testing.assert_close(part(points), points + 0.25 * (whole(points) - points))
+    expected = 0.75 * torch.eye(3).double() + 0.25 * whole.jacobian(points)
+    torch.testing.assert_close(part.jacobian(points), expected)
+    assert torch.equal(script(**edit, amount=1.0).bind(points)(points), whole(points))
+
+
+def test_amounts_are_animated_and_checked():
+    edit = {**KINDS[2], "amount": {"keyframes": [[0, 0], [2, 1]]}}
+    made = parse_animation({"version": 2, "edits": [edit]})
+    half = made.at(1).bind(cloud())(cloud())
+    whole = made.at(2).bind(cloud())(cloud())
+    torch.testing.assert_close(half, 0.5 * (cloud() + whole))
+    with pytest.raises(EditError, match=r'key "amount": expected a finite number: 0 changes not'):
+        script(**{**KINDS[2], "amount": "half"})
+
+
+def test_a_cage_whose_new_vertices_stand_in_the_edit(tmp_path: Path):
+    after = torch.from_numpy(trimesh.load_mesh("after.ply", process=False).vertices.copy())
+    made = script(type="cage", before="before.ply", after=after.tolist())
+    points = cloud()
+    expected = script(**KINDS[0]).bind(points)(points)
+    torch.testing.assert_close(made.bind(points)(points), expected)
+    made.save(tmp_path / "edit.json")
+    assert load_edit(tmp_path / "edit.json") == made
+    text = bind_message(type="cage", before="before.ply", after=after[:9].tolist())
+    assert 'key "after": expected the 162 vertices of' in text
+    with pytest.raises(EditError, match=r'key "after": expected the path of a mesh .*, or a list'):
+        script(type="cage", before="before.ply", after=[[0, 0]])
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+    """How often points were bound to a cage, and how often its Jacobians were computed."""
+    calls = {"bind": 0, "carry": 0}
+    for name in calls:
+        whole = getattr(Cage, name)
+
+        def counting(self, *args, _name=name, _whole=whole, **more):
+            calls[_name] += 1
+            return _whole(self, *args, **more)
+
+        monkeypatch.setattr(Cage, name, counting)
+    cages._bound.cache_clear()
+    cages._deform.cache_clear()
+    return calls
+
+
+def test_a_second_drag_of_a_cage_binds_nothing_and_needs_no_jacobian(counted: dict[str, int]):
+    session = EditSession(cloud())
+    rest = torch.from_numpy(trimesh.load_mesh("before.ply", process=False).vertices.copy())
+    for step in (0.1, 0.2, 0.3):
+        after = (rest + torch.tensor([0, 0, step])).tolist()
+        shown = session.preview({"type": "cage", "before": "before.ply", "after": after})
+        torch.testing.assert_close(shown.points, cloud() + torch.tensor([0, 0, step]))
+    assert counted == {"bind": 1, "carry": 0}
+    done = session.do({"type": "cage", "before": "before.ply", "after": after})
+    assert torch.equal(done.points, shown.points)
+    assert counted == {"bind": 1, "carry": 1}
+
+
+def test_jacobians_of_a_cage_serve_all_amounts(counted: dict[str, int]):
+    for amount in (0.25, 0.5, 1.0):
+        script(**KINDS[0], amount=amount).bind(cloud())
+    assert counted == {"bind": 1, "carry": 1}
+
+
+def test_a_mesh_that_was_written_anew_is_read_anew():
+    session = EditSession(cloud())
+    first = session.preview(KINDS[0]).points
+    mesh = trimesh.load_mesh("after.ply", process=False)
+    mesh.vertices += [0, 0, 1]
+    mesh.export("after.ply")
+    again = session.preview(KINDS[0]).points
+    torch.testing.assert_close(again, first + torch.tensor([0, 0, 1.0]))

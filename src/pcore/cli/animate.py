@@ -132,19 +132,24 @@ def _frames(
     animation: Animation, cloud: PointCloud, command: AnimateCommand, console: Console
 ) -> list[PointCloud]:
     """The cloud in every frame; equal times are computed once."""
+    from pcore.cli.diagnosing import note
     from pcore.cli.results import counting
     from pcore.cli.runtime import learned_rig
     from pcore.editing.apply import deformed_cloud
 
+    notes: list[str] = []
     rig = learned_rig(command.run_or_file, cloud.positions)
     known: dict[float, PointCloud] = {}
     times = animation.times(command.frames)
     with counting(console, "edits") as tell:
         for number, time in enumerate(times, start=1):
             if time not in known:
-                deformation = animation.at(time).bind(cloud.positions, rig=rig)
-                known[time] = deformed_cloud(cloud, deformation, aware=command.rays == "aware")
+                bound = animation.at(time).bound(cloud.positions, rig=rig)
+                notes += bound.notes
+                aware = command.rays == "aware"
+                known[time] = deformed_cloud(cloud, bound.deformation, aware=aware)
             tell(number, len(times))
+    note(console, notes)
     return [known[time] for time in times]
 
 

@@ -55,8 +55,8 @@ def deform(command: DeformCommand) -> None:
     script = load_edit(command.edit)
     source = read_point_file(command.input)
     points = source.positions.double()
-    deformation = script.bind(points, allow_folds=not command.strict)
-    moved = deformation(points)
+    bound = script.bound(points, allow_folds=not command.strict)
+    deformation, moved = bound.deformation, bound.setting.points
     save_points(
         command.output, moved.to(source.positions.dtype), colors=source.colors, faces=source.faces
     )
@@ -64,6 +64,8 @@ def deform(command: DeformCommand) -> None:
     print(f"{command.input}: {len(points):,} points, {kinds}")
     _print_change(points, moved)
     _print_folds(deformation, points)
+    for line in bound.notes:
+        print(f"  note: {line}")
     print(f"written to {command.output}")
 
 

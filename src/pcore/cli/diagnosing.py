@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.text import Text
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -35,6 +39,12 @@ def training_cameras(source: Path, scene: Path | None) -> tuple[list[Camera], st
         return [], f"{why}; give it with --scene"
     found = load_scene(folder, factor=recorded_factor(run))
     return [view.camera for view in found.split("train")], ""
+
+
+def note(console: Console, notes: Iterable[str]) -> None:
+    """Print what is odd about edits and was not refused, each sentence once."""
+    for line in dict.fromkeys(notes):
+        console.print(Text(f"warning: {line}", "yellow"), soft_wrap=True)
 
 
 def report(

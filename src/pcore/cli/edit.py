@@ -88,21 +88,13 @@ class ValidateCommand:
     )
     """Folder of a run, a model.safetensors, or points (.npy, .ply) that it is to fit."""
 
+    frames: Annotated[int, arg(metavar="N")] = 60
+    """With --run, for a file with keyframes: check it at all keys and at so many times evenly from
+    the first to the last, as `pcore animate` takes them."""
+
     def run(self) -> None:
         """Print that it is valid; raises EditError otherwise."""
-        from pcore.cli.runtime import learned_rig
-        from pcore.editing.animation import load_animation
-
-        animation = load_animation(self.edit)
-        count = len(animation.at(animation.start).edits)
-        what = f"{self.edit}: valid, {count} edit{'s' * (count != 1)}"
-        if self.run_or_file is not None:
-            points = read_source(self.run_or_file)
-            rig = learned_rig(self.run_or_file, points)
-            for time in sorted({animation.start, animation.end}):
-                animation.at(time).bind(points, rig=rig)
-            what += f"; fits the {len(points):,} points of {self.run_or_file}"
-        Console().print(Text(what), soft_wrap=True)
+        validate_edit(self, Console())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,21 +102,54 @@ class UpgradeCommand:
     """Write an edit file in the newest version, which means the same."""
 
     edit: Annotated[Positional[Path], arg(metavar="FILE")]
-    """Edit file (JSON) without keyframes, which only the newest version has."""
+    """Edit file (JSON); keyframes are kept."""
 
     output: Annotated[Path | None, optional("FILE", "-o")] = None
     """Where to write; default: the file itself."""
 
     def run(self) -> None:
         """Do it; raises EditError when the file is not valid or cannot be written."""
-        from pcore.editing.script import load_edit
+        from pcore.editing.animation import load_animation
+        from pcore.editing.script import VERSION
 
-        script = load_edit(self.edit)
-        newer = script.upgraded()
+        animation = load_animation(self.edit)
         output = self.output or self.edit
-        newer.save(output)
-        what = f"{output}: version {script.version} -> {newer.version}"
+        animation.save(output)
+        what = f"{output}: version {animation.version} -> {VERSION}"
         Console().print(Text(what), soft_wrap=True)
+
+
+def validate_edit(command: ValidateCommand, console: Console) -> None:
+    """Check an edit file, bind it at every time that matters, and say what is odd.
+
+    Raises:
+        CheckpointError: no model there.
+        EditError: the edit file is not valid or does not fit the points.
+        InputError: points that cannot be read, or fewer than one frame.
+    """
+    from pcore.cli.diagnosing import note
+    from pcore.cli.results import counting
+    from pcore.cli.runtime import learned_rig
+    from pcore.editing.animation import load_animation
+
+    animation = load_animation(command.edit)
+    count = len(animation.at(animation.start).edits)
+    what = f"{command.edit}: valid, {count} edit{'s' * (count != 1)}"
+    if command.run_or_file is None:
+        console.print(Text(what), soft_wrap=True)
+        return
+    points = read_source(command.run_or_file)
+    rig = learned_rig(command.run_or_file, points)
+    times = animation.times_to_check(command.frames)
+    notes: list[str] = []
+    with counting(console, "times checked") as tell:
+        for number, time in enumerate(times, start=1):
+            notes += animation.at(time).bound(points, rig=rig).notes
+            if len(times) > 1:
+                tell(number, len(times))
+    what += f"; fits the {len(points):,} points of {command.run_or_file}"
+    console.print(Text(what), soft_wrap=True)
+    note(console, notes)
 
 
 def apply_edit(command: ApplyCommand, console: Console) -> None:
@@ -136,7 +161,7 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         SceneError: the scene is damaged.
         InputError: points or pictures that cannot be read or written.
     """
-    from pcore.cli.diagnosing import report, training_cameras
+    from pcore.cli.diagnosing import note, report, training_cameras
     from pcore.cli.runtime import learned_rig
     from pcore.data.points import check_point_path, save_points
     from pcore.editing.animation import load_animation
@@ -155,7 +180,8 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
     script = animation.at(animation.start if command.time is None else command.time)
     points = read_source(command.source)
     rig = learned_rig(command.source, points)
-    moved = script.bind(points, rig=rig)(points.double()).to(points.dtype)
+    bound = script.bound(points, rig=rig)
+    moved = bound.setting.points.to(points.dtype)
     found = diagnose(points, moved)
     cameras, why_not = training_cameras(command.source, command.scene)
     if cameras:
@@ -164,6 +190,7 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
     save_points(command.output, moved, found.colors() if command.colors == "strain" else None)
     for line in [*lines_of(script), *report(points, moved, found, handles, why_not)]:
         console.print(Text(line), soft_wrap=True)
+    note(console, bound.notes)
     if command.picture is not None:
         _write_picture(command.picture, moved, found)
     console.print(Text(f"written to {command.output}"), soft_wrap=True)

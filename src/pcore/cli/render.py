@@ -113,7 +113,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
     prepare_torch(command.threads)
     device = pick_device(command.device)
     saved, run = open_model(command.run_or_file)
-    cloud = _edited(saved.cloud, command)
+    cloud = _edited(saved.cloud, command, console)
     views = _views(command, run, saved.cloud, cloud, console)
     if _films(command):
         require_video()
@@ -146,18 +146,19 @@ def _films(command: RenderCommand) -> bool:
     return command.cameras is None and command.split is None
 
 
-def _edited(cloud: PointCloud, command: RenderCommand) -> PointCloud:
+def _edited(cloud: PointCloud, command: RenderCommand, console: Console) -> PointCloud:
     """Return the cloud deformed by the edit file."""
     if command.edit is None:
         return cloud
+    from pcore.cli.diagnosing import note
     from pcore.cli.runtime import learned_rig
     from pcore.editing.apply import deformed_cloud
     from pcore.editing.script import load_edit
 
-    script = load_edit(command.edit)
     rig = learned_rig(command.run_or_file, cloud.positions)
-    deformation = script.bind(cloud.positions, rig=rig)
-    return deformed_cloud(cloud, deformation, aware=command.rays == "aware")
+    bound = load_edit(command.edit).bound(cloud.positions, rig=rig)
+    note(console, bound.notes)
+    return deformed_cloud(cloud, bound.deformation, aware=command.rays == "aware")
 
 
 def _image_size(folder: Path, factor: int) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from pcore.deform.base import Deformation, check_points, frozen_tensor
 from pcore.deform.mean_value import carried, topology, weights_at
+from pcore.deform.winding import winding_numbers
 from pcore.errors import InputError
 
 
@@ -46,6 +47,13 @@ class Cage:
         weights = torch.from_numpy(weights_at(flat, *self._arrays))
         return CageBinding(cage=self, points=points.detach(), weights=weights)
 
+    def holds(self, points: Tensor) -> Tensor:
+        """Which points (N, 3) lie inside: bool (N,)."""
+        check_points(points)
+        flat = np.ascontiguousarray(points.detach().cpu().double().numpy().reshape(-1, 3))
+        turns = winding_numbers(flat, self._arrays[0], self._arrays[1])
+        return torch.from_numpy(np.abs(turns) > 0.5)
+
     def carry(
         self, points: Tensor, moves: NDArray[np.float64], *, slope: bool
     ) -> tuple[Tensor, Tensor]:
@@ -69,6 +77,11 @@ class CageBinding:
     points: Tensor
     weights: Tensor
 
+    def is_of(self, points: Tensor) -> bool:
+        """Whether these are its points (N, 3), to the last bit."""
+        same = points.shape == self.points.shape
+        return same and torch.equal(points.detach().cpu().double(), self.points.cpu().double())
+
     def moved(self, vertices: Tensor) -> Tensor:
         """Return where the points (N, 3) go when the cage takes the shape `vertices` (V, 3)."""
         _check_count(self.cage, vertices)
@@ -84,18 +97,20 @@ class CageDeform(Deformation):
     points are those of `jacobian`; there are no second ones.
     """
 
-    def __init__(self, cage: Cage, vertices: Tensor) -> None:
+    def __init__(self, cage: Cage, vertices: Tensor, binding: CageBinding | None = None) -> None:
         """Prepare the map.
 
         Args:
             cage: at rest.
             vertices: (V, 3) the new places of its vertices, world units.
+            binding: of the same cage; its points are moved by it, in milliseconds and to single
+                precision of their way, all others by the formula.
 
         Raises:
             InputError: another number of vertices, NaN or infinity.
         """
         _check_count(cage, vertices)
-        self.cage = cage
+        self.cage, self.binding = cage, binding
         self.vertices = frozen_tensor("deformed cage", vertices, tuple(cage.vertices.shape))
         self._moves: NDArray[np.float64] = (self.vertices - cage.vertices).numpy()
         self._known: tuple[Tensor, Tensor, Tensor] | None = None
@@ -123,6 +138,8 @@ class CageDeform(Deformation):
 
     def displaced(self, points: Tensor) -> Tensor:
         """Do the same as a call for points (N, 3) without gradient."""
+        if self.binding is not None and self.binding.is_of(points):
+            return self.binding.moved(self.vertices).to(points)
         known = self._recall(points)
         way, _ = self.cage.carry(points, self._moves, slope=False) if known is None else known
         return (points.detach().double() + way.to(points.device)).to(points.dtype)

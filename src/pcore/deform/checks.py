@@ -29,12 +29,7 @@ def check_invertible(
             gives the numbers of the first few, from 0.
     """
     total = points.reshape(-1, 3).shape[0]
-    lost = ~torch.isfinite(deformation(points.detach())).all(dim=-1).reshape(-1)
-    if bool(lost.any()):
-        raise EditError(
-            f"the deformation sends {int(lost.sum())} of {total} points to NaN or infinity "
-            f"({_numbers(lost)}), expected finite positions; lower the amount"
-        )
+    check_finite(deformation(points.detach()))
     if allow_folds:
         upright = orientation(deformation, points.detach()) > SINGULAR
         folded = ~upright.reshape(-1)
@@ -50,6 +45,20 @@ def check_invertible(
         "factor, widen the limits, the extent or the falloff of the region, move the origin, or "
         'for a stretch use the profile "axial" or "volume"'
     )
+
+
+def check_finite(moved: Tensor) -> None:
+    """Raise unless points (N, 3) that a deformation moved are finite.
+
+    Raises:
+        EditError: NaN or infinity; the message counts the points and gives the first numbers.
+    """
+    lost = ~torch.isfinite(moved).all(dim=-1).reshape(-1)
+    if bool(lost.any()):
+        raise EditError(
+            f"the deformation sends {int(lost.sum())} of {lost.numel()} points to NaN or infinity "
+            f"({_numbers(lost)}), expected finite positions; lower the amount"
+        )
 
 
 def _numbers(mask: torch.Tensor, most: int = 5) -> str:

@@ -17,45 +17,54 @@ class Weighted(Deformation):
         inner: D.
         region: where it acts; None is everywhere.
         frozen: where it does not act whatever `region` says; None is nowhere.
+        amount: factor on the weight: 0 is the identity, 1 the whole of D.
     """
 
-    def __init__(self, inner: Deformation, region: Region | None, frozen: Region | None) -> None:
-        self.inner, self.region, self.frozen = inner, region, frozen
+    def __init__(
+        self,
+        inner: Deformation,
+        region: Region | None = None,
+        frozen: Region | None = None,
+        *,
+        amount: float = 1.0,
+    ) -> None:
+        self.inner, self.region, self.frozen, self.amount = inner, region, frozen, amount
 
     def __call__(self, points: Tensor) -> Tensor:
         """Map points (..., 3), world units; where the weight is 0 they stay exactly."""
         check_points(points)
-        return blend(points, self.inner(points), self._weight(points))
+        return blend(points, self.inner(points), self.weight(points))
 
     def jacobian(self, points: Tensor) -> Tensor:
         """Jacobians (..., 3, 3): I + w (J - I) + (D(x) - x) grad(w)^T."""
         check_points(points)
         eye = Identity().jacobian(points)
-        weight = self._weight(points)[..., None, None]
+        weight = self.weight(points)[..., None, None]
         way = (self.inner(points) - points).unsqueeze(-1)
         turned = eye + weight * (self.inner.jacobian(points) - eye)
         return turned + way * self._gradient(points).unsqueeze(-2)
 
     def folded(self, points: Tensor) -> Tensor:
         """Where space is flattened or turned inside out, bool (...,)."""
-        return super().folded(points) | (self.inner.folded(points) & (self._weight(points) == 1))
+        return super().folded(points) | (self.inner.folded(points) & (self.weight(points) == 1))
 
-    def _weight(self, points: Tensor) -> Tensor:
-        weight = torch.ones_like(points[..., 0])
+    def weight(self, points: Tensor) -> Tensor:
+        """Share (...,) of the way to D(x) that points (..., 3) go."""
+        weight = torch.full_like(points[..., 0], self.amount)
         if self.region is not None:
-            weight = self.region.weight(points)
+            weight = weight * self.region.weight(points)
         return weight if self.frozen is None else weight * (1.0 - self.frozen.weight(points))
 
     def _gradient(self, points: Tensor) -> Tensor:
         """Product rule over the two weights: (..., 3)."""
         slope = torch.zeros_like(points)
         if self.region is not None:
-            slope = self.region.gradient(points)
+            slope = self.amount * self.region.gradient(points)
         if self.frozen is None:
             return slope
         slope = slope * (1.0 - self.frozen.weight(points)).unsqueeze(-1)
         inside = 1.0 if self.region is None else self.region.weight(points).unsqueeze(-1)
-        return slope - inside * self.frozen.gradient(points)
+        return slope - self.amount * inside * self.frozen.gradient(points)
 
 
 class Held(Deformation):

@@ -159,7 +159,7 @@ class AnchorRig:
         """Whether its anchors are those that this count and seed choose from its cloud."""
         if len(self.indices) != count:
             return False
-        return torch.equal(self.indices, farthest_points(self.points, count, seed=seed))
+        return torch.equal(self.indices, _chosen(_content(self.points), count, seed))
 
     def at(self, points: Tensor) -> AnchorRig:
         """Return the rig after its cloud has moved to points (N, 3): each keeps its weights.
@@ -197,7 +197,7 @@ def rig_of(points: Tensor, *, count: int = ANCHORS, seed: int = 0) -> AnchorRig:
     if count < 2:
         raise EditError(f"anchors: expected a count of at least 2, got {count}")
     try:
-        return _rig(points.detach().cpu().double().numpy().tobytes(), count, seed)
+        return _rig(_content(points), count, seed)
     except InputError as error:
         raise EditError(str(error)) from error
 
@@ -213,10 +213,23 @@ def rig_with(distance: PathDistance, weigher: Weigher) -> AnchorRig:
     )
 
 
+def _content(points: Tensor) -> bytes:
+    return points.detach().cpu().double().numpy().tobytes()
+
+
+def _points(content: bytes) -> Tensor:
+    places = np.frombuffer(content, dtype=np.float64).reshape(-1, 3).copy()
+    return torch.from_numpy(places).float()
+
+
+@lru_cache(maxsize=4)
+def _chosen(content: bytes, count: int, seed: int) -> Tensor:
+    return farthest_points(_points(content), count, seed=seed)
+
+
 @lru_cache(maxsize=4)
 def _rig(content: bytes, count: int, seed: int) -> AnchorRig:
-    places = np.frombuffer(content, dtype=np.float64).reshape(-1, 3).copy()
-    points = torch.from_numpy(places).float()
-    distance = path_distance(points, farthest_points(points, count, seed=seed))
+    points = _points(content)
+    distance = path_distance(points, _chosen(content, count, seed))
     sigma = SIGMA * anchor_spacing(distance.between)
     return rig_with(distance, distance_weigher(distance, sigma=sigma))

@@ -9,18 +9,18 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from torch import Tensor
 
-from pcore.deform.base import Deformation
+from pcore.deform.base import Deformation, Identity
 from pcore.deform.motion import rigid
 from pcore.editing.anchors import AnchorRig, rig_of
 from pcore.editing.arap import Dragger, Handle
 from pcore.editing.edits import PlacedEdit
-from pcore.editing.fields import Angle, Axis, Number, Triple
-from pcore.editing.regions import Setting
+from pcore.editing.fields import AXIS, Amount, Angle, Axis, Number, Triple
+from pcore.editing.regions import NEAR, Setting
 from pcore.errors import EditError
 from pcore.geometry.anchors import ANCHORS
 
 _REACH = 0.25
-_NEAR = 0.15
+_TRIPLE = "three finite numbers [x, y, z]"
 
 
 class HandleEdit(BaseModel):
@@ -32,32 +32,38 @@ class HandleEdit(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    anchor: Annotated[int, Field(strict=True, ge=0)] | None = None
-    near: Triple | None = None
-    to: Triple
-    axis: Axis | None = None
+    anchor: Annotated[
+        int | None, Field(strict=True, ge=0, description="the number of an anchor, from 0")
+    ] = None
+    near: Annotated[Triple | None, Field(description=_TRIPLE)] = None
+    to: Annotated[Triple, Field(description=_TRIPLE)]
+    axis: Annotated[Axis | None, Field(description=AXIS)] = None
     angle_deg: Angle = 0.0
 
     @model_validator(mode="after")
     def _one_way_to_say_which(self) -> HandleEdit:
         if (self.anchor is None) == (self.near is None):
-            raise ValueError('a handle needs "anchor" (its number) or "near" ([x, y, z]), not both')
+            got = "neither" if self.anchor is None else "both"
+            raise ValueError(
+                'expected either "anchor" (its number) or "near" (a place [x, y, z]) to say which '
+                f"anchor is meant, got {got}"
+            )
         if self.axis is None and self.angle_deg != 0.0:
-            raise ValueError('a handle with "angle_deg" needs an "axis" to turn about')
+            raise ValueError('a handle with "angle_deg" needs an "axis" to turn about, got none')
         return self
 
-    @property
-    def rotation(self) -> Tensor | None:
-        """(3, 3) the turn that the handle carries; None when it gives no axis."""
+    def rotation(self, amount: float) -> Tensor | None:
+        """(3, 3) so much of the turn that it carries; None when it gives no axis."""
         if self.axis is None:
             return None
-        return rigid(self.axis, math.radians(self.angle_deg)).matrix
+        return rigid(self.axis, math.radians(amount * self.angle_deg)).matrix
 
 
 class AnchorsEdit(PlacedEdit):
     """Drag anchors; the others follow as rigidly as they can, those out of reach stay.
 
-    `near` and `to` are measured from `origin`.
+    `near` and `to` are measured from `origin`. `amount` is the share of its way, and of its turn,
+    that every handle goes: half a drag is a drag half as far, not a blend of two shapes.
     """
 
     type: Literal["anchors"] = "anchors"
@@ -73,6 +79,7 @@ class AnchorsEdit(PlacedEdit):
         Number | None,
         Field(gt=0, description="a number above 0: path length along the object, world units"),
     ] = None
+    amount: Amount = 1.0
     count: Annotated[
         int, Field(strict=True, ge=2, description="a whole number of anchors, at least 2")
     ] = ANCHORS
@@ -111,7 +118,8 @@ class AnchorsEdit(PlacedEdit):
             EditError: an unknown anchor, a place far from the object, or two handles on one anchor.
         """
         dragger, handles = self.dragger(rig)
-        return rig.deformation(dragger.pose(handles))
+        # Handles that go nowhere leave the rest where it is to rounding only.
+        return rig.deformation(dragger.pose(handles)) if self.amount else Identity()
 
     def dragger(self, rig: AnchorRig) -> tuple[Dragger, dict[int, Handle]]:
         """Return what poses the anchors, and its handles; errors as `bind_to`."""
@@ -137,7 +145,9 @@ class AnchorsEdit(PlacedEdit):
                     f"handle {number}: expected every handle on an anchor of its own, got anchor "
                     f"{index} twice; move the handles apart or ask for more anchors"
                 )
-            found[index] = Handle(place=target, rotation=handle.rotation)
+            way = self.amount * (target - rest[index])
+            place = target if self.amount == 1.0 else rest[index] + way
+            found[index] = Handle(place=place, rotation=handle.rotation(self.amount))
         return found
 
 
@@ -153,7 +163,7 @@ def _nearest_anchor(number: int, near: Tensor, rig: AnchorRig) -> int:
     """Index of the anchor nearest to a place (3,), which must lie on or beside the object."""
     distance = (rig.graph.rest - near).norm(dim=1)
     index = int(distance.argmin())
-    if float(distance[index]) > _NEAR * rig.size:
+    if float(distance[index]) > NEAR * rig.size:
         raise EditError(
             f"handle {number}: expected a place on the object, got {near.tolist()}, which is "
             f"{float(distance[index]):.3g} from the nearest anchor (object size {rig.size:.3g}); "

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import copy
+import json
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+from pcore.editing.fields import FILE_KEYS, seen_from
 from pcore.editing.keyframes import at_time, is_animated, key_times
-from pcore.editing.reading import read_edit_file
+from pcore.editing.reading import read_edit_file, write_edit_file
 from pcore.editing.script import EditScript, check_top, parse_edit
 from pcore.errors import EditError
 from pcore.validation import check_count
@@ -18,6 +20,8 @@ class Animation:
 
     Attributes:
         source: what messages call it, such as its file.
+        version: of the edit file.
+        key_times: times of all keys, in order, each once; empty where nothing is animated.
         start: time of the first key, 0 where nothing is animated.
         end: time of the last key.
     """
@@ -27,11 +31,12 @@ class Animation:
         content, version = check_top(data, source)
         if version == 1 and is_animated(content):
             raise EditError(f'{source}: keyframes need "version": 2, got 1')
-        self.source, self._folder = source, folder
+        self.source, self.version, self._folder = source, version, folder
         self._data = copy.deepcopy(content)
-        times = self._checked_times()
-        self.start, self.end = (times[0], times[-1]) if times else (0.0, 0.0)
-        for time in times or [0.0]:
+        self.key_times = self._checked_times()
+        times = self.key_times or (0.0,)
+        self.start, self.end = times[0], times[-1]
+        for time in times:
             self.at(time)
 
     def at(self, time: float) -> EditScript:
@@ -41,7 +46,24 @@ class Animation:
             EditError: a value between two keys is not valid.
         """
         still = at_time(self._data, time)
-        return parse_edit(still, source=f"{self.source} at time {time:g}", folder=self._folder)
+        when = f" at time {time:g}" if self.key_times else ""
+        return parse_edit(still, source=f"{self.source}{when}", folder=self._folder)
+
+    def save(self, path: Path | str) -> None:
+        """Write an edit file of the newest version that means the same, keyframes included.
+
+        Files in its folder and below are named as seen from it.
+
+        Raises:
+            EditError: the file cannot be written.
+        """
+        if not self.key_times:
+            self.at(self.start).upgraded().save(path)
+            return
+        # Keyframes need the newest version, so only the names of files can have to change.
+        old = Path(self._folder or ".").absolute()
+        moved = _renamed(self._data, old, Path(path).parent)
+        write_edit_file(path, json.dumps(moved, indent=2) + "\n")
 
     def times(self, frames: int) -> list[float]:
         """Times of so many frames, evenly from the first key to the last, both included.
@@ -55,18 +77,37 @@ class Animation:
         step = (self.end - self.start) / (frames - 1)
         return [self.start + step * number for number in range(frames - 1)] + [self.end]
 
-    def _checked_times(self) -> list[float]:
+    def times_to_check(self, frames: int) -> list[float]:
+        """Times of all keys and of so many frames, in order, each once; see `times`."""
+        return sorted({*self.key_times, *self.times(frames)})
+
+    def _checked_times(self) -> tuple[float, ...]:
         times: set[float] = set()
         for number, edit in enumerate(self._data["edits"], start=1):
             times.update(self._times_of(edit, f"{self.source}: edit {number}"))
         times.update(self._times_of(self._data.get("freeze", []), f"{self.source}: freeze"))
-        return sorted(times)
+        return tuple(sorted(times))
 
     def _times_of(self, part: Any, place: str) -> list[float]:
         try:
             return key_times(part)
         except EditError as error:
             raise EditError(f"{place}: {error}") from error
+
+
+def _renamed(value: Any, old: Path, new: Path) -> Any:
+    """Parsed JSON whose paths, which begin in one folder, are named as seen from another."""
+    if isinstance(value, list):
+        return [_renamed(item, old, new) for item in cast("list[Any]", value)]
+    if not isinstance(value, dict):
+        return value
+    items = cast("dict[str, Any]", value)
+    return {
+        key: seen_from(new, str(old / item))
+        if key in FILE_KEYS and isinstance(item, str)
+        else _renamed(item, old, new)
+        for key, item in items.items()
+    }
 
 
 def load_animation(path: Path | str) -> Animation:

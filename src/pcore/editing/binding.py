@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from pcore.deform.base import Compose, Deformation, Identity
-from pcore.deform.checks import check_invertible
+from pcore.deform.checks import check_finite, check_invertible
 from pcore.deform.region import Region
 from pcore.deform.weighted import Held, Weighted
 from pcore.editing.anchors import AnchorRig
@@ -24,10 +24,12 @@ class Bound:
         steps: the deformation of every edit.
         hold: what never moves, in the space before the first edit; None is nothing.
         allow_folds: accept maps that fold space at some of the points.
+        notes: what is odd about the edits and was not refused, a sentence each.
     """
 
     setting: Setting
     steps: tuple[Deformation, ...] = ()
+    notes: tuple[str, ...] = ()
     hold: Region | None = None
     allow_folds: bool = False
 
@@ -40,8 +42,13 @@ class Bound:
             return Held(self.steps, self.hold)
         return self.steps[0] if len(self.steps) == 1 else Compose(*self.steps)
 
-    def then(self, edit: Edit) -> Bound:
+    def then(self, edit: Edit, *, check: bool = True) -> Bound:
         """Bind one more edit to the points as they arrive at it.
+
+        Args:
+            edit: the next one.
+            check: look for folds, which takes the Jacobians of the edit; without, only where the
+                points go is computed, for previews while something is dragged.
 
         Raises:
             EditError: it does not fit the points, or folds space (see `check_invertible`).
@@ -51,14 +58,22 @@ class Bound:
         if edit.region is not None or edit.freeze:
             region = None if edit.region is None else bind_region(edit.region, self.setting)
             step = Weighted(step, region, bind_union(edit.freeze, self.setting))
-        points, rest = self.setting.points, self.setting.rest
-        longer = replace(self, steps=(*self.steps, step))
+        said = edit.notes(self.setting, step)
+        notes = [f"edit {len(self.steps) + 1} ({_kind(edit)}): {line}" for line in said]
+        longer = replace(self, steps=(*self.steps, step), notes=(*self.notes, *notes))
         # What is held changes the Jacobian of every step, so the whole sequence is looked at.
-        if self.hold is None:
-            check_invertible(step, points, allow_folds=self.allow_folds)
-            return replace(longer, setting=self.setting.at(step(points)))
-        check_invertible(longer.deformation, rest, allow_folds=self.allow_folds)
-        return replace(longer, setting=self.setting.at(longer.deformation(rest)))
+        whole, places = step, self.setting.points
+        if self.hold is not None:
+            whole, places = longer.deformation, self.setting.rest
+        moved = whole(places)
+        check_finite(moved)
+        if check:
+            check_invertible(whole, places, allow_folds=self.allow_folds)
+        return replace(longer, setting=self.setting.at(moved))
+
+
+def _kind(edit: Edit) -> str:
+    return str(getattr(edit, "type", "edit"))
 
 
 def begin(

@@ -78,6 +78,19 @@ class Edit(BaseModel, ABC):
         """Do the same where an edit needs to know more than the points; without its region."""
         return self.bind(setting.points)
 
+    def notes(self, setting: Setting, step: Deformation) -> tuple[str, ...]:
+        """Say what is odd about the edit at these points, though it can be meant.
+
+        Args:
+            setting: what it is bound to.
+            step: what it is bound as, with its region.
+
+        Raises:
+            EditError: it cannot be meant.
+        """
+        del setting, step  # Most kinds have nothing to say.
+        return ()
+
 
 class PlacedEdit(Edit):
     """What all edits share that are made about a point."""

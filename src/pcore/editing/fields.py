@@ -74,32 +74,49 @@ Positive = Annotated[
     Number,
     Field(gt=0, description="a finite number above 0 (0 is a singular deformation, less mirrors)"),
 ]
+Amount = Annotated[
+    Number, Field(description="a finite number: 0 changes nothing, 1 is the whole edit")
+]
 Length = Annotated[Number, Field(ge=0, description="a length of 0 or more, world units")]
 
 
-def _found_from(value: str, info: ValidationInfo) -> str:
+def _found_from(value: Any, info: ValidationInfo) -> Any:
     """A path in an edit file is meant from the folder of that file."""
+    if not isinstance(value, str):
+        return value
     if not value:
         raise ValueError("no path")
     folder: Any = (info.context or {}).get("folder")
     return str(Path(folder or ".").absolute() / value)
 
 
-def _written_from(value: str, info: SerializationInfo) -> str:
-    """Files beside or below an edit file are named as seen from it, so that both can move."""
+def _written_from(value: Any, info: SerializationInfo) -> Any:
     folder: Any = (info.context or {}).get("folder")
-    path = Path(value)
+    return seen_from(folder, value) if isinstance(value, str) else value
+
+
+def seen_from(folder: Path | str | None, file: str) -> str:
+    """Files beside or below an edit file are named as seen from it, so that both can move."""
+    path = Path(file)
     if folder is None or not path.is_relative_to(Path(folder).absolute()):
-        return value
+        return file
     return path.relative_to(Path(folder).absolute()).as_posix()
 
 
+FILE_KEYS = ("before", "after", "file")
+"""Keys of edits and regions whose text is a path."""
 StoredFile = Annotated[
     str,
     Field(strict=True),
     AfterValidator(_found_from),
     PlainSerializer(_written_from, return_type=str),
 ]
+StoredPlaces = Annotated[
+    Annotated[str, Field(strict=True)] | tuple[Triple, ...],
+    AfterValidator(_found_from),
+    PlainSerializer(_written_from, return_type=Any),
+]
+"""A file, or the places themselves."""
 
 
 def check_turn(axis: str | tuple[float, float, float] | None, angle_deg: float) -> None:

@@ -1,11 +1,11 @@
-"""Reading the text of an edit file, and saying what is wrong with an entry of it."""
+"""The text of an edit file, read and written, and what is wrong with an entry of it."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -44,6 +44,27 @@ def read_edit_file(path: Path) -> Any:
         ) from error
 
 
+def write_edit_file(path: Path | str, text: str) -> None:
+    """Write the text of an edit file; an existing file is replaced in one step.
+
+    Raises:
+        EditError: it cannot be written.
+    """
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise EditError(f"{path}: expected an existing folder to write to, got {path.parent}")
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise EditError(
+            f"{path}: cannot write the edit file ({error.strerror}); "
+            "expected a place that can be written to"
+        ) from error
+
+
 def parse_entry(
     kind: type[Entry],
     raw: Mapping[str, Any],
@@ -62,19 +83,19 @@ def parse_entry(
         folder: where paths in it begin.
     """
     unknown = [key for key in raw if key not in allowed]
-    problems: dict[str, str] = dict.fromkeys(unknown, "extra_forbidden")
+    said = [_problem(kind, raw, name, allowed, key, "extra_forbidden") for key in unknown]
+    known = {key: value for key, value in raw.items() if key in allowed}
     try:
-        known = {key: value for key, value in raw.items() if key in allowed}
         entry = kind.model_validate(known, context={"folder": folder})
     except ValidationError as error:
-        entry = None
         for detail in error.errors():
-            key = str(detail["loc"][0]) if detail["loc"] else ""
-            problems.setdefault(key, detail["type"])
-            if not key:
-                problems[key] = str(detail["msg"]).removeprefix("Value error, ")
-    if entry is None or problems:
-        said = [_problem(kind, raw, name, allowed, key, why) for key, why in problems.items()]
+            said.append(
+                _within(kind, raw, detail["loc"], detail)
+                or _problem(kind, raw, name, allowed, _first(detail["loc"]), _why(detail))
+            )
+        # A list of three wrong numbers is one mistake.
+        raise EditError("; ".join(dict.fromkeys(said))) from error
+    if said:
         raise EditError("; ".join(said))
     return entry
 
@@ -96,6 +117,38 @@ def parse_region(raw: Any, folder: Path | None) -> RegionEntry:
         raise EditError(f'key "shape": expected one of {quoted(REGION_SHAPES)}, got {got}')
     kind = REGION_SHAPES[shape]
     return parse_entry(kind, content, shape, allowed=list(kind.model_fields), folder=folder)
+
+
+def _first(where: tuple[int | str, ...]) -> str:
+    return str(where[0]) if where else ""
+
+
+def _why(detail: Any) -> str:
+    """Kind of a mistake in one key, or the text of a check of several."""
+    return str(detail["type"]) if detail["loc"] else _text(detail)
+
+
+def _text(detail: Any) -> str:
+    return str(detail["msg"]).removeprefix("Value error, ")
+
+
+def _within(
+    kind: type[BaseModel], raw: Mapping[str, Any], where: tuple[int | str, ...], detail: Any
+) -> str:
+    """What is wrong with an object in a list, such as a handle; empty for other mistakes."""
+    if len(where) < 2 or not isinstance(where[1], int):
+        return ""
+    key, index = str(where[0]), where[1]
+    items = raw[key]
+    if index >= len(items) or not isinstance(items[index], Mapping):
+        return ""
+    place, name = f'key "{key}", number {index + 1}: ', key.removesuffix("s")
+    if len(where) == 2:
+        return place + _text(detail)
+    inner: type[BaseModel] = get_args(kind.model_fields[key].annotation)[0]
+    fields = cast("Mapping[str, Any]", items[index])
+    known = list(inner.model_fields)
+    return place + _problem(inner, fields, name, known, str(where[2]), detail["type"])
 
 
 def _problem(

@@ -24,6 +24,8 @@ from pcore.geometry.neighbours import nearest, neighbour_graph
 
 FALLOFF = 0.05
 """Width of a seam that is not given, as a share of the diagonal of the points' bounding box."""
+NEAR = 0.15
+"""How far from the object a place on it may be given, as a share of the object's size."""
 _LINKS = 8
 REGION = 'a region {"shape": "box" or "sphere" or "half_space" or "points" or "geodesic" or "mask"}'
 
@@ -167,7 +169,13 @@ class GeodesicRegion(RegionEntry):
 
     def bind(self, setting: Setting) -> Region:
         """See `RegionEntry.bind`; the center is the point nearest to the place."""
-        index, _ = nearest(setting.points, _double(self.center).unsqueeze(0), 1)
+        index, distance = nearest(setting.points, _double(self.center).unsqueeze(0), 1)
+        if float(distance) > NEAR * setting.size:
+            raise EditError(
+                f'region: key "center": expected a place on the object, got {list(self.center)}, '
+                f"which is {float(distance):.3g} from the nearest point (object size "
+                f"{setting.size:.3g}, at most {NEAR:.0%} of it); is it in world units?"
+            )
         return _around(index[0], self.radius, self.seam(setting), setting)
 
 
@@ -222,15 +230,19 @@ def bind_region(entry: RegionEntry, setting: Setting) -> Region:
     """Freeze a region to points.
 
     Raises:
-        EditError: it does not fit the points, or no point has a weight in it.
+        EditError: it does not fit the points, or no point lies inside: a seam alone is none.
         InputError: its file cannot be read.
     """
     region = entry.bind(setting)
-    if not bool((region.weight(setting.points) > 0).any()):
+    weight = region.weight(setting.points)
+    # A mask of numbers has no inside: its weights are meant as they are.
+    graded = isinstance(entry, MaskRegion) and bool((weight > 0).any())
+    if not graded and not bool((weight == 1).any()):
+        fading = int((weight > 0).sum())
+        seam = f" ({fading} lie in its seam, where it fades)" if fading else ""
         raise EditError(
             f"empty region: expected the {getattr(entry, 'shape', 'region')} to hold at least one "
-            f"of the {len(setting.points)} points, got none; move it, make it larger or widen its "
-            "falloff"
+            f"of the {len(setting.points)} points, got none{seam}; move it or make it larger"
         )
     return region
 

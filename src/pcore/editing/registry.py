@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from pcore.editing.anchors_edit import AnchorsEdit
+from pcore.editing.cage import CageEdit
 from pcore.editing.edits import (
     BendEdit,
     Edit,
@@ -17,7 +18,7 @@ from pcore.editing.edits import (
     TwistEdit,
 )
 from pcore.editing.part import PartEdit
-from pcore.editing.shapes import CageEdit, DisplacementEdit, MeshEdit
+from pcore.editing.shapes import DisplacementEdit, MeshEdit
 
 AnyEdit = Annotated[
     TwistEdit

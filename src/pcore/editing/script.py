@@ -17,7 +17,14 @@ from pcore.editing.anchors import AnchorRig
 from pcore.editing.binding import Bound, begin
 from pcore.editing.edits import Edit
 from pcore.editing.keyframes import is_animated
-from pcore.editing.reading import parse_entry, parse_region, quoted, read_edit_file, shown
+from pcore.editing.reading import (
+    parse_entry,
+    parse_region,
+    quoted,
+    read_edit_file,
+    shown,
+    write_edit_file,
+)
 from pcore.editing.regions import AnyRegion
 from pcore.editing.registry import EDIT_TYPES, FIRST_TYPES, AnyEdit
 from pcore.errors import EditError, InputError
@@ -125,19 +132,7 @@ class EditScript(BaseModel):
         Raises:
             EditError: the file cannot be written.
         """
-        path = Path(path)
-        if not path.parent.is_dir():
-            raise EditError(f"{path}: expected an existing folder to write to, got {path.parent}")
-        partial = path.with_name(f".{path.name}.partial")
-        try:
-            partial.write_text(self.to_json(path.parent), encoding="utf-8")
-            partial.replace(path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise EditError(
-                f"{path}: cannot write the edit file ({error.strerror}); "
-                "expected a place that can be written to"
-            ) from error
+        write_edit_file(path, self.to_json(Path(path).parent))
 
 
 def load_edit(path: Path | str) -> EditScript:

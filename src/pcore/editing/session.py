@@ -11,11 +11,12 @@ from torch import Tensor
 
 from pcore.deform.base import Deformation
 from pcore.editing.anchors import AnchorRig
+from pcore.editing.animation import load_animation
 from pcore.editing.binding import Bound
 from pcore.editing.edits import Edit
 from pcore.editing.reading import parse_region
 from pcore.editing.regions import RegionEntry
-from pcore.editing.script import EditScript, load_edit, parse_one
+from pcore.editing.script import EditScript, parse_one
 from pcore.errors import EditError, InputError
 
 
@@ -92,19 +93,19 @@ class EditSession:
         Raises:
             EditError: it is not valid, does not fit the points, or folds space.
         """
-        return self._keep(self.preview(edit))
+        return self._keep(self._added(edit, check=True))
 
     def preview(self, edit: Edit | Mapping[str, Any]) -> EditState:
-        """Return the state that `do` would lead to, and stay where we are; raises as `do`."""
-        parsed, now = parse_one(edit), self.state
-        edits: Any = (*now.script.edits, parsed)
-        script = EditScript(edits=edits, freeze=now.script.freeze).named(now.script.source)
-        try:
-            bound = now.bound.then(parsed)
-        except (EditError, InputError) as error:
-            kind: Any = getattr(parsed, "type", "edit")
-            raise EditError(f"edit {len(edits)} ({kind}): {error}") from error
-        return self._state(script, bound)
+        """Return the state that `do` would lead to, and stay where we are.
+
+        For showing points while something is dragged: the points are those of `do`, to the last
+        bit, but folds are not looked for and no Jacobian is computed. `do` looks for them, and so
+        does `deformed_cloud`, which a picture needs.
+
+        Raises:
+            EditError: as `do`, but for folds.
+        """
+        return self._added(edit, check=False)
 
     def freeze(self, *regions: RegionEntry | Mapping[str, Any]) -> EditState:
         """Hold regions in the canonical space through all edits, done ones too; none lets all go.
@@ -147,13 +148,37 @@ class EditSession:
         """
         self.state.script.upgraded().save(path)
 
-    def load(self, path: Path | str) -> EditState:
+    def load(self, path: Path | str, *, time: float | None = None) -> EditState:
         """Replace the present edits by those of an edit file; `undo` brings them back.
 
+        Args:
+            path: the file.
+            time: of a file with keyframes, which then stands still: `save` writes its values at
+                that time.
+
         Raises:
-            EditError: the file is not valid or does not fit the points.
+            EditError: the file is not valid or does not fit the points, or it has keyframes and no
+                time is given.
         """
-        return self._keep(self._bound(load_edit(path)))
+        animation = load_animation(path)
+        if time is None and animation.end > animation.start:
+            raise EditError(
+                f"{path}: expected time= between {animation.start:g} and {animation.end:g}, "
+                "because it has keyframes and a session holds edits that stand still, got none"
+            )
+        script = animation.at(animation.start if time is None else time)
+        return self._keep(self._bound(script))
+
+    def _added(self, edit: Edit | Mapping[str, Any], *, check: bool) -> EditState:
+        parsed, now = parse_one(edit), self.state
+        edits: Any = (*now.script.edits, parsed)
+        script = EditScript(edits=edits, freeze=now.script.freeze).named(now.script.source)
+        try:
+            bound = now.bound.then(parsed, check=check)
+        except (EditError, InputError) as error:
+            kind: Any = getattr(parsed, "type", "edit")
+            raise EditError(f"edit {len(edits)} ({kind}): {error}") from error
+        return self._state(script, bound)
 
     def _keep(self, state: EditState) -> EditState:
         self._states = [*self._states[: self._now + 1], state]

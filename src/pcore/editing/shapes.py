@@ -1,7 +1,9 @@
-"""Edits that come from files: cages, proxy meshes, displaced points."""
+"""Edits that come from files: meshes in two shapes, displaced points."""
 
 from __future__ import annotations
 
+from functools import lru_cache
+from pathlib import Path
 from typing import Annotated, Literal
 
 import torch
@@ -11,11 +13,11 @@ from torch import Tensor
 from pcore.data.meshes import MeshFile, read_mesh
 from pcore.data.points import read_point_file
 from pcore.deform.base import Deformation
-from pcore.deform.cage import Cage, CageDeform
 from pcore.deform.proxy import follow_mesh
 from pcore.deform.scattered import PointMotion
+from pcore.deform.weighted import Weighted
 from pcore.editing.edits import Edit
-from pcore.editing.fields import Positive, StoredFile
+from pcore.editing.fields import Amount, Positive, StoredFile, StoredPlaces
 from pcore.errors import EditError
 from pcore.geometry.neighbours import nearest
 
@@ -28,47 +30,48 @@ _MESH = "the path of a mesh (.ply, .obj or .glb)"
 _POINTS = "the path of a file of points (.npy or .ply)"
 
 
-class MeshPair(Edit):
+class EasedEdit(Edit):
+    """What edits share that know one end of a motion: how much of the way is gone."""
+
+    amount: Amount = 1.0
+
+    def eased(self, whole: Deformation) -> Deformation:
+        """Return x + amount (D(x) - x) of the whole motion D."""
+        return whole if self.amount == 1.0 else Weighted(whole, amount=self.amount)
+
+
+class MeshPair(EasedEdit):
     """What edits by a mesh share: the same mesh in two shapes."""
 
     before: Annotated[StoredFile, Field(description=_MESH)]
-    after: Annotated[StoredFile, Field(description=_MESH)]
+    after: Annotated[StoredPlaces, Field(description=f"{_MESH}, or a list of its vertices")]
     up: Annotated[Literal["y", "z"], Field(description='"y" or "z"')] = "z"
 
     def meshes(self) -> tuple[MeshFile, MeshFile]:
-        """Read both shapes.
+        """Read both shapes; vertices that are given as they are stand in world units, z up.
 
         Raises:
             InputError: a file cannot be read.
             EditError: they are not the same mesh.
         """
-        before, after = read_mesh(self.before, up=self.up), read_mesh(self.after, up=self.up)
+        before = _mesh(self.before, self.up)
+        if isinstance(self.after, str):
+            name, after = self.after, _mesh(self.after, self.up)
+        else:
+            vertices = torch.tensor(self.after, dtype=torch.float64).reshape(-1, 3)
+            name, after = 'key "after"', MeshFile(vertices=vertices, faces=before.faces)
         if len(before.vertices) != len(after.vertices):
             raise EditError(
-                f"{self.after}: expected the {len(before.vertices)} vertices of {self.before}, got "
+                f"{name}: expected the {len(before.vertices)} vertices of {self.before}, got "
                 f"{len(after.vertices)}; export both from the same mesh, without changing its "
                 "topology"
             )
         if not torch.equal(before.faces, after.faces):
             raise EditError(
-                f"{self.after}: expected the same faces as in {self.before}, got others, so its "
+                f"{name}: expected the same faces as in {self.before}, got others, so its "
                 "vertices may be in another order; export both in the same way"
             )
         return before, after
-
-
-class CageEdit(MeshPair):
-    """Space goes along with a closed mesh around the object."""
-
-    type: Literal["cage"] = "cage"
-
-    def bind(self, points: Tensor) -> Deformation:
-        """See `Edit.bind`."""
-        before, after = self.meshes()
-        deform = CageDeform(Cage(vertices=before.vertices, faces=before.faces), after.vertices)
-        # Places and Jacobians in one pass; the check that follows asks for both.
-        deform.jacobian(points)
-        return deform
 
 
 class MeshEdit(MeshPair):
@@ -79,10 +82,11 @@ class MeshEdit(MeshPair):
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`."""
         before, after = self.meshes()
-        return follow_mesh(points, before.vertices, after.vertices, before.faces)
+        motion = follow_mesh(points, before.vertices, after.vertices, before.faces)
+        return self.eased(motion)
 
 
-class DisplacementEdit(Edit):
+class DisplacementEdit(EasedEdit):
     """The points go where a file says, and space between them along with them."""
 
     type: Literal["displacement"] = "displacement"
@@ -102,9 +106,9 @@ class DisplacementEdit(Edit):
             )
         if self.match == "id":
             self._check_ids(points, before)
-            return PointMotion(points, after)
+            return self.eased(PointMotion(points, after))
         self._check_places(points, before)
-        return PointMotion(before, after)
+        return self.eased(PointMotion(before, after))
 
     def _check_ids(self, points: Tensor, before: Tensor) -> None:
         if len(before) != len(points):
@@ -134,6 +138,20 @@ class DisplacementEdit(Edit):
                 f"at this edit, got none for {int(lost.sum())} of {len(points)}, the farthest is "
                 f'{float(away.max()):.3g} away; give a larger "tolerance" if that is meant'
             )
+
+
+def _mesh(path: str, up: Literal["y", "z"]) -> MeshFile:
+    """Read a mesh; one whose file holds what it held is not parsed again."""
+    try:
+        return _known_mesh(path, up, Path(path).read_bytes())
+    except OSError:
+        return read_mesh(path, up=up)
+
+
+@lru_cache(maxsize=4)
+def _known_mesh(path: str, up: Literal["y", "z"], content: bytes) -> MeshFile:
+    del content  # Part of the key: a file that was written anew is read anew.
+    return read_mesh(path, up=up)
 
 
 def _size(points: Tensor) -> float:

@@ -1,0 +1,87 @@
+"""The edit "cage": space goes along with a closed mesh around the object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import DTypeLike
+from torch import Tensor
+
+from pcore.deform.base import Deformation
+from pcore.deform.cage import Cage, CageBinding, CageDeform
+from pcore.deform.weighted import Weighted
+from pcore.editing.regions import Setting
+from pcore.editing.shapes import MeshPair
+from pcore.errors import EditError
+
+
+class CageEdit(MeshPair):
+    """Space goes along with a closed mesh around the object."""
+
+    type: Literal["cage"] = "cage"
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`; the same cage and points are bound once, whatever shape it takes."""
+        before, after = self.meshes()
+        rest = _bytes(before.vertices), _bytes(before.faces), _bytes(points)
+        return self.eased(_deform(*rest, _bytes(after.vertices)))
+
+    def notes(self, setting: Setting, step: Deformation) -> tuple[str, ...]:
+        """See `Edit.notes`: a cage acts on what it does not hold, but that is seldom meant."""
+        before, _ = self.meshes()
+        points = setting.points
+        known = _bound(_bytes(before.vertices), _bytes(before.faces), _bytes(points))
+        reached = torch.ones(len(points), dtype=torch.bool)
+        if isinstance(step, Weighted):
+            reached = step.weight(points) != 0
+        total, held = int(reached.sum()), int((known.inside & reached).sum())
+        if total and not held:
+            raise EditError(
+                f"{self.before}: expected a cage around the object, got one that holds none of the "
+                f"{total} points it is to move: it goes from {_corners(before.vertices)}, they "
+                f'from {_corners(points[reached])}; check its units and the axis that is "up"'
+            )
+        if held == total:
+            return ()
+        return (
+            f"{total - held} of {total} points lie outside the cage, where it acts ever more "
+            "weakly; make it larger, or give the edit a region",
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _BoundCage:
+    binding: CageBinding
+    inside: Tensor
+
+
+# The weights of 30,000 points in a cage of 500 vertices take 60 MB, so few are kept.
+@lru_cache(maxsize=2)
+def _bound(vertices: bytes, faces: bytes, points: bytes) -> _BoundCage:
+    cage = Cage(vertices=_tensor(vertices), faces=_tensor(faces, np.int64))
+    places = _tensor(points)
+    return _BoundCage(binding=cage.bind(places), inside=cage.holds(places))
+
+
+@lru_cache(maxsize=2)
+def _deform(vertices: bytes, faces: bytes, points: bytes, after: bytes) -> CageDeform:
+    """Keeps its Jacobians too: they serve every amount of the same shape."""
+    binding = _bound(vertices, faces, points).binding
+    return CageDeform(binding.cage, _tensor(after), binding)
+
+
+def _bytes(values: Tensor) -> bytes:
+    return values.detach().cpu().numpy().tobytes()
+
+
+def _tensor(content: bytes, kind: DTypeLike = np.float64) -> Tensor:
+    return torch.from_numpy(np.frombuffer(content, dtype=kind).reshape(-1, 3).copy())
+
+
+def _corners(places: Tensor) -> str:
+    lower, upper = places.amin(dim=0).tolist(), places.amax(dim=0).tolist()
+    return " to ".join(f"({', '.join(f'{x:.3g}' for x in corner)})" for corner in (lower, upper))
