@@ -64,12 +64,17 @@ def test_apply_to_a_run_in_colours(folder: Path, capsys: pytest.CaptureFixture[s
     words = ["--edit", folder / "edit.json", "-o", output, "--colors", "strain"]
     code, shown = call(capsys, "apply", folder / "run", *words, "--picture", picture)
     assert code == 0
-    assert "hole score: 100.0 %" in shown
+    assert "hole score: 0.0 % of the points come apart" in shown
+    assert "with plain rays 100.0 % stand too far apart" in shown
     colors = read_point_file(output).colors
     assert (colors[:, :3] == torch.tensor([214, 38, 31])).all()
     with Image.open(picture) as image:
-        reds = (np.asarray(image) == [214, 38, 31]).all(axis=-1)
-    assert reds.sum() > 100
+        half = image.width // 2
+        pixels = np.asarray(image)
+    # Strain on the left, holes on the right.
+    assert (pixels[:, :half] == [214, 38, 31]).all(axis=-1).sum() > 100
+    assert not (pixels[:, half:] == [214, 38, 31]).all(axis=-1).any()
+    assert (pixels[:, half:] == 209).all(axis=-1).sum() > 100
 
 
 def test_what_the_training_views_never_saw_comes_to_light(
@@ -105,6 +110,18 @@ def test_handles_are_diagnosed(folder: Path, capsys: pytest.CaptureFixture[str])
     (line,) = [line for line in shown.splitlines() if line.startswith("edit 2, handles: ")]
     loose = float(line.split("; ")[1].split(" %")[0])
     assert 40 < loose < 100
+    words[-1] = folder / "moved.ply"
+    assert call(capsys, "apply", *words, "--colors", "handles")[0] == 0
+    teal = read_point_file(words[-1]).colors[:, :3] == torch.tensor([13, 140, 140])
+    brown = read_point_file(words[-1]).colors[:, :3] == torch.tensor([140, 76, 26])
+    assert 100 * float(teal.all(dim=1).double().mean()) <= loose + 0.1
+    covered = float((teal.all(dim=1) | brown.all(dim=1)).double().mean())
+    assert 100 * covered >= loose - 0.1
+    assert call(capsys, "apply", *words, "--colors", "holes")[0] == 0
+    write_edit(folder, SHIFT)
+    code, shown = call(capsys, "apply", *words, "--colors", "handles")
+    assert code == 2
+    assert "--colors handles: expected an edit by anchors in" in shown
 
 
 def test_apply_at_a_time(folder: Path, capsys: pytest.CaptureFixture[str]):

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 import tiny_scene
 from pcore.cli.main import main
@@ -61,7 +62,9 @@ def test_a_tuned_run_is_compared_with_its_base(
         # The box grows to one and a half; at rest nothing is strained.
         wanted = {"canonical": 1.0, "grown": 1.5}.get(row["state"])
         assert wanted is None or float(row["strain_99"]) == pytest.approx(wanted, rel=1e-4)
-        assert float(row["hole_score"]) == float(row["self_intersection"]) == 0
+        assert float(row["self_intersection"]) == 0
+        # What walks comes apart a little; the box that grows does not.
+        assert 0 <= float(row["hole_score"]) <= (0.05 if row["state"] == "walk" else 0)
         assert 0 <= float(row["unseen"]) <= 1
     means = [one["scores"] for one in record["means"]]
     assert all(one["strain_max"] >= one["strain_99"] for one in means)
@@ -71,6 +74,66 @@ def test_a_tuned_run_is_compared_with_its_base(
     assert pictures == [
         f"{state}-r_{view}.png" for state in ("canonical", "grown", "walk") for view in (0, 1)
     ]
+
+
+def edit_file(folder: Path, name: str, *edits: dict) -> Path:
+    path = folder / f"{name}.json"
+    path.write_text(json.dumps({"version": 2, "edits": edits}))
+    return path
+
+
+def test_an_edit_file_is_a_state_without_a_truth(
+    tuned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grow = edit_file(tmp_path, "grow", {"type": "scale", "factor": 4})
+    near = {"near": [0.3, 0.3, 0.3], "to": [0.3, 0.3, 0.4]}
+    drag = edit_file(
+        tmp_path, "drag", {"type": "anchors", "handles": [near], "count": 50, "reach": 9}
+    )
+    words = ["--edit", str(grow), str(drag), "--protocol", "standard", "--pictures"]
+    assert main(["eval", str(tuned), *words]) == 0
+    out = capsys.readouterr().out
+    assert "edit:grow" in out
+    assert "no handle" in out
+    rows = rows_of(tuned / "eval")
+    assert len(rows) == 3 * 2 * 4  # states, views, methods: of the true states the canonical one
+    for row in rows:
+        truth, anchors = row["state"] == "canonical", row["state"] == "edit:drag"
+        assert (row["psnr"] != "") == (row["see_through_rate"] != "") == truth
+        assert (row["without_handle"] != "") == (row["anchors_disagree"] != "") == anchors
+        assert 0 <= float(row["unseen"]) <= 1
+        assert (row["kind"] == "edited") != truth
+    (scaled,) = {
+        (row["hole_score"], row["hole_score_plain"]) for row in rows if "grow" in row["state"]
+    }
+    assert tuple(map(float, scaled)) == (0, 1)
+    assert max(float(row["without_handle"]) for row in rows if "drag" in row["state"]) > 0.1
+    record = json.loads((tuned / "eval" / "summary.json").read_text())
+    assert [one["scores"].get("psnr") is None for one in record["means"]] == [False] * 4 + [
+        True
+    ] * 8
+    folder = tuned / "eval" / "pictures"
+    sizes = {}
+    for state in ("canonical", "edit_grow", "edit_drag"):
+        with Image.open(folder / f"{state}-r_0.png") as image:
+            sizes[state] = image.size
+    # No column of a truth; a row more for handles.
+    assert sizes["edit_grow"][0] < sizes["canonical"][0]
+    assert sizes["edit_grow"][1] < sizes["edit_drag"][1]
+    assert main(["info", str(tuned)]) == 0
+
+
+def test_bad_edit_files(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    track = {"keyframes": [[0, 1], [2, 3]]}
+    moving = edit_file(tmp_path, "moving", {"type": "scale", "factor": track})
+    assert main(["eval", str(run), "--edit", str(moving)]) == 2
+    assert "expected --time between 0 and 2" in capsys.readouterr().err
+    assert main(["eval", str(run), "--edit", str(moving), str(moving), "--time", "1"]) == 2
+    assert "--edit: expected files of different names, got" in capsys.readouterr().err
+    fold = edit_file(tmp_path, "fold", {"type": "taper", "axis": "z", "factor": -9})
+    assert main(["eval", str(run), "--edit", str(fold)]) == 2
+    assert "singular deformation" in capsys.readouterr().err
+    assert not (run / "eval").exists()
 
 
 def test_a_pretrained_run_alone(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,9 +1,11 @@
 """Strain, thin places and self-intersection of known deformations."""
 
+import math
+
 import pytest
 import torch
 
-from pcore.deform.simple import rigid, uniform_scale
+from pcore.deform.simple import Twist, rigid, uniform_scale
 from pcore.editing.diagnosis import diagnose, with_exposed
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
@@ -26,8 +28,11 @@ def test_a_rigid_motion_is_calm():
 def test_a_scale_is_strain_and_nothing_else(factor: float):
     found = diagnose(shell(), uniform_scale(factor)(shell()))
     torch.testing.assert_close(found.strain, torch.full((2000,), factor).double())
-    assert found.hole_score == (1.0 if factor > 2 else 0.0)
+    assert found.hole_score == 0
+    assert found.hole_score_plain == (1.0 if factor > 2 else 0.0)
+    torch.testing.assert_close(found.tearing, torch.ones(2000).double())
     assert found.self_intersection == 0
+    assert bool((found.hole_colors() == 209).all())
     color = found.colors()[0].tolist()
     assert color == ([214, 38, 31] if factor > 2 else [33, 92, 199])
 
@@ -45,6 +50,34 @@ def test_a_stretch_shows_where_it_stretches():
     assert numbers["strain_median"] < numbers["strain_99"] <= numbers["strain_max"]
 
 
+def test_a_smooth_map_tears_nothing_however_much_it_stretches():
+    points = shell()
+    stretched = points * torch.tensor([3.0, 1.0, 0.5]).double()
+    twist = Twist(
+        rotation=torch.eye(3), origin=torch.zeros(3), extent=(-0.5, 0.5), value=math.radians(90)
+    )
+    for moved in (stretched, twist(points)):
+        found = diagnose(points, moved)
+        assert float(found.strain.max()) > 1.3
+        # The map around a point is fitted: one point of 2,000 where a sheet is pulled 6 to 1.
+        assert found.hole_score < 0.001
+        assert float(found.tearing.median()) < 1.05
+
+
+def test_a_crack_is_a_hole_along_its_edge_and_nowhere_else():
+    points = shell()
+    moved = 1.3 * points
+    moved[points[:, 2] > 0, 2] += 0.5
+    found = diagnose(points, moved)
+    torn = found.tearing > 2
+    assert 0.05 < found.hole_score < 0.3
+    assert not bool(torn[points[:, 2].abs() > 0.1].any())
+    assert float(torn[points[:, 2].abs() < 0.02].double().mean()) > 0.8
+    assert (found.hole_colors()[torn] == torch.tensor([237, 107, 13])).all()
+    assert found.numbers()["hole_score"] == found.hole_score
+    assert found.numbers()["hole_score_plain"] >= found.hole_score
+
+
 def test_parts_pushed_into_each_other_meet():
     points = torch.cat([shell(-1), shell(1)])
     moved = points.clone()
@@ -59,7 +92,10 @@ def test_parts_pushed_into_each_other_meet():
 
 def test_points_in_one_place_are_no_trouble():
     points = torch.zeros(20, 3)
-    assert diagnose(points, points).strain.tolist() == [1.0] * 20
+    found = diagnose(points, points)
+    assert found.strain.tolist() == found.tearing.tolist() == [1.0] * 20
+    few = shell()[:3]
+    assert diagnose(few, 3 * few).tearing.tolist() == [1.0] * 3
 
 
 def test_misfits_are_refused():

@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.text import Text
 
+from pcore.errors import EditError
+
 if TYPE_CHECKING:
     from torch import Tensor
 
     from pcore.editing.diagnosis import Diagnosis
     from pcore.editing.handles import HandleDiagnosis
+    from pcore.editing.script import EditScript
     from pcore.geometry.camera import Camera
 
 
@@ -39,6 +42,23 @@ def training_cameras(source: Path, scene: Path | None) -> tuple[list[Camera], st
         return [], f"{why}; give it with --scene"
     found = load_scene(folder, factor=recorded_factor(run))
     return [view.camera for view in found.split("train")], ""
+
+
+def script_at(path: Path, time: float | None) -> EditScript:
+    """Read an edit file, at a time where it has keyframes.
+
+    Raises:
+        EditError: it is not valid, or has keyframes and no time is given.
+    """
+    from pcore.editing.animation import load_animation
+
+    animation = load_animation(path)
+    if time is None and animation.end > animation.start:
+        raise EditError(
+            f"{path}: expected --time between {animation.start:g} and {animation.end:g}, because "
+            "it has keyframes, got none; or use `pcore animate`"
+        )
+    return animation.at(animation.start if time is None else time)
 
 
 def note(console: Console, notes: Iterable[str]) -> None:
@@ -70,7 +90,8 @@ def report(
         f"{float(way.max()):.4g} at most; {int((way == 0).sum()):,} did not move",
         f"strain: {numbers['strain_median']:.2f} in the middle, {numbers['strain_99']:.2f} at 99 "
         f"percent, {numbers['strain_max']:.2f} at most",
-        f"hole score: {100 * numbers['hole_score']:.1f} % of the points stand twice as far apart",
+        f"hole score: {100 * numbers['hole_score']:.1f} % of the points come apart from a "
+        f"neighbour; with plain rays {100 * numbers['hole_score_plain']:.1f} % stand too far apart",
         f"self-intersection: {100 * numbers['self_intersection']:.1f} % of the points met another "
         "part",
     ]

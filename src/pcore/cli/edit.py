@@ -12,12 +12,13 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.options import Folder, Number, optional
-from pcore.errors import EditError, InputError
+from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from pcore.editing.diagnosis import Diagnosis
+    from pcore.editing.handles import HandleDiagnosis
     from pcore.editing.script import EditScript
 
 _DETAILS = ("region", "freeze")
@@ -39,12 +40,14 @@ class ApplyCommand:
     time: Number = None
     """For an edit file with keyframes: the time to apply."""
 
-    colors: Literal["none", "strain"] = "none"
-    """Colour the points of a .ply by strain: grey calm, red stretched, blue squeezed, violet where
-    the surface meets itself, yellow where it comes to light and no training view saw it."""
+    colors: Literal["none", "strain", "holes", "handles"] = "none"
+    """Colour the points of a .ply. strain: grey calm, red stretched, blue squeezed, violet where
+    the surface meets itself, yellow where it comes to light and no training view saw it. holes:
+    orange where it comes apart. handles, for edits by anchors: teal where no handle is near, brown
+    where anchors disagree."""
 
     picture: Annotated[Path | None, optional("PNG")] = None
-    """Also write a PNG of the points in these colours, seen from the side."""
+    """Also write a PNG of the points in all these colours side by side, seen from the side."""
 
     scene: Folder = None
     """Folder of the scene whose training views tell what was seen; default: that of the run."""
@@ -161,23 +164,18 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         SceneError: the scene is damaged.
         InputError: points or pictures that cannot be read or written.
     """
-    from pcore.cli.diagnosing import note, report, training_cameras
+    from pcore.cli.diagnosing import note, report, script_at, training_cameras
     from pcore.cli.runtime import learned_rig
     from pcore.data.points import check_point_path, save_points
-    from pcore.editing.animation import load_animation
     from pcore.editing.diagnosis import diagnose, with_exposed
     from pcore.editing.handles import handles_of
 
     check_point_path(command.output)
     if command.colors != "none" and command.output.suffix.lower() != ".ply":
         raise InputError(f"{command.output}: expected a .ply for --colors, a .npy has no colours")
-    animation = load_animation(command.edit)
-    if command.time is None and animation.end > animation.start:
-        raise EditError(
-            f"{command.edit}: expected --time between {animation.start:g} and {animation.end:g}, "
-            "because it has keyframes, got none; or use `pcore animate`"
-        )
-    script = animation.at(animation.start if command.time is None else command.time)
+    if command.picture is not None and command.picture.suffix.lower() != ".png":
+        raise InputError(f"{command.picture}: expected a picture that ends in .png")
+    script = script_at(command.edit, command.time)
     points = read_source(command.source)
     rig = learned_rig(command.source, points)
     bound = script.bound(points, rig=rig)
@@ -187,13 +185,28 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
     if cameras:
         found = with_exposed(found, points, moved, cameras)
     handles = handles_of(script, points, rig)
-    save_points(command.output, moved, found.colors() if command.colors == "strain" else None)
+    colors = _colors(found, handles)
+    if command.colors not in ("none", *colors):
+        raise InputError(
+            f"--colors {command.colors}: expected an edit by anchors in {command.edit}, got none"
+        )
+    save_points(command.output, moved, colors.get(command.colors))
     for line in [*lines_of(script), *report(points, moved, found, handles, why_not)]:
         console.print(Text(line), soft_wrap=True)
     note(console, bound.notes)
     if command.picture is not None:
-        _write_picture(command.picture, moved, found)
+        _write_picture(command.picture, moved, colors)
     console.print(Text(f"written to {command.output}"), soft_wrap=True)
+
+
+def _colors(found: Diagnosis, handles: dict[int, HandleDiagnosis]) -> dict[str, Tensor]:
+    """Colours of the points by what they show; handles only where an edit has some."""
+    from pcore.editing.handles import handle_colors
+
+    colors = {"strain": found.colors(), "holes": found.hole_colors()}
+    if handles:
+        colors["handles"] = handle_colors(handles.values(), len(found.strain))
+    return colors
 
 
 def read_source(path: Path) -> Tensor:
@@ -228,15 +241,16 @@ def lines_of(script: EditScript) -> list[str]:
     return lines or ["no edit"]
 
 
-def _write_picture(path: Path, points: Tensor, found: Diagnosis) -> None:
+def _write_picture(path: Path, points: Tensor, colors: dict[str, Tensor]) -> None:
     from pcore.cli.cameras import OrbitWish, orbit_of_cloud
-    from pcore.data.pictures import write_png
     from pcore.data.splat import point_picture
+    from pcore.evaluation.figures import png_bytes, sheet
+    from pcore.model.atomic import write_atomically
 
-    if path.suffix.lower() != ".png":
-        raise InputError(f"{path}: expected a picture that ends in .png")
     ((_, camera),) = orbit_of_cloud(points, OrbitWish(count=1))
-    write_png(path, point_picture(points, found.colors(), camera))
+    row = [point_picture(points, paint, camera).numpy() for paint in colors.values()]
+    page = sheet(list(colors), [("points", row)], cell=max(camera.width, camera.height))
+    write_atomically(path, png_bytes(page))
 
 
 def _region(region: dict[str, Any]) -> str:

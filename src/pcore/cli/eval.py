@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from pcore.cli.options import Count, Folder, Output
+from pcore.cli.options import Count, Folder, Number, Output
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pcore.data.scene import Scene
     from pcore.evaluation.protocol import Perceptual
     from pcore.evaluation.runner import ImageRow, Method, Taken
+    from pcore.evaluation.states import SceneStates, State
 
 PICTURES = "pictures"
 
@@ -38,8 +39,16 @@ class EvalCommand:
     scene: Folder = None
     """Folder of the scene; default: the one the run was trained on."""
 
-    state: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ("all",)
-    """States besides the canonical one: names, `all`, or `scale:S` (any scene; exact truth)."""
+    state: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]", help_behavior_hint="")] = ()
+    """States besides the canonical one: names, `all`, or `scale:S` (any scene; exact truth).
+    Default: all; with --edit none."""
+
+    edit: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]", help_behavior_hint="")] = ()
+    """Edit files, each a further state without true images: strain, holes, handles, what no view
+    saw, and pictures; no PSNR."""
+
+    time: Number = None
+    """For edit files with keyframes: the time to evaluate."""
 
     baseline: Folder = None
     """Run to compare with; default: the one that a fine-tuned run was tuned from."""
@@ -77,6 +86,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     Raises:
         CheckpointError: the run or its baseline cannot be read.
         SceneError: the scene or a state cannot be read or scored.
+        EditError: an edit file is not valid or does not fit the points.
         InputError: an unknown state, a factor that does not fit, or an output folder in use.
     """
     from pcore.cli.models import baseline_of, open_run
@@ -96,7 +106,9 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     base = baseline_of(run, command.baseline, device=device)
     factor = run.factor if command.factor is None else command.factor
     places = open_states(scene_of(run.manifest, command.scene), factor=factor)
-    states = places.select(command.state)
+    states = places.select(command.state or (() if command.edit else ("all",)))
+    edited, odd = _edited(command, places, [one for one in (run, base) if one is not None])
+    states += edited
     check_images(shot.view for state in states for shot in state.shots)
     output = command.output or command.run_folder / "eval"
     results_folder(output, about=run.path)
@@ -119,8 +131,36 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         "scene": relative(places.path, output),
         "factor": places.factor,
     }
-    notes = [*([places.left_out] if places.left_out else []), *_mended(rows, methods)]
+    left_out = [places.left_out] if places.left_out else []
+    notes = [*left_out, *odd, *_mended(rows, methods)]
     finish(console, output, rows, about=about, perceptual=perceptual, notes=notes)
+
+
+def _edited(
+    command: EvalCommand, places: SceneStates, runs: Sequence[Run]
+) -> tuple[list[State], list[str]]:
+    """States of the edit files, and what is odd about them."""
+    from pcore.cli.diagnosing import script_at
+    from pcore.cli.runtime import learned_rig
+    from pcore.errors import InputError
+    from pcore.evaluation.edited import EditedShape
+    from pcore.evaluation.states import CANONICAL
+
+    names = [file.stem for file in command.edit]
+    if len({*names}) < len(names):
+        raise InputError(
+            f"--edit: expected files of different names, got {', '.join(map(str, command.edit))}"
+        )
+    clouds = [one.cloud.positions.detach().cpu() for one in runs]
+    subjects = [(c, learned_rig(one.path, c)) for c, one in zip(clouds, runs, strict=True)]
+    shots = places.select([CANONICAL])[0].shots
+    states: list[State] = []
+    odd: list[str] = []
+    for name, file in zip(names, command.edit, strict=True):
+        shape = EditedShape(script_at(file, command.time), subjects)
+        states.append(shape.state(name, shots, places.scene.center))
+        odd += [f"{file}: {line}" for line in shape.notes]
+    return states, odd
 
 
 def finish(

@@ -32,9 +32,16 @@ _HEALTH = (
     ("strain_median", "strain\nmedian", 2, False),
     ("strain_99", "strain\n99 %", 2, False),
     ("strain_max", "strain\nmost", 2, False),
-    ("hole_score", "hole\nscore", 1, True),
     ("self_intersection", "self-\nintersection", 1, True),
     ("unseen", "\nunseen", 1, True),
+)
+
+# A table of its own, because terminals are narrow.
+_HOLES = (
+    ("hole_score", "hole\nscore", 1, True),
+    ("hole_score_plain", "the same,\nplain rays", 1, True),
+    ("anchors_disagree", "anchors\ndisagree", 1, True),
+    ("without_handle", "no handle\nnear", 1, True),
 )
 
 _WIDTH = 96
@@ -76,7 +83,9 @@ def show_results(
     for protocol in dict.fromkeys(one.protocol for one in means):
         chosen = [one for one in means if one.protocol == protocol]
         # A table cut to a narrow terminal loses figures; one that is too wide is only ugly.
-        table = _table(f"protocol {protocol}", chosen, _COLUMNS)
+        # A state that an edit file makes has no true images.
+        scored = [one for one in chosen if one.kind != "edited"]
+        table = _table(f"protocol {protocol}", scored, _COLUMNS)
         console.print(table, width=max(console.width, _WIDTH), crop=False)
         console.print(Text(_caption(protocol, chosen), "dim"), soft_wrap=True)
         for gain in gains:
@@ -110,8 +119,9 @@ def _show_health(console: Console, means: Sequence[StateMean]) -> None:
     """The points themselves, which are the same under every protocol."""
     chosen = [one for one in means if one.protocol == means[0].protocol]
     if any(one.scores.get("strain_99") is not None for one in chosen):
-        table = _table("points", chosen, _HEALTH)
-        console.print(table, width=max(console.width, _WIDTH), crop=False)
+        for title, known in (("points", _HEALTH), ("points, holes and handles", _HOLES)):
+            table = _table(title, chosen, known)
+            console.print(table, width=max(console.width, _WIDTH), crop=False)
         said = "unseen: share of the object's pixels that show what no training view saw"
         console.print(Text(said, "dim"), soft_wrap=True)
         console.print()

@@ -80,12 +80,21 @@ def estimated_frames(rest: Tensor, moved: Tensor) -> LocalFrames:
             no extent; or the move mirrors the whole.
     """
     _check(rest, moved)
+    to_rest, bad = fitted_inverses(rest, moved)
+    return LocalFrames(
+        rest=rest.detach(), to_rest=to_rest.to(rest), mended=torch.nonzero(bad).squeeze(-1)
+    )
+
+
+def fitted_inverses(rest: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
+    """Inverses (N, 3, 3) of the maps of `estimated_frames`, and which (N,) bool were replaced.
+
+    For points that were checked already: finite, at least four, and not all in one place.
+    """
     before, after = rest.detach().cpu().double(), moved.detach().cpu().double()
     linear, similar = _fit(before, after)
     bad = ~(torch.linalg.det(linear) > 0)
-    linear = torch.where(bad[:, None, None], similar, linear)
-    to_rest = torch.linalg.inv(linear).to(rest)
-    return LocalFrames(rest=rest.detach(), to_rest=to_rest, mended=torch.nonzero(bad).squeeze(-1))
+    return torch.linalg.inv(torch.where(bad[:, None, None], similar, linear)), bad
 
 
 def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:

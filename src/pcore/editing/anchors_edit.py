@@ -164,8 +164,9 @@ def _nearest_anchor(number: int, near: Tensor, rig: AnchorRig) -> int:
     distance = (rig.graph.rest - near).norm(dim=1)
     index = int(distance.argmin())
     if float(distance[index]) > NEAR * rig.size:
+        place = ", ".join(f"{x:.4g}" for x in near.tolist())
         raise EditError(
-            f"handle {number}: expected a place on the object, got {near.tolist()}, which is "
+            f"handle {number}: expected a place on the object, got [{place}], which is "
             f"{float(distance[index]):.3g} from the nearest anchor (object size {rig.size:.3g}); "
             "is it in world units?"
         )

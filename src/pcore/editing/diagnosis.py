@@ -1,6 +1,6 @@
 """What tells that an edit is going wrong.
 
-Strain, thin places, surface that meets itself, surface that no training view saw.
+Strain, torn places, surface that meets itself, surface that no training view saw.
 """
 
 from __future__ import annotations
@@ -11,19 +11,26 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from pcore.deform.local_frames import fitted_inverses
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.visibility import cloud_spacing, seen_by
 
 NEIGHBOURS = 8
-THIN = 2.0
-"""Growth of the distance to the `NEIGHBOURS`-th nearest point from which a place counts as thin."""
+TORN = 2.0
+"""Tearing from which aware rays are likely to find a hole."""
+THIN = 1.5
+"""Strain from which plain rays are likely to find a hole."""
 APART = 5.0
 """Points this many spacings apart are no neighbours: where they become so, the surface meets."""
 
-_CALM, _STRETCHED, _SQUEEZED = (0.82, 0.82, 0.82), (0.84, 0.15, 0.12), (0.13, 0.36, 0.78)
+Paint = tuple[float, float, float]
+CALM: Paint = (0.82, 0.82, 0.82)
+_STRETCHED, _SQUEEZED = (0.84, 0.15, 0.12), (0.13, 0.36, 0.78)
 _MEETING, _EXPOSED = (0.75, 0.1, 0.75), (0.98, 0.74, 0.02)
+_FEWEST = 4
+_HOLE = (0.93, 0.42, 0.05)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,21 +40,32 @@ class Diagnosis:
     Attributes:
         strain: (N,) largest growth of the distance to one of the 8 nearest points before; 1 is
             none, 2 twice as far.
-        thinning: (N,) growth of the distance to the 8th nearest point, whichever that is.
+        tearing: (N,) the same growth in the measure of the map that the surface around the point
+            follows: |A^-1 (x'_j - x'_i)| / |x_j - x_i| with A fitted to the neighbours, of which
+            those that went elsewhere have no say (`estimated_frames`). It is 1 wherever the surface
+            grows, shears or turns smoothly, however much; only what comes apart is more.
         meeting: (N,) bool; another part of the surface came as near as neighbours are.
         exposed: (N,) bool; no training camera saw the point at rest and one of them would see it
             now; None where the training cameras are not known.
     """
 
     strain: Tensor
-    thinning: Tensor
+    tearing: Tensor
     meeting: Tensor
     exposed: Tensor | None = None
 
     @property
     def hole_score(self) -> float:
-        """Share of the points around which the cloud is less than half as dense in length."""
-        return float((self.thinning > THIN).double().mean())
+        """Share of the points that a neighbour left: where aware rays find holes."""
+        return float((self.tearing > TORN).double().mean())
+
+    @property
+    def hole_score_plain(self) -> float:
+        """Share of the points with a neighbour 1.5 times as far: where plain rays find holes.
+
+        Plain rays do not follow the scale of the surface, so a uniform scale by 2 counts here.
+        """
+        return float((self.strain > THIN).double().mean())
 
     @property
     def self_intersection(self) -> float:
@@ -64,6 +82,7 @@ class Diagnosis:
             "strain_99": high,
             "strain_max": float(self.strain.max()),
             "hole_score": self.hole_score,
+            "hole_score_plain": self.hole_score_plain,
             "self_intersection": self.self_intersection,
             **({} if exposed is None else {"exposed": exposed}),
         }
@@ -73,14 +92,28 @@ class Diagnosis:
 
         Between them by the logarithm of the strain. Yellow is exposed, whatever its strain.
         """
-        share = torch.log2(self.strain.float().clamp(0.5, 2.0)).unsqueeze(-1)
-        calm, red, blue = map(torch.tensor, (_CALM, _STRETCHED, _SQUEEZED))
-        end = torch.where(share > 0, red, blue)
-        colors = calm + share.abs() * (end - calm)
+        colors = shaded(self.strain, more=_STRETCHED, less=_SQUEEZED)
         for where, paint in ((self.exposed, _EXPOSED), (self.meeting, _MEETING)):
             if where is not None:
-                colors = torch.where(where.unsqueeze(-1), torch.tensor(paint), colors)
-        return (255 * colors).round().to(torch.uint8)
+                colors = torch.where(where.unsqueeze(-1), painted(paint), colors)
+        return colors
+
+    def hole_colors(self) -> Tensor:
+        """Colours (N, 3) uint8: grey holds together, orange from a tearing of 2 on."""
+        return shaded(self.tearing, more=_HOLE, less=CALM)
+
+
+def painted(paint: Paint) -> Tensor:
+    """Return a colour as (3,) uint8."""
+    return (255 * torch.tensor(paint)).round().to(torch.uint8)
+
+
+def shaded(growth: Tensor, *, more: Paint, less: Paint) -> Tensor:
+    """Colours (N, 3) uint8 of growths (N,), by their logarithm: one colour at 2, one at 1/2."""
+    share = torch.log2(growth.float().clamp(0.5, 2.0)).unsqueeze(-1)
+    calm = torch.tensor(CALM)
+    end = torch.where(share > 0, torch.tensor(more), torch.tensor(less))
+    return (255 * (calm + share.abs() * (end - calm))).round().to(torch.uint8)
 
 
 def diagnose(before: Tensor, after: Tensor) -> Diagnosis:
@@ -100,21 +133,28 @@ def diagnose(before: Tensor, after: Tensor) -> Diagnosis:
         )
     rest, moved = before.detach().cpu().double(), after.detach().cpu().double()
     index, near = nearest(rest, rest, NEIGHBOURS + 1)
-    now = (moved[index] - moved.unsqueeze(1)).norm(dim=-1)
+    offset = moved[index] - moved.unsqueeze(1)
+    now, size = offset.norm(dim=-1), float((rest.amax(dim=0) - rest.amin(dim=0)).norm())
     # Points in one place have no distance that could grow.
-    tiny = 1e-9 * (rest.amax(dim=0) - rest.amin(dim=0)).norm() + torch.finfo(torch.float64).tiny
-    growth = torch.where(near > tiny, now / near.clamp_min(tiny), 0.0)
-    strain = growth.amax(dim=1)
-    strain = torch.where(strain > 0, strain, 1.0)
+    tiny = 1e-9 * size + torch.finfo(torch.float64).tiny
+    strain = _growth(now, near, tiny)
+    tearing = torch.ones_like(strain)
+    if len(rest) >= _FEWEST and size > 0:
+        to_rest, _ = fitted_inverses(rest, moved)
+        tearing = _growth(
+            (to_rest.unsqueeze(1) @ offset.unsqueeze(-1)).norm(dim=(2, 3)), near, tiny
+        )
     found, close = nearest(moved, moved, NEIGHBOURS + 1)
     apart = (rest[found] - rest.unsqueeze(1)).norm(dim=-1)
     spacing, spacing_now = near[:, 1:].mean(dim=1), now[:, 1:].mean(dim=1)
     meets = (close < spacing_now.unsqueeze(1)) & (apart > APART * spacing.unsqueeze(1))
-    return Diagnosis(
-        strain=strain,
-        thinning=close[:, -1] / near[:, -1].clamp_min(tiny),
-        meeting=meets.any(dim=1),
-    )
+    return Diagnosis(strain=strain, tearing=tearing, meeting=meets.any(dim=1))
+
+
+def _growth(now: Tensor, before: Tensor, tiny: float) -> Tensor:
+    """Largest ratio (N,) of distances (N, K); 1 where there was none."""
+    growth = torch.where(before > tiny, now / before.clamp_min(tiny), 0.0).amax(dim=1)
+    return torch.where(growth > 0, growth, 1.0)
 
 
 def with_exposed(

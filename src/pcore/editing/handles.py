@@ -12,6 +12,7 @@ from pcore.deform.skinning import AnchorPose
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.binding import begin
+from pcore.editing.diagnosis import CALM, painted
 from pcore.editing.script import EditScript
 from pcore.errors import EditError
 
@@ -19,6 +20,9 @@ TORN = 0.02
 """Share of the object's size by which anchors may disagree about a point."""
 FAR = 0.25
 """Share of the object's size from the nearest held anchor beyond which nobody controls a point."""
+
+
+_LOOSE, _TORN = (0.05, 0.55, 0.55), (0.55, 0.3, 0.1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,6 +58,28 @@ class HandleDiagnosis:
             "disagreement_99": float(torch.quantile(self.disagreement, 0.99)),
             "without_handle": float(self.loose.double().mean()),
         }
+
+
+def handle_colors(found: Iterable[HandleDiagnosis], count: int) -> Tensor:
+    """Colours (N, 3) uint8 of `count` points: teal moves with no handle near, brown is torn.
+
+    Grey is neither; brown covers teal, and what holds of one edit holds of all.
+    """
+    colors = painted(CALM).repeat(count, 1)
+    diagnoses = tuple(found)
+    for paint, which in (
+        (_LOOSE, [d.loose for d in diagnoses]),
+        (_TORN, [d.torn for d in diagnoses]),
+    ):
+        for where in which:
+            colors[where] = painted(paint)
+    return colors
+
+
+def handle_numbers(found: Iterable[HandleDiagnosis]) -> dict[str, float]:
+    """Figures of several edits together: the largest of each; empty without any."""
+    rows = [one.numbers() for one in found]
+    return {name: max(row[name] for row in rows) for name in (rows[0] if rows else ())}
 
 
 def diagnose_handles(rig: AnchorRig, pose: AnchorPose, held: Iterable[int]) -> HandleDiagnosis:

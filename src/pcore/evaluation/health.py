@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pcore.data.splat import point_picture
 from pcore.editing.diagnosis import Diagnosis, diagnose
+from pcore.editing.handles import HandleDiagnosis, handle_colors, handle_numbers
 from pcore.evaluation.figures import Pixels, color_pixels
 from pcore.geometry.camera import Camera
 from pcore.geometry.visibility import cloud_spacing, unseen_pixels, unseen_share
@@ -19,8 +20,11 @@ HEALTH = (
     "strain_99",
     "strain_max",
     "hole_score",
+    "hole_score_plain",
     "self_intersection",
     "unseen",
+    "anchors_disagree",
+    "without_handle",
 )
 """Names of the figures, as columns of `images.csv`."""
 
@@ -37,12 +41,14 @@ class Health:
         spacing: of the cloud at rest, from `cloud_spacing`.
         unseen: (N,) bool, which of them no training view saw; None where that is not known.
         diagnosis: strain, holes and self-intersection against the rest state.
+        handles: of the edits by anchors that made the state; empty for other states.
     """
 
     moved: Tensor = field(repr=False)
     spacing: float
     unseen: Tensor | None = field(repr=False)
     diagnosis: Diagnosis = field(repr=False)
+    handles: tuple[HandleDiagnosis, ...] = field(repr=False, default=())
 
     def shows_unseen(self, camera: Camera, alpha: Tensor) -> Tensor | None:
         """Pixels (H, W) of a rendering that show unseen points; None where that is not known."""
@@ -58,16 +64,35 @@ class Health:
             alpha: (H, W) opacity of the same rendering.
         """
         unseen = None if shown is None else unseen_share(shown, alpha)
-        return {**self.diagnosis.numbers(), "unseen": unseen}
+        known = {**self.diagnosis.numbers(), **handle_numbers(self.handles), "unseen": unseen}
+        return {name: known.get(name) for name in HEALTH}
 
     def strain_pixels(self, camera: Camera) -> Pixels:
         """Draw the points in the colours of `Diagnosis.colors`, as a camera sees them."""
-        drawn = point_picture(self.moved, self.diagnosis.colors(), camera, dot=_DOT)
+        return self._drawn(self.diagnosis.colors(), camera)
+
+    def hole_pixels(self, camera: Camera) -> Pixels:
+        """Draw the points in the colours of `Diagnosis.hole_colors`."""
+        return self._drawn(self.diagnosis.hole_colors(), camera)
+
+    def handle_pixels(self, camera: Camera) -> Pixels | None:
+        """Draw the points in the colours of `handle_colors`; None without edits by anchors."""
+        if not self.handles:
+            return None
+        return self._drawn(handle_colors(self.handles, len(self.moved)), camera)
+
+    def _drawn(self, colors: Tensor, camera: Camera) -> Pixels:
+        drawn = point_picture(self.moved, colors, camera, dot=_DOT)
         return np.asarray(drawn.numpy(), dtype=np.uint8)
 
 
-def health_of(rest: Tensor, moved: Tensor, unseen: Tensor | None) -> Health:
-    """Diagnose points (N, 3), at least two, that were moved.
+def health_of(
+    rest: Tensor,
+    moved: Tensor,
+    unseen: Tensor | None,
+    handles: tuple[HandleDiagnosis, ...] = (),
+) -> Health:
+    """Diagnose points (N, 3), at least two, that were moved; with what is known of handles.
 
     Raises:
         InputError: as `diagnose`.
@@ -78,6 +103,7 @@ def health_of(rest: Tensor, moved: Tensor, unseen: Tensor | None) -> Health:
         spacing=cloud_spacing(before),
         unseen=unseen,
         diagnosis=diagnose(before, after),
+        handles=handles,
     )
 
 

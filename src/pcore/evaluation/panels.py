@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pcore.errors import InputError
 from pcore.evaluation.figures import (
     Pixels,
     Range,
@@ -24,21 +25,22 @@ Window = tuple[slice, slice]
 
 def shared_range(taken: Taken, names: Sequence[str]) -> Range | None:
     """Depths of the colour scale: of the truth when it is known, else of all methods."""
-    if taken.depth is not None:
+    if taken.depth is not None and taken.rgba is not None:
         return depth_range([(taken.rgba[..., 3], taken.depth)])
     return depth_range([(taken.photos[n].alpha, taken.photos[n].depth) for n in names])
 
 
 def renderings(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
-    """Colours of the truth, then of every method."""
-    return [truth_pixels(taken.rgba), *(color_pixels(taken.photos[n].rgb) for n in names)]
+    """Colours of the truth (None when there is none), then of every method."""
+    truth = None if taken.rgba is None else truth_pixels(taken.rgba)
+    return [truth, *(color_pixels(taken.photos[n].rgb) for n in names)]
 
 
 def depth_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
     """Depth of the truth (None when it is not known), then of every method; one colour scale."""
     span = shared_range(taken, names)
-    alpha, known = taken.rgba[..., 3], taken.depth
-    first = None if known is None else depth_pixels(alpha, known, span)
+    rgba, known = taken.rgba, taken.depth
+    first = None if known is None or rgba is None else depth_pixels(rgba[..., 3], known, span)
     drawn = [depth_pixels(taken.photos[n].alpha, taken.photos[n].depth, span) for n in names]
     return [first, *drawn]
 
@@ -48,6 +50,16 @@ def strain_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
     return [None, *(taken.health[name].strain_pixels(taken.camera) for name in names)]
 
 
+def hole_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
+    """Points of every method in the colours of their tearing; None in the place of the truth."""
+    return [None, *(taken.health[name].hole_pixels(taken.camera) for name in names)]
+
+
+def handle_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
+    """Points in the colours of too few handles; None without edits by anchors."""
+    return [None, *(taken.health[name].handle_pixels(taken.camera) for name in names)]
+
+
 def unseen_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
     """Renderings, yellow where they show what no training view saw; None where not known."""
     shown = [(taken.photos[name].rgb, taken.unseen[name]) for name in names]
@@ -55,16 +67,22 @@ def unseen_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
 
 
 def comparison_sheet(taken: Taken, names: Sequence[str], *, cell: int = 220) -> Pixels:
-    """One sheet: truth and methods in columns; colours, depth, strain and what was never seen."""
+    """One sheet: truth and methods in columns; colours, depth, and what may be going wrong.
+
+    A state without a truth has no column for it.
+    """
     rows = [
         ("rendering", renderings(taken, names)),
         ("depth", depth_maps(taken, names)),
         ("strain", strain_maps(taken, names)),
+        ("holes", hole_maps(taken, names)),
+        ("handles", handle_maps(taken, names)),
+        ("unseen", unseen_maps(taken, names)),
     ]
-    unseen = unseen_maps(taken, names)
-    if any(picture is not None for picture in unseen):
-        rows.append(("unseen", unseen))
-    return sheet([TRUTH, *names], rows, cell=cell)
+    shown = [(title, row) for title, row in rows if any(picture is not None for picture in row)]
+    if taken.rgba is None:
+        return sheet(names, [(title, row[1:]) for title, row in shown], cell=cell)
+    return sheet([TRUTH, *names], shown, cell=cell)
 
 
 def object_window(taken: Taken, *, margin: float = 0.12) -> Window:
@@ -73,7 +91,12 @@ def object_window(taken: Taken, *, margin: float = 0.12) -> Window:
     Args:
         taken: the pictures of a shot.
         margin: room on every side, as a fraction of the object's longer side.
+
+    Raises:
+        InputError: a state without a truth.
     """
+    if taken.rgba is None:
+        raise InputError(f"state {taken.state}: expected one with true images, got an edit file")
     solid = taken.rgba[..., 3].numpy() > 0
     size = solid.shape
     spans = [np.flatnonzero(solid.any(axis=axis)) for axis in (1, 0)]

@@ -23,6 +23,7 @@ _METRICS = (
     ("depth_error_relative", "Depth error", 2, True, False),
     ("spill_to_object", "Spill", 1, True, False),
     ("strain_99", "Strain, 99 %", 2, False, False),
+    ("hole_score", "Hole score", 1, True, False),
     ("unseen", "Unseen", 1, True, False),
 )
 

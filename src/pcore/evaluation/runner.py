@@ -95,7 +95,7 @@ class Taken:
         state: the state.
         view: name of the test view.
         index: position of the view among the state's.
-        rgba: (H, W, 4) truth, straight alpha.
+        rgba: (H, W, 4) truth, straight alpha; None where there is none.
         depth: (H, W) true camera z, infinite on the background; None when not known.
         photos: method -> what it rendered.
         camera: where the pictures were taken from.
@@ -107,7 +107,7 @@ class Taken:
     state: str
     view: str
     index: int
-    rgba: Tensor
+    rgba: Tensor | None
     depth: Tensor | None
     photos: Mapping[str, Photo]
     camera: Camera
@@ -151,7 +151,7 @@ def evaluate(
     carried = [carry(methods, state) for state in states]
     for state, clouds in zip(states, carried, strict=True):
         mended = {name: one.frames and len(one.frames.mended) for name, one in clouds.items()}
-        health = _health(methods, clouds)
+        health = _health(methods, clouds, state)
         for index in range(len(state.shots)):
             taken = _take(methods, clouds, health, state, index, draw)
             rows += _score(taken, state, protocols, perceptual, mended)
@@ -179,7 +179,7 @@ def _take(
         state=state.name,
         view=shot.view.name,
         index=index,
-        rgba=shot.view.rgba(),
+        rgba=shot.view.rgba() if state.has_truth else None,
         depth=None if shot.depth is None else shot.depth(),
         photos=photos,
         camera=shot.camera,
@@ -198,10 +198,12 @@ def _score(
     """One row per method and protocol."""
     rows: list[ImageRow] = []
     for name, photo in taken.photos.items():
-        geometry = _geometry(photo, taken, state)
         own = taken.health[name].row(taken.unseen[name], photo.alpha)
+        geometry = {} if taken.rgba is None else _geometry(photo, taken.rgba, taken, state)
         for protocol in protocols:
-            images = measure(protocol, photo.rgb, taken.rgba, perceptual).row()
+            images: Mapping[str, Value] = {}
+            if taken.rgba is not None:
+                images = measure(protocol, photo.rgb, taken.rgba, perceptual).row()
             row = ImageRow(
                 method=name,
                 state=taken.state,
@@ -236,13 +238,16 @@ def carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
     return {m.name: known[id(m.cloud), m.aware] for m in methods}
 
 
-def _health(methods: Sequence[Method], clouds: Mapping[str, PointCloud]) -> dict[str, Health]:
+def _health(
+    methods: Sequence[Method], clouds: Mapping[str, PointCloud], state: State
+) -> dict[str, Health]:
     """Diagnose every method's points; methods of one run share the work."""
     known: dict[int, Health] = {}
     for method in methods:
         if id(method.cloud) not in known:
             rest, moved = method.cloud.positions, clouds[method.name].positions
-            known[id(method.cloud)] = health_of(rest, moved, method.unseen)
+            handles = () if state.handles is None else state.handles(rest.detach().cpu())
+            known[id(method.cloud)] = health_of(rest, moved, method.unseen, handles)
     return {method.name: known[id(method.cloud)] for method in methods}
 
 
@@ -253,9 +258,9 @@ def _frames(state: State, rest: Tensor, moved: Tensor) -> LocalFrames | None:
         raise EditError(f"state {state.name}: {error}; plain rays can draw it") from error
 
 
-def _geometry(photo: Photo, taken: Taken, state: State) -> Mapping[str, Value]:
+def _geometry(photo: Photo, rgba: Tensor, taken: Taken, state: State) -> Mapping[str, Value]:
     """Geometry metrics; without a true shape only those that need the opacity alone."""
-    alpha, size = taken.rgba[..., 3], state.object_size
+    alpha, size = rgba[..., 3], state.object_size
     if taken.depth is not None and size is not None:
         truth = TrueGeometry(alpha=alpha, depth=taken.depth, object_size=size)
         return measure_geometry(photo.alpha, photo.depth, truth).row()

@@ -22,6 +22,7 @@ from pcore.data.scene import Scene, View
 from pcore.deform.base import Deformation
 from pcore.deform.local_frames import analytic_frames, estimated_frames
 from pcore.deform.simple import uniform_scale
+from pcore.editing.handles import HandleDiagnosis
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.ground_truth import DeformedTruth, SurfaceAnchors, load_truth
 from pcore.geometry.camera import Camera
@@ -32,8 +33,9 @@ ALL = "all"
 SCALE = "scale:"
 MESHES = "meshes.npz"
 
-Kind = Literal["canonical", "analytic", "skeletal"]
-"""`analytic` states have a formula for all of space, `skeletal` ones come from an animation."""
+Kind = Literal["canonical", "analytic", "skeletal", "edited"]
+"""`analytic` states have a formula for all of space, `skeletal` ones come from an animation, and
+`edited` ones from an edit file: those have no true images."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,7 +43,7 @@ class Shot:
     """One picture to take of a state.
 
     Attributes:
-        view: its true image, the caller's camera aside.
+        view: its true image, the caller's camera aside; without a truth that of the rest state.
         camera: where the picture is taken from; the view's own unless the state moves cameras.
         depth: gives the true camera z (H, W), world units, infinite on the background; None when
             the true shape is not known.
@@ -64,6 +66,8 @@ class State:
         frames: local frames of canonical points (N, 3) that were moved to (N, 3): from the formula
             of the state where it has one, else estimated from the move; None without a move.
         object_size: diagonal of the bounding box in this state, world units; None without a mesh.
+        handles: diagnoses of the edits by anchors that make the state, for canonical points (N, 3);
+            None where no edit makes it.
     """
 
     name: str
@@ -72,6 +76,12 @@ class State:
     move: Callable[[Tensor], Tensor]
     frames: Callable[[Tensor, Tensor], LocalFrames | None]
     object_size: float | None
+    handles: Callable[[Tensor], tuple[HandleDiagnosis, ...]] | None = None
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether its views are true images of it."""
+        return self.kind != "edited"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,0 +1,90 @@
+"""States that an edit file makes: no true images, but all that points and renderings tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from pcore.deform.local_frames import unchecked_frames
+from pcore.editing.anchors import AnchorRig
+from pcore.editing.binding import Bound
+from pcore.editing.handles import HandleDiagnosis, handles_of
+from pcore.editing.script import EditScript
+from pcore.errors import InputError
+from pcore.evaluation.states import Shot, State
+from pcore.geometry.camera import Camera
+from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.orbit import growth
+
+EDIT = "edit:"
+
+Subject = tuple[Tensor, AnchorRig | None]
+"""Canonical points (N, 3) of a run on the CPU, world units, and its learned rig if it has one."""
+
+
+class EditedShape:
+    """An edit file bound to the clouds of several runs.
+
+    Attributes:
+        notes: what is odd about the edits and was not refused.
+    """
+
+    def __init__(self, script: EditScript, subjects: Sequence[Subject]) -> None:
+        """Bind the script to every cloud.
+
+        Raises:
+            EditError: it does not fit one of them, or folds space there.
+        """
+        self._script = script
+        self._known: list[tuple[Tensor, AnchorRig | None, Bound]] = []
+        for points, rig in subjects:
+            self._known.append((points, rig, script.bound(points, rig=rig)))
+        self.notes = tuple(dict.fromkeys(line for *_, one in self._known for line in one.notes))
+
+    def state(self, name: str, shots: Sequence[Shot], center: Tensor) -> State:
+        """Return the state for `evaluate`; its cameras step back where the object has grown.
+
+        Args:
+            name: of the edit; the state is called `edit:NAME`.
+            shots: of the canonical state.
+            center: (3,) of the scene, from which cameras step back, world units.
+        """
+        reach = max(growth(points, one.setting.points, center) for points, _, one in self._known)
+        return State(
+            name=f"{EDIT}{name}",
+            kind="edited",
+            shots=tuple(
+                Shot(view=shot.view, camera=_farther(shot.camera, center, reach), depth=None)
+                for shot in shots
+            ),
+            move=lambda points: self._of(points)[2].setting.points.to(points),
+            frames=self._frames,
+            object_size=None,
+            handles=self._handles,
+        )
+
+    def _frames(self, points: Tensor, moved: Tensor) -> LocalFrames:
+        del moved  # The edit itself says more than where the points went.
+        return unchecked_frames(self._of(points)[2].deformation, points)
+
+    def _handles(self, points: Tensor) -> tuple[HandleDiagnosis, ...]:
+        rest, rig, _ = self._of(points)
+        return tuple(handles_of(self._script, rest, rig).values())
+
+    def _of(self, points: Tensor) -> tuple[Tensor, AnchorRig | None, Bound]:
+        for known in self._known:
+            if known[0].shape == points.shape and torch.equal(known[0], points.cpu()):
+                return known
+        raise InputError(
+            f"{self._script.source}: expected points that the edit was bound to, got "
+            f"{len(points)} others"
+        )
+
+
+def _farther(camera: Camera, center: Tensor, reach: float) -> Camera:
+    pose = camera.world_from_camera.clone()
+    middle = center.to(pose)
+    pose[:3, 3] = middle + reach * (pose[:3, 3] - middle)
+    return camera.moved(pose)
