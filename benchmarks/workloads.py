@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from benchmarks.drag_workload import measure_drag
 from benchmarks.metrics import Metric
 from benchmarks.papr_workloads import measure_render, measure_step
 from benchmarks.plan import Plan
@@ -13,4 +14,5 @@ WORKLOADS: dict[str, Callable[[Plan], Iterator[tuple[str, Metric]]]] = {
     "search": measure_search,
     "step": measure_step,
     "render": measure_render,
+    "drag": measure_drag,
 }

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from benchmarks.__main__ import BASELINE, gate, main
+from benchmarks.drag_workload import measure_drag
 from benchmarks.papr_workloads import measure_render, measure_step
 from benchmarks.plan import Plan
 
@@ -58,6 +59,8 @@ def test_the_baseline_holds_the_bars() -> None:
     assert bars["step/160x160/30000/memory"] == 5
     assert bars["render/200x200/30000/exact/ratio"] == 6
     assert bars["render/200x200/30000/fast/ratio"] == 12
+    assert bars["drag/cage/30000/seconds"] == bars["drag/anchor/30000/seconds"] == 0.03
+    assert bars["drag/cage/30000/bind"] == bars["drag/anchor/30000/bind"] == 10
     assert metrics.regressions(baseline, baseline) == []
 
 
@@ -106,6 +109,16 @@ def test_a_step_and_a_picture_are_measured(monkeypatch: pytest.MonkeyPatch) -> N
     assert found["render/16x16/200/exact/error"].value < 1e-5
     assert 0 < found["render/16x16/200/fast/kept"].value <= 0.5
     assert all(metric.value > 0 for metric in found.values())
+
+
+def test_drags_are_measured() -> None:
+    plan = Plan(device=torch.device("cpu"), quick=True, repeats=1)
+    found = dict(measure_drag(plan))
+    assert set(found) == {
+        f"drag/{kind}/300/{what}" for kind in ("cage", "anchor") for what in ("bind", "seconds")
+    }
+    for kind in ("cage", "anchor"):
+        assert found[f"drag/{kind}/300/seconds"].value < found[f"drag/{kind}/300/bind"].value
 
 
 def test_rays_near_the_surface_have_origins_of_their_own_and_hit_it() -> None:

@@ -198,3 +198,17 @@ def test_a_second_drag_of_an_anchor_measures_no_path_again(monkeypatch: pytest.M
     assert calls == [300]
     assert torch.equal(made.do(edit).points, shown.points)
     assert calls == [300]
+
+
+def test_many_edits_are_the_one_that_means_the_same_in_points_and_frames():
+    """Points and frames are all that a picture takes from an edit."""
+    once, often = session({**TWIST, "angle_deg": 120}), session()
+    for _ in range(24):
+        often.do({**TWIST, "angle_deg": 5})
+    whole = PointCloud(positions=cloud(), features=torch.zeros(300, 2), influence=torch.zeros(300))
+    one, many = (deformed_cloud(whole, made.state.deformation) for made in (once, often))
+    torch.testing.assert_close(many.positions, one.positions, rtol=0, atol=1e-6)
+    assert one.frames is not None
+    assert many.frames is not None
+    torch.testing.assert_close(many.frames.to_rest, one.frames.to_rest, rtol=0, atol=1e-5)
+    assert float((one.positions - cloud()).norm(dim=1).max()) > 0.3
