@@ -166,15 +166,11 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
     """
     from pcore.cli.diagnosing import note, report, script_at, training_cameras
     from pcore.cli.runtime import learned_rig
-    from pcore.data.points import check_point_path, save_points
+    from pcore.data.points import save_points
     from pcore.editing.diagnosis import diagnose, with_exposed
     from pcore.editing.handles import handles_of
 
-    check_point_path(command.output)
-    if command.colors != "none" and command.output.suffix.lower() != ".ply":
-        raise InputError(f"{command.output}: expected a .ply for --colors, a .npy has no colours")
-    if command.picture is not None and command.picture.suffix.lower() != ".png":
-        raise InputError(f"{command.picture}: expected a picture that ends in .png")
+    _check_outputs(command)
     script = script_at(command.edit, command.time)
     points = read_source(command.source)
     rig = learned_rig(command.source, points)
@@ -197,6 +193,16 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
     if command.picture is not None:
         _write_picture(command.picture, moved, colors)
     console.print(Text(f"written to {command.output}"), soft_wrap=True)
+
+
+def _check_outputs(command: ApplyCommand) -> None:
+    from pcore.data.points import check_point_path
+
+    check_point_path(command.output)
+    if command.colors != "none" and command.output.suffix.lower() != ".ply":
+        raise InputError(f"{command.output}: expected a .ply for --colors, a .npy has no colours")
+    if command.picture is not None and command.picture.suffix.lower() != ".png":
+        raise InputError(f"{command.picture}: expected a picture that ends in .png")
 
 
 def _colors(found: Diagnosis, handles: dict[int, HandleDiagnosis]) -> dict[str, Tensor]:
