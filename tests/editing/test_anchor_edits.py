@@ -214,6 +214,30 @@ def test_a_place_survives_other_anchors() -> None:
     assert difference.mean() < 0.1 * 0.41
 
 
+def test_the_point_nearest_to_the_place_is_held_itself() -> None:
+    points = bar()
+    near = points[points[:, 0].argmax()]
+    target = near + torch.tensor([0.0, 0.0, 0.3])
+    entry = {"type": "anchors", "handles": [{"near": near.tolist(), "to": target.tolist()}]}
+    for count in (16, 17, 64):
+        edit = AnchorsEdit.model_validate({**entry, "count": count})
+        moved = edit.bind(points)(near[None])[0]
+        # Its own anchor weighs nearly all; the seed's anchors are up to a spacing away.
+        assert (moved - target).norm() < 0.01 * 0.3
+
+
+def test_two_handles_at_one_point_are_refused_and_two_beside_each_other_are_not() -> None:
+    points = bar()
+    first, second = points[0].tolist(), points[torch.cdist(points[:1], points)[0].argsort()[1]]
+    to = [0.0, 0.0, 1.0]
+    same = [{"near": first, "to": to}, {"near": first, "to": to}]
+    with pytest.raises(EditError, match="an anchor of its own"):
+        AnchorsEdit.model_validate({"type": "anchors", "handles": same}).bind(points)
+    beside = [{"near": first, "to": first}, {"near": second.tolist(), "to": second.tolist()}]
+    edit = AnchorsEdit.model_validate({"type": "anchors", "handles": beside})
+    assert (edit.bind(points)(points) - points).abs().max() < 1e-5
+
+
 def test_places_are_measured_from_the_origin() -> None:
     near, to = torch.tensor([1.0, 0, 0]), torch.tensor([0.9, 0, 0.4])
     origin = torch.tensor([0.5, 0.25, -1.0])

@@ -159,7 +159,7 @@ class AnchorRig:
         """Whether its anchors are those that this count and seed choose from its cloud."""
         if len(self.indices) != count:
             return False
-        return torch.equal(self.indices, _chosen(_content(self.points), count, seed))
+        return torch.equal(self.indices, _chosen(_content(self.points), count, seed, ()))
 
     def at(self, points: Tensor) -> AnchorRig:
         """Return the rig after its cloud has moved to points (N, 3): each keeps its weights.
@@ -186,10 +186,18 @@ class AnchorRig:
         )
 
 
-def rig_of(points: Tensor, *, count: int = ANCHORS, seed: int = 0) -> AnchorRig:
+def rig_of(
+    points: Tensor, *, count: int = ANCHORS, seed: int = 0, first: tuple[int, ...] = ()
+) -> AnchorRig:
     """Choose anchors of a cloud (N, 3) and weigh its points along the cloud.
 
     The last few rigs are kept, so that a drag of the same cloud does not pay again.
+
+    Args:
+        points: the canonical cloud, world units.
+        count: number of anchors.
+        seed: of the choice of the first one.
+        first: see `farthest_points`.
 
     Raises:
         EditError: fewer points than anchors, fewer than two anchors, or NaN or infinity.
@@ -197,7 +205,7 @@ def rig_of(points: Tensor, *, count: int = ANCHORS, seed: int = 0) -> AnchorRig:
     if count < 2:
         raise EditError(f"anchors: expected a count of at least 2, got {count}")
     try:
-        return _rig(_content(points), count, seed)
+        return _rig(_content(points), count, seed, first)
     except InputError as error:
         raise EditError(str(error)) from error
 
@@ -223,13 +231,13 @@ def _points(content: bytes) -> Tensor:
 
 
 @lru_cache(maxsize=4)
-def _chosen(content: bytes, count: int, seed: int) -> Tensor:
-    return farthest_points(_points(content), count, seed=seed)
+def _chosen(content: bytes, count: int, seed: int, first: tuple[int, ...]) -> Tensor:
+    return farthest_points(_points(content), count, seed=seed, first=first)
 
 
 @lru_cache(maxsize=4)
-def _rig(content: bytes, count: int, seed: int) -> AnchorRig:
+def _rig(content: bytes, count: int, seed: int, first: tuple[int, ...]) -> AnchorRig:
     points = _points(content)
-    distance = path_distance(points, _chosen(content, count, seed))
+    distance = path_distance(points, _chosen(content, count, seed, first))
     sigma = SIGMA * anchor_spacing(distance.between)
     return rig_with(distance, distance_weigher(distance, sigma=sigma))

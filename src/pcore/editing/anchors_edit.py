@@ -18,6 +18,7 @@ from pcore.editing.fields import AXIS, Amount, Angle, Axis, Number, Triple
 from pcore.editing.regions import NEAR, Setting
 from pcore.errors import EditError
 from pcore.geometry.anchors import ANCHORS
+from pcore.geometry.neighbours import nearest
 
 _REACH = 0.25
 _TRIPLE = "three finite numbers [x, y, z]"
@@ -26,8 +27,9 @@ _TRIPLE = "three finite numbers [x, y, z]"
 class HandleEdit(BaseModel):
     """One handle: which anchor, where it goes, how it turns.
 
-    A handle given by `near` shifts the anchor nearest to that place by `to - near`, so that the
-    file means the same on a cloud whose anchors lie elsewhere.
+    A handle given by `near` shifts the point nearest to that place by `to - near`, so that the
+    file means the same on a cloud whose points lie elsewhere. With learned weights, whose anchors
+    are what they are, it is the nearest anchor.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -102,7 +104,8 @@ class AnchorsEdit(PlacedEdit):
         rig = setting.rig
         if rig is None or not rig.is_of(count=self.count, seed=self.seed):
             # Anchors of the rest state: what earlier edits do, in any frame, chooses no others.
-            rest = rig_of(setting.rest, count=self.count, seed=self.seed)
+            first = self._nearest_points(setting.points)
+            rest = rig_of(setting.rest, count=self.count, seed=self.seed, first=first)
             return rest.at(setting.points)
         if not torch.equal(rig.points, setting.rest.to(rig.points.dtype)):
             raise EditError(
@@ -110,6 +113,19 @@ class AnchorsEdit(PlacedEdit):
                 f"to, got {len(setting.rest)} others; give the points of the same run"
             )
         return rig.at(setting.points)
+
+    def _nearest_points(self, points: Tensor) -> tuple[int, ...]:
+        """Indices of the points (N, 3) nearest to the handles, which become anchors themselves.
+
+        A handle then holds the very place it names, and another sampling of the same object gets
+        anchors that lie alike around it. Numbered anchors are those of the seed alone.
+        """
+        origin = torch.tensor(self.origin)
+        places = [origin + torch.tensor(h.near) for h in self.handles if h.near is not None]
+        if len(places) < len(self.handles) or len(places) > self.count:
+            return ()
+        rows = nearest(points, torch.stack(places).to(points), 1)[0][:, 0]
+        return tuple(dict.fromkeys(rows.tolist()))
 
     def bind_to(self, rig: AnchorRig) -> Deformation:
         """Pose a rig that is known already, such as one with learned weights.
