@@ -31,11 +31,15 @@ def main() -> None:
     truth = load_truth(wish.scene)
     surface = torch.from_numpy(truth.vertices(None)).float()
     clouds = [load_model(run).cloud.positions for run in wish.runs]
-    print("| edit | vertices that move | largest move | mean difference of those | 99 % | largest |")
+    print(
+        "| edit | vertices that move | largest move | mean difference of those | 99 % | largest |"
+    )
     print("|---|---|---|---|---|---|")
     for path in wish.edits:
         row = compare(load_edit(path), clouds, surface, truth.object_size())
-        print(f"| {path.stem} | {' | '.join(f'{100 * value:.2f} %' for value in row)} |", flush=True)
+        print(
+            f"| {path.stem} | {' | '.join(f'{100 * value:.2f} %' for value in row)} |", flush=True
+        )
 
 
 def compare(
