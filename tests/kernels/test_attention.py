@@ -226,6 +226,30 @@ def test_a_threshold_leaves_out_small_weights(name: str, monkeypatch: pytest.Mon
     torch.testing.assert_close(fast.features, expected, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("shape", [(50, 40, 6), (1, 9, 4), (0, 4, 2)])
+@pytest.mark.parametrize("cutoff", [RULES.cutoff, 1e-6])
+def test_the_value_network_of_the_reference_sees_the_kept_pairs_alone(
+    shape: tuple[int, int, int], cutoff: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their number is counted; values and gradients are those of the CPU kernels."""
+    inputs, rules = scene(*shape), replace(RULES, threshold=0.2, cutoff=cutoff)
+    expected, rows = attend(inputs, rules), []
+    hidden = Layers.hidden
+
+    def counted(self: Layers, x: Tensor) -> Tensor:
+        if len(self.biases[-1]) == len(inputs["value"].biases[-1]):
+            rows.append(x.shape[:-1].numel())
+        return hidden(self, x)
+
+    monkeypatch.setattr(Layers, "hidden", counted)
+    monkeypatch.setenv("PCORE_KERNELS", "reference")
+    found = attend(inputs, rules)
+    compare(found, expected)
+    kept = int((functional._cut(found[0].weights, 0.2) != 0).sum())
+    assert rows == [kept]
+    assert kept < int((found[0].weights > 0).sum()) or shape[0] < 2 or cutoff == 1e-6
+
+
 def test_a_threshold_above_all_weights_leaves_the_greatest() -> None:
     inputs = scene(50, 40, 6)
     inputs["constants"] += 5  # No score is cut to zero, so there are no ties.

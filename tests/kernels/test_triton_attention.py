@@ -29,8 +29,9 @@ from dataclasses import replace
 from test_attention import RULES, attend, compare, double, scene
 from pcore.kernels import functional, triton_attention as ours
 
+single = "triton"
 functional.of_attention = lambda positions, *_: (
-    "triton" if positions.dtype == torch.float32 else "reference"
+    single if positions.dtype == torch.float32 else "reference"
 )
 cases = [
     ((7, 23, 5), {}),
@@ -61,6 +62,26 @@ for layers in (2, 3, 4, 5):
     inputs["key"] = network(3 * BLOCK, layers, 20, 7)
     inputs["value"] = network(2 * BLOCK + 5, layers, 20, 4, skip=layers - 1)
     compare(attend(inputs, RULES), attend(double(inputs), RULES))
+
+# With a threshold the value network sees the pairs that are kept and no others.
+launch, seen = ours.launch_features, []
+
+def launch_counted(packed, waves, features, neighbours, weights):
+    seen.append(neighbours.numel())
+    return launch(packed, waves, features, neighbours, weights)
+
+ours.launch_features = launch_counted
+for shape in ((40, 30, 6), (1, 9, 4), (0, 4, 2)):
+    some, fast = scene(*shape), replace(RULES, threshold=0.03)
+    for rules in (fast, replace(fast, threshold=0.3), replace(fast, cutoff=1e-6)):
+        single, before = "triton", len(seen)
+        found = attend(some, rules)
+        single = "cpu"
+        compare(found, attend(some, rules))
+        kept = int((functional._cut(found[0].weights, rules.threshold) != 0).sum())
+        assert seen[before:] == [kept], (shape, seen[before:], kept)
+        assert kept < int((found[0].weights > 0).sum()) or rules.threshold < 0.1 or shape[0] < 2
+single = "triton"
 
 # float16: the interpreter has no product of bfloat16.
 exact, exact_gradients = attend(double(inputs), RULES)

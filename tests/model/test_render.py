@@ -10,6 +10,8 @@ import torch
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
+from pcore.model import passes
+from pcore.model import render as render_module
 from pcore.model.config import MlpConfig, PaprConfig
 from pcore.model.papr import Papr
 from pcore.model.passes import RenderCancelledError
@@ -76,6 +78,46 @@ def test_tiles_equal_the_whole_picture(
     torch.testing.assert_close(got.alpha, whole.alpha, atol=1e-6, rtol=0)
     torch.testing.assert_close(got.surface, whole.surface, atol=1e-6, rtol=0)
     torch.testing.assert_close(got.depth, 2.5 - whole.surface[..., 2], atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("size", "tile", "max_rays"),
+    [((20, 301), 16, 100), ((53, 90), 20, 7), ((64, 97), 8, 1500), ((41, 90), 4, 41)],
+)
+def test_features_are_held_for_the_rows_that_tiles_still_need(
+    cloud: PointCloud,
+    size: tuple[int, int],
+    tile: int,
+    max_rays: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Whatever the height; the picture is the one of a canvas that holds them all, bit for bit."""
+    papr, cam, held = Papr(config()).eval(), camera(*size), list[int]()
+    attend = passes.attend
+
+    def watched(canvas: passes.Canvas, *others: object) -> None:
+        held.append(len(canvas.features))
+        attend(canvas, *others)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(render_module, "attend", watched)
+    found = render(papr, cloud, cam, tile=tile, max_rays=max_rays)
+    assert set(held) == {min(size[1], tile + 24 + math.ceil(max_rays / size[0]))}
+    assert held[0] < size[1]
+    monkeypatch.setattr(render_module, "rows_in_use", lambda *_: size[1])
+    whole = render(papr, cloud, cam, tile=tile, max_rays=max_rays)
+    assert held[-1] == size[1]
+    for name, one in vars(found).items():
+        assert torch.equal(one, getattr(whole, name)), name
+
+
+def test_fewer_rows_of_features_would_not_do(
+    cloud: PointCloud, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    papr, cam = Papr(config()).eval(), camera(16, 97)
+    exact = render(papr, cloud, cam, tile=8, max_rays=40).rgb
+    monkeypatch.setattr(render_module, "rows_in_use", lambda *_: 8 + 24 - 2)
+    differs = float((render(papr, cloud, cam, tile=8, max_rays=40).rgb - exact).abs().max())
+    assert differs > 0
 
 
 def test_a_tile_without_its_surroundings_would_differ(

@@ -70,6 +70,9 @@ class FinetuneCommand:
     device: DeviceName = "auto"
     """Where to train; auto takes a GPU where there is one."""
 
+    no_compile: bool = False
+    """Do not compile the networks on a GPU (torch.compile): slower, but needs no compiler."""
+
     threads: Count = None
     """Threads of the CPU; default: all cores."""
 
@@ -128,7 +131,15 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     )
     run_session(
         session,
-        lambda out, tell: finetune(scene, base, config, folder=out, listener=tell, device=device),
+        lambda out, tell: finetune(
+            scene,
+            base,
+            config,
+            folder=out,
+            listener=tell,
+            device=device,
+            compiled=not command.no_compile,
+        ),
         console,
     )
     show_result(console, output, next_command=f"pcore render {output} --edit edit.json")

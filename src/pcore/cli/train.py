@@ -74,6 +74,9 @@ class TrainCommand:
     device: DeviceName = "auto"
     """Where to train; auto takes a GPU where there is one."""
 
+    no_compile: bool = False
+    """Do not compile the networks on a GPU (torch.compile): slower, but needs no compiler."""
+
     threads: Count = None
     """Threads of the CPU; default: all cores."""
 
@@ -121,7 +124,14 @@ def train(command: TrainCommand, console: Console) -> None:
     )
     run_session(
         session,
-        lambda run, tell: pretrain(scene, config, folder=run, listener=tell, device=device),
+        lambda run, tell: pretrain(
+            scene,
+            config,
+            folder=run,
+            listener=tell,
+            device=device,
+            compiled=not command.no_compile,
+        ),
         console,
     )
     show_result(console, command.output, next_command=f"pcore finetune {command.output}")

@@ -181,7 +181,11 @@ def proximity_attention(
     scores = scores.masked_fill(~answering, -math.inf)
     background, weights = _background_softmax(scores, rules.background_score)
     used = weights if rules.threshold == 0 else _cut(weights, rules.threshold)
-    pooled = work.attention_features(waves, features, neighbours, used, value)
+    pool = work.attention_features
+    # The CPU kernels leave out pairs without weight whatever they are given.
+    if rules.threshold > 0 and work is not cpu_attention:
+        pool = _pooled_alone(pool)
+    pooled = pool(waves, features, neighbours, used, value)
     # The last linear layer commutes with the weighted sum: once per ray, not once per pair.
     out = F.linear(pooled, value.weights[-1]) + used.sum(dim=-1, keepdim=True) * value.biases[-1]
     return Attention(features=out, background=background, weights=weights, answering=answering)
@@ -212,6 +216,23 @@ def _cut(weights: Tensor, threshold: float) -> Tensor:
     """Drop small weights and scale up the others; the greatest of a ray always stays."""
     kept = weights.where(weights >= weights.amax(dim=-1, keepdim=True).clamp_max(threshold), 0.0)
     return kept / kept.sum(dim=-1, keepdim=True).clamp_min(torch.finfo(kept.dtype).tiny)
+
+
+def _pooled_alone(pool: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """Let the value network see the pairs with a weight alone, each as a ray with one neighbour."""
+
+    def pooled(
+        waves: Tensor, features: Tensor, neighbours: Tensor, weights: Tensor, value: Layers
+    ) -> Tensor:
+        kept = weights != 0
+        pairs = kept.flatten().nonzero().squeeze(-1)
+        alone = (one.flatten()[pairs].unsqueeze(-1) for one in (neighbours, weights))
+        found = pool(waves[pairs], features, *alone, value)
+        # Pairs come in the order of their rays. Sums of segments, unlike index_add, come out of a
+        # GPU the same every time.
+        return torch.segment_reduce(found, "sum", lengths=kept.sum(dim=-1), axis=0, unsafe=True)
+
+    return pooled
 
 
 def pull_back(

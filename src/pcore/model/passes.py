@@ -66,6 +66,14 @@ def windows(size: tuple[int, int], tile: int) -> Iterator[Window]:
             yield Window(seen=seen, trimmed=trimmed, kept=kept)
 
 
+def rows_in_use(width: int, tile: int, chunk: int) -> int:
+    """Rows of features that are held when chunks of rays come in from above, tile after tile.
+
+    Those that a tile sees, and those that a chunk reaches beyond them.
+    """
+    return tile + 2 * RECEPTIVE_MARGIN + math.ceil(chunk / width)
+
+
 def _span(start: int, tile: int, end: int) -> tuple[slice, slice, slice]:
     """Seen, trimmed and kept part along one axis."""
     stop = min(start + tile, end)
@@ -102,7 +110,8 @@ class Canvas:
     """A picture that fills up.
 
     Attributes:
-        features: (H, W, C) on the model's device.
+        features: (rows, W, C) on the model's device: row i of the picture lies at i modulo rows,
+            so that later rows take the place of those that no tile needs any more.
         alpha: (H, W) on the model's device.
         surface: (H, W, 3) on the CPU.
         rgb: (H, W, 3) on the CPU.
@@ -114,11 +123,11 @@ class Canvas:
     rgb: Tensor
 
     @classmethod
-    def blank(cls, papr: Papr, size: tuple[int, int]) -> Canvas:
-        """Room for a picture (H, W) of a model."""
-        device = next(papr.parameters()).device
+    def blank(cls, papr: Papr, size: tuple[int, int], rows: int | None = None) -> Canvas:
+        """Room for a picture (H, W) of a model, and for so many rows of its features; None: all."""
+        device, channels = next(papr.parameters()).device, papr.config.value.size
         return cls(
-            features=torch.empty(*size, papr.config.value.size, device=device),
+            features=torch.empty(min(rows or size[0], size[0]), size[1], channels, device=device),
             alpha=torch.empty(size, device=device),
             surface=torch.empty(*size, 3),
             rgb=torch.empty(*size, 3),
@@ -135,7 +144,7 @@ def attend(
     papr: Papr,
     cloud: PointCloud,
     rays: RayBundle,
-    wanted: Tensor | slice,
+    wanted: Tensor,
     threshold: float,
 ) -> None:
     """Fill the wanted pixels, given by their numbers, with what (R,) rays of the picture meet."""
@@ -147,13 +156,17 @@ def attend(
         ),
         threshold,
     )
-    canvas.features.view(-1, canvas.features.shape[-1])[wanted] = attended.features
-    canvas.alpha.view(-1)[wanted] = 1 - attended.background
+    rows, width, channels = canvas.features.shape
+    canvas.features.view(-1, channels)[(wanted % (rows * width)).to(device)] = attended.features
+    canvas.alpha.view(-1)[wanted.to(device)] = 1 - attended.background
     none = attended.weights.sum(dim=-1, keepdim=True) == 0
     canvas.surface.view(-1, 3)[wanted] = attended.surface.masked_fill(none, math.nan).cpu()
 
 
 def shade(canvas: Canvas, papr: Papr, window: Window) -> None:
     """Fill the colours of a tile whose surroundings are attended to."""
-    colours = papr.shade(canvas.features[window.seen], canvas.alpha[window.seen])
+    seen, columns = window.seen
+    rows = torch.arange(seen.start, seen.stop, device=canvas.alpha.device) % len(canvas.features)
+    features = canvas.features[:, columns].index_select(0, rows)
+    colours = papr.shade(features, canvas.alpha[window.seen])
     canvas.rgb[window.kept] = colours[window.trimmed].cpu()

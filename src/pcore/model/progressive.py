@@ -19,7 +19,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
-from pcore.model.passes import Canvas, Picture, Steps, attend, shade, windows
+from pcore.model.passes import Canvas, Picture, Steps, attend, rows_in_use, shade, windows
 from pcore.model.render import TILE, check_request, paint
 from pcore.model.unet import ALIGNMENT
 
@@ -67,7 +67,8 @@ def render_progressively(
     for small, stride in _coarse(papr, cloud, camera, strides, chunk, tile, threshold, steps):
         shown = _enlarged(small.picture(camera), stride, camera)
         yield shown
-    canvas = Canvas.blank(papr, (camera.height, camera.width))
+    rows_held = rows_in_use(camera.width, tile, chunk)
+    canvas = Canvas.blank(papr, (camera.height, camera.width), rows_held)
     for rows in paint(canvas, papr, cloud, camera, chunk, tile, threshold, steps):
         if shown is not None and rows < camera.height:
             shown = _with_rows(shown, canvas.picture(camera), rows)

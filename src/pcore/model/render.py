@@ -24,6 +24,7 @@ from pcore.model.passes import (
     Progress,
     Steps,
     attend,
+    rows_in_use,
     shade,
     windows,
 )
@@ -72,7 +73,8 @@ def render(
     chunk = check_request(papr, cloud, camera, max_rays, tile)
     size = (camera.height, camera.width)
     total = math.ceil(camera.height * camera.width / chunk) + len(list(windows(size, tile)))
-    canvas, steps = Canvas.blank(papr, size), Steps(total, cancel, progress)
+    canvas = Canvas.blank(papr, size, rows_in_use(camera.width, tile, chunk))
+    steps = Steps(total, cancel, progress)
     for _ in paint(canvas, papr, cloud, camera, chunk, tile, threshold, steps):
         pass
     return canvas.picture(camera)
@@ -107,11 +109,11 @@ def paint(
     """Fill a canvas from above; yield the number of its complete rows with every row of tiles."""
     rays, cloud = camera.rays().flat(), cloud.to(canvas.alpha.device)
     waiting = deque(windows((camera.height, camera.width), tile))
-    for start in range(0, len(rays.origins), chunk):
+    for wanted in torch.arange(len(rays.origins)).split(chunk):
         steps.check()
-        attend(canvas, papr, cloud, rays, slice(start, start + chunk), threshold)
+        attend(canvas, papr, cloud, rays, wanted, threshold)
         steps.done()
-        while waiting and waiting[0].seen[0].stop * camera.width <= start + chunk:
+        while waiting and waiting[0].seen[0].stop * camera.width <= wanted[-1] + 1:
             steps.check()
             window = waiting.popleft()
             shade(canvas, papr, window)

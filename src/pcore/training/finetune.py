@@ -9,6 +9,7 @@ import torch
 
 from pcore.data.scene import Scene, View, check_images, hold_out
 from pcore.model.skinning import Skinning
+from pcore.training.compiling import compile_networks
 from pcore.training.config import FinetuneConfig
 from pcore.training.events import Listener, silent
 from pcore.training.loop import Plan, autocast, run_loop
@@ -31,6 +32,7 @@ def finetune(
     folder: RunFolder | None = None,
     listener: Listener = silent,
     device: str = "cpu",
+    compiled: bool = True,
 ) -> Trained:
     """Fine-tune a pre-trained model with random deformations; no image of a deformed state is used.
 
@@ -41,6 +43,7 @@ def finetune(
         folder: where to save and what to continue from; None keeps everything in memory.
         listener: told of steps, validations, saves.
         device: "cpu", "cuda", ...
+        compiled: use torch.compile where it pays, on a GPU.
 
     Returns:
         The tuned model, with its skinning where one was trained.
@@ -48,7 +51,7 @@ def finetune(
     Raises:
         InputError: fewer points than the skinning wants anchors.
         WeightsError: LPIPS was asked for and its weights are missing.
-        TrainingError: diverged or cannot write.
+        TrainingError: diverged, cannot be compiled or cannot write.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     where = torch.device(device)
@@ -57,6 +60,8 @@ def finetune(
     check_images(scene.split("train"))
     anchor = _moved(base, where)
     work = _work(anchor, config)
+    if compiled:
+        compile_networks(where, work.papr.unet, perceptual)
     if config.largest_loss is not None and validation:
         work.best = {
             "weights": {name: t.clone() for name, t in work.weights().items()},

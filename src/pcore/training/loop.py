@@ -16,6 +16,7 @@ import torch
 from pcore.data.scene import View
 from pcore.errors import TrainingError
 from pcore.model.provenance import provenance_of
+from pcore.training.compiling import compiler_errors_explained
 from pcore.training.config import Background
 from pcore.training.events import Listener, Saved, StepReport, Stopped, ValidationReport
 from pcore.training.losses import Losses
@@ -76,7 +77,8 @@ def run_loop(
         listener: told everything.
 
     Raises:
-        TrainingError: the loss is not finite, or the folder cannot be written.
+        TrainingError: the loss is not finite, networks cannot be compiled, or the folder cannot be
+            written.
         KeyboardInterrupt: after Ctrl-C, with everything saved.
     """
     _resume(work, folder)
@@ -116,8 +118,9 @@ def _finished(work: Trainable) -> Stopped:
 def _step(work: Trainable, plan: Plan, losses: Callable[[], Losses]) -> Losses:
     work.set_rates(plan.rates, plan.steps)
     work.optimizer.zero_grad(set_to_none=True)
-    found = losses()
-    found.total.backward()
+    with compiler_errors_explained():
+        found = losses()
+        found.total.backward()
     work.optimizer.step()
     work.step += 1
     if plan.average > 0:

@@ -7,8 +7,10 @@ with plain layers (`pcore.training.trunks`) so that torchvision is not needed.
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -47,6 +49,7 @@ class Lpips(nn.Module):
         self.register_buffer("shift", torch.tensor(_SHIFT).view(1, 3, 1, 1), persistent=False)
         self.register_buffer("scale", torch.tensor(_SCALE).view(1, 3, 1, 1), persistent=False)
         self.requires_grad_(False)
+        self._measure: Callable[[Tensor, Tensor], Tensor] = self._distance
 
     def forward(self, first: Tensor, second: Tensor) -> Tensor:
         """Distance of two image batches.
@@ -62,6 +65,13 @@ class Lpips(nn.Module):
             InputError: shapes differ, are not (B, 3, H, W) or are too small for the trunk.
         """
         self._check(first, second)
+        return self._measure(first, second)
+
+    def compile(self, *arguments: Any, **options: Any) -> None:
+        """Compile all but the check of the input, whose errors are for people."""
+        self._measure = torch.compile(self._distance, *arguments, **options)
+
+    def _distance(self, first: Tensor, second: Tensor) -> Tensor:
         total = first.new_zeros(first.shape[0], dtype=torch.float32)
         for a, b, head in zip(self._taps(first), self._taps(second), self.heads, strict=True):
             difference = (a - b).square() * head.view(1, -1, 1, 1)

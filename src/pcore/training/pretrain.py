@@ -15,6 +15,7 @@ from pcore.errors import InputError, TrainingError
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.config import PaprConfig, ReferenceOrigin
 from pcore.model.papr import Papr
+from pcore.training.compiling import compile_networks
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.loop import Plan, autocast, run_loop
@@ -41,6 +42,7 @@ def pretrain(
     folder: RunFolder | None = None,
     listener: Listener = silent,
     device: str = "cpu",
+    compiled: bool = True,
 ) -> Trained:
     """Learn points and attention from the training views.
 
@@ -50,6 +52,7 @@ def pretrain(
         folder: where to save and what to continue from; None keeps everything in memory.
         listener: told of steps, validations, saves.
         device: "cpu", "cuda", ...
+        compiled: use torch.compile where it pays, on a GPU.
 
     Returns:
         The networks and the canonical points.
@@ -57,7 +60,7 @@ def pretrain(
     Raises:
         InputError: the scene has no silhouettes for a visual hull, or a bad starting cloud.
         WeightsError: LPIPS was asked for and its weights are missing.
-        TrainingError: diverged, ran out of points, or cannot write.
+        TrainingError: diverged, ran out of points, cannot be compiled or cannot write.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     where = torch.device(device)
@@ -65,6 +68,8 @@ def pretrain(
     check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     work = _begin(scene, views, config, where)
+    if compiled:
+        compile_networks(where, work.papr.unet, perceptual)
 
     def losses() -> Losses:
         patches = [
