@@ -1,75 +1,48 @@
-"""`python -m benchmarks speed [--out FILE] [--gate]` and `python -m benchmarks gpu DATA`."""
+"""`python -m benchmarks speed [--out FILE] [--gate]` and `python -m benchmarks gpu DATA`.
+
+Only packages that a bare machine with PyTorch for a GPU has, and pydantic: see
+docs/benchmarks/speed.md for how to bring that along.
+"""
 
 from __future__ import annotations
 
+import argparse
 import sys
-from dataclasses import dataclass
-from pathlib import Path
+from importlib.util import find_spec
 
-import torch
-import tyro
-
-from benchmarks import metrics
-from benchmarks.gpu import Gpu
-from benchmarks.measure import machine
-from benchmarks.plan import Plan
-from benchmarks.workloads import WORKLOADS
-
-BASELINE = Path(__file__).with_name("baseline.json")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Speed:
-    """Measure ours against the dense formulas, in one run and taking turns."""
-
-    out: Path | None = None
-    """Write the result here (JSON); it can become the new baseline."""
-    gate: bool = False
-    """Compare with the baseline and fail on regressions."""
-    baseline: Path = BASELINE
-    """What --gate compares with."""
-    only: tuple[str, ...] = ()
-    """Workloads to measure; all by default."""
-    quick: bool = False
-    """Tiny sizes that only show that everything runs."""
-    device: str = "cpu"
-    """cpu or cuda."""
-    threads: int = 1
-    """Of torch and of the kernels."""
-
-    def run(self) -> int:
-        """Measure, print, write and compare; return the exit status."""
-        torch.set_num_threads(self.threads)
-        plan = Plan(
-            device=torch.device(self.device), quick=self.quick, repeats=1 if self.quick else 5
-        )
-        found: dict[str, metrics.Metric] = {}
-        for name in self.only or WORKLOADS:
-            for key, metric in WORKLOADS[name](plan):
-                found[key] = metric
-                print(f"{key:50} {metric.value:12.4g}{metric.unit}", flush=True)
-        if self.out is not None:
-            metrics.write(self.out, found, machine(plan.device, self.threads))
-        return gate(found, self.baseline, self.only) if self.gate else 0
-
-
-def gate(found: dict[str, metrics.Metric], baseline: Path, only: tuple[str, ...]) -> int:
-    """Print what is worse than the baseline; return the exit status."""
-    expected = metrics.read(baseline)
-    if only:
-        expected = {name: m for name, m in expected.items() if name.split("/")[0] in only}
-    lines = metrics.regressions(found, expected)
-    for line in lines:
-        print(f"worse: {line}", file=sys.stderr)
-    return 1 if lines else 0
+NEEDED = {
+    "torch": "torch",
+    "numpy": "numpy",
+    "numba": "numba",
+    "scipy": "scipy",
+    "PIL": "pillow",
+    "pydantic": "pydantic",
+    "safetensors": "safetensors",
+}
+"""Modules and the packages that hold them."""
 
 
 def main() -> int:
     """Run the command line."""
-    command = tyro.extras.subcommand_cli_from_dict(
-        {"speed": Speed, "gpu": Gpu}, prog="python -m benchmarks"
-    )
-    return command.run()
+    missing = [package for module, package in NEEDED.items() if find_spec(module) is None]
+    if missing:
+        print(
+            f"benchmarks: missing packages: {', '.join(missing)}; install them, or bring them in a "
+            f"folder on PYTHONPATH (pip install --target FOLDER {' '.join(missing)})",
+            file=sys.stderr,
+        )
+        return 2
+    # What is missing is to be said before it is imported.
+    from benchmarks import gpu, speed
+
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    commands = parser.add_subparsers(required=True)
+    for name, module in (("speed", speed), ("gpu", gpu)):
+        command = commands.add_parser(name, help=(module.__doc__ or "").split("\n")[0])
+        module.add_options(command)
+        command.set_defaults(run=module.run)
+    wanted = parser.parse_args()
+    return wanted.run(wanted)
 
 
 if __name__ == "__main__":

@@ -55,12 +55,12 @@ def papr_picture(
     """
     flat, found = rays.flat(), []
     for start in range(0, len(flat.origins), most):
-        found.append(_attend(papr, cloud, flat[start : start + most], pairs))
+        found.append(attend(papr, cloud, flat[start : start + most], pairs))
     features, background = (torch.cat(parts) for parts in zip(*found, strict=True))
     return papr.shade(features.unflatten(0, rays.shape), 1 - background.unflatten(0, rays.shape))
 
 
-def _attend(papr: Papr, cloud: PointCloud, rays: RayBundle, pairs: int) -> tuple[Tensor, Tensor]:
+def attend(papr: Papr, cloud: PointCloud, rays: RayBundle, pairs: int) -> tuple[Tensor, Tensor]:
     """Features (R, C) and attention of the background (R,): the paper's formulas, pair by pair."""
     config, attention = papr.config, papr.attention
     with torch.no_grad():

@@ -33,7 +33,7 @@ def measure_drag(plan: Plan) -> Iterator[tuple[str, Metric]]:
             first = seconds(lambda s=session, m=maker: s.preview(m.edit(0.01)))
             later = [
                 seconds(lambda s=session, m=maker, i=i: s.preview(m.edit(0.02 + 0.01 * i)))
-                for i in range(plan.repeats)
+                for i in range(plan.turns)
             ]
             middle = float(torch.tensor(later).median())
             full = not plan.quick

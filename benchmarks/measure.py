@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import platform
+import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import torch
@@ -31,23 +32,27 @@ def seconds(call: Callable[[], object]) -> float:
     return time.process_time() - start
 
 
-def alternating(
-    ours: Callable[[], object], other: Callable[[], object], repeats: int
-) -> tuple[float, float]:
-    """Median seconds of two calls that take turns, after one turn that does not count."""
-    times: list[tuple[float, float]] = []
-    for _ in range(repeats + 1):
-        times.append((seconds(ours), seconds(other)))
-    mine, others = torch.tensor(times[1:], dtype=torch.float64).median(dim=0).values.tolist()
-    return mine, others
+def in_turns(calls: Mapping[str, Callable[[], object]], turns: int) -> dict[str, float]:
+    """Median seconds of calls that take turns, by name, after one turn that does not count."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(turns + 1):
+        for name, call in calls.items():
+            times[name].append(seconds(call))
+    return {name: statistics.median(found[1:]) for name, found in times.items()}
 
 
-def peak_bytes(call: Callable[[], object]) -> int | None:
-    """Return how far a call raises the memory of this process; None where that cannot be seen.
+def peak_bytes(call: Callable[[], object], device: torch.device) -> int | None:
+    """Return how far a call raises the memory in use; None where that cannot be seen.
 
-    What a call takes from memory that the process already holds is not seen, so freed memory is
-    handed back first.
+    On a GPU it is torch's tensors there. Of this process it is what the system gave: what a call
+    takes from memory that the process already holds is not seen, so freed memory is handed back
+    first.
     """
+    if device.type == "cuda":
+        torch.cuda.reset_peak_memory_stats()
+        held = torch.cuda.memory_allocated()
+        call()
+        return torch.cuda.max_memory_allocated() - held
     try:
         ctypes.CDLL(None).malloc_trim(0)
         _CLEAR.write_text("5", encoding="ascii")

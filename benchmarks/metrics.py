@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -43,6 +44,9 @@ def regressions(found: Mapping[str, Metric], baseline: Mapping[str, Metric]) -> 
             continue
         sign = -1 if old.direction == "higher" else 1
         limit = old.value * (1 + sign * old.tolerance)
+        if math.isnan(new.value):
+            lines.append(f"{name}: is no number")
+            continue
         judged = Metric(value=new.value, direction=old.direction, tolerance=old.tolerance)
         if judged.worse_than(limit):
             lines.append(
@@ -52,6 +56,21 @@ def regressions(found: Mapping[str, Metric], baseline: Mapping[str, Metric]) -> 
         elif old.bar is not None and judged.worse_than(old.bar):
             lines.append(f"{name}: {new.value:.4g}{new.unit} misses the bar of {old.bar:.4g}")
     return lines
+
+
+def missed(found: Mapping[str, Metric]) -> list[str]:
+    """Say what misses its own bar."""
+    return [
+        f"{name}: {one.value:.4g}{one.unit} misses the bar of {one.bar:.4g}"
+        for name, one in found.items()
+        # What is no number is no better than any bar.
+        if one.bar is not None and (one.worse_than(one.bar) or math.isnan(one.value))
+    ]
+
+
+def unknown(found: Mapping[str, Metric], baseline: Mapping[str, Metric]) -> list[str]:
+    """Names of what was measured and is not in the baseline, which therefore guards nothing."""
+    return [name for name in found if name not in baseline]
 
 
 def write(path: Path, metrics: Mapping[str, Metric], machine: Mapping[str, object]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import replace
@@ -10,60 +11,66 @@ import torch
 from torch import Tensor
 
 from benchmarks import dense, scenes
-from benchmarks.measure import alternating, peak_bytes
+from benchmarks.attention_workload import AT_ONCE, compared
+from benchmarks.measure import in_turns, peak_bytes
 from benchmarks.metrics import Metric
 from benchmarks.plan import Plan
+from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
 from pcore.model.render import FAST_THRESHOLD, render
 from pcore.training.presets import preset
 
-_REPEATS = 2
-"""Turns that count; a dense step takes longer than whole searches."""
 _KEPT = 0.5
 """Part of the neighbours with a weight that counts in a fast picture: so it is in trained models,
 and the networks here are not trained."""
+_LEAST_PSNR = 50.0
+"""Decibels against the exact picture that a fast one is to have."""
 
 
 def measure_step(plan: Plan) -> Iterator[tuple[str, Metric]]:
     """Forward and backward of a patch: time against dense, gradients, and peak memory."""
-    side, large, count = (8, 12, 200) if plan.quick else (64, 160, 30_000)
+    sizes = [(64, 30_000)]
+    if plan.whole:
+        sizes += [(32, 5_000), (32, 30_000), (32, 100_000), (32, 300_000)]
+    for side, count in [(8, 200)] if plan.quick else sizes:
+        papr, cloud = _papr(count, plan)
+        name, bar = (
+            f"step/{side}x{side}/{count}",
+            4.0 if plan.bars and (side, count) == (64, 30_000) else None,
+        )
+        found = compared(in_turns(_steps(papr, cloud, side, plan), plan.long_turns), bar=bar)
+        yield from ((f"{name}/{key}", metric) for key, metric in found.items())
+        yield from _gradient_errors(name, papr, cloud, plan)
+    side, count = (12, 200) if plan.quick else (160, 30_000)
     papr, cloud = _papr(count, plan)
     rays = scenes.on_device(scenes.patch(side, 5 * side), plan.device)
-    name, repeats = f"step/{side}x{side}/{count}", min(_REPEATS, plan.repeats)
+    peak = peak_bytes(lambda: _gradients(papr, cloud, lambda: papr(cloud, rays).rgb), plan.device)
+    yield from _memory(f"step/{side}x{side}/{count}", peak, 5.0 if plan.bars else None)
 
-    def ours() -> list[Tensor]:
-        return _gradients(papr, cloud, lambda: papr(cloud, rays).rgb)
+
+def _steps(
+    papr: Papr, cloud: PointCloud, side: int, plan: Plan
+) -> dict[str, Callable[[], list[Tensor]]]:
+    rays = scenes.on_device(scenes.patch(side, 5 * side), plan.device)
 
     def other(pairs: int) -> list[Tensor]:
         return _gradients(papr, cloud, lambda: dense.papr_picture(papr, cloud, rays, pairs=pairs))
 
-    mine, slow = alternating(ours, lambda: other(dense.PAIRS), repeats)
-    # As the original does it, the distances of all rays to all points at once; chunks are faster.
-    whole = alternating(lambda: None, lambda: other(side * side * count), repeats)[1]
-    yield f"{name}/seconds", Metric(value=mine, direction="lower", tolerance=3.0, unit=" s")
-    yield f"{name}/ratio", _ratio(whole / mine, None if plan.quick else 4.0)
-    yield f"{name}/ratio_in_chunks", _ratio(slow / mine, None)
-    yield from _gradient_errors(name, papr, cloud, plan)
-    if plan.device.type == "cpu":
-        patch = scenes.patch(large, 5 * large)
-        peak = peak_bytes(lambda: _gradients(papr, cloud, lambda: papr(cloud, patch).rgb))
-        if peak is not None:
-            yield (
-                f"step/{large}x{large}/{count}/memory",
-                Metric(
-                    value=peak / 1e9,
-                    direction="lower",
-                    tolerance=0.3,
-                    bar=None if plan.quick else 5.0,
-                    unit=" GB",
-                ),
-            )
+    ways = {
+        "ours": lambda: _gradients(papr, cloud, lambda: papr(cloud, rays).rgb),
+        "chunks": lambda: other(dense.PAIRS),
+    }
+    pairs = side**2 * len(cloud)
+    return ways | ({"once": lambda: other(pairs)} if pairs <= AT_ONCE else {})
 
 
-def _ratio(value: float, bar: float | None) -> Metric:
-    return Metric(value=value, direction="higher", tolerance=0.3, bar=bar, unit="x")
+def _memory(name: str, peak: int | None, bar: float | None) -> Iterator[tuple[str, Metric]]:
+    if peak is not None:
+        value = peak / 1e9
+        metric = Metric(value=value, direction="lower", tolerance=0.3, bar=bar, unit=" GB")
+        yield f"{name}/memory", metric
 
 
 def _gradients(papr: Papr, cloud: PointCloud, picture: Callable[[], Tensor]) -> list[Tensor]:
@@ -100,7 +107,10 @@ def _gradient_errors(
             float((a - b).abs().flatten().quantile(0.999) / b.abs().max())
             for a, b in zip(found, exact, strict=True)
         )
-        yield f"{name}/gradient_error/{kind}", Metric(value=error, direction="lower", tolerance=9.0)
+        yield (
+            f"{name}/gradient_error/{kind}",
+            Metric(value=error, direction="lower", tolerance=9.0, bar=1e-3),
+        )
 
 
 def _papr(count: int, plan: Plan) -> tuple[Papr, PointCloud]:
@@ -108,40 +118,71 @@ def _papr(count: int, plan: Plan) -> tuple[Papr, PointCloud]:
 
 
 def measure_render(plan: Plan) -> Iterator[tuple[str, Metric]]:
-    """A picture, exact and fast; the dense formula is timed on a part of the rays and scaled."""
-    side, count, part = (16, 200, 8) if plan.quick else (200, 30_000, 64)
+    """Pictures, exact and fast; the dense formula is timed on a part of the rays and scaled."""
+    sizes = [(200, 30_000)]
+    if plan.whole:
+        sizes += [(100, 5_000), (100, 100_000), (100, 300_000), (400, 30_000)]
+    for side, count in [(16, 200)] if plan.quick else sizes:
+        barred = plan.bars and (side, count) == (200, 30_000)
+        found = _pictures(side, count, 8 if plan.quick else 64, plan, barred=barred)
+        yield from ((f"render/{side}x{side}/{count}/{key}", metric) for key, metric in found)
+
+
+def _pictures(
+    side: int, count: int, part: int, plan: Plan, *, barred: bool
+) -> Iterator[tuple[str, Metric]]:
     papr, cloud = _papr(count, plan)
     camera, corner = scenes.camera(side), (side - part) // 2
     crop = scenes.on_device(camera.rays().crop(corner, corner, part, part), plan.device)
-    sharp, kept = _sharpened(papr, cloud, crop)
-    repeats, name = min(_REPEATS, plan.repeats), f"render/{side}x{side}/{count}"
+    sharp, kept = sharpened(papr, cloud, crop)
 
     @torch.no_grad()
     def slow(pairs: int) -> Tensor:
         return dense.papr_picture(papr, cloud, crop, pairs=pairs)
 
-    exact, part_in_chunks = alternating(
-        lambda: render(papr, cloud, camera), lambda: slow(dense.PAIRS), repeats
-    )
-    fast, part_at_once = alternating(
-        lambda: render(papr, sharp, camera, threshold=FAST_THRESHOLD),
-        lambda: slow(part * part * count),
-        repeats,
-    )
-    share = side**2 / part**2
-    yield f"{name}/seconds", Metric(value=exact, direction="lower", tolerance=3.0, unit=" s")
-    for kind, seconds, bar in (("exact", exact, 6.0), ("fast", fast, 12.0)):
-        limit = None if plan.quick else bar
-        yield f"{name}/{kind}/ratio", _ratio(share * part_at_once / seconds, limit)
-        yield f"{name}/{kind}/ratio_in_chunks", _ratio(share * part_in_chunks / seconds, None)
-    yield f"{name}/fast/kept", Metric(value=kept, direction="lower", tolerance=0.3)
+    ways: dict[str, Callable[[], object]] = {
+        "exact": lambda: render(papr, cloud, camera),
+        "fast": lambda: render(papr, sharp, camera, threshold=FAST_THRESHOLD),
+        "chunks": lambda: slow(dense.PAIRS),
+    }
+    if part**2 * count <= AT_ONCE:
+        ways["once"] = lambda: slow(part**2 * count)
+    seconds = in_turns(ways, plan.long_turns)
+    for kind, bar in (("exact", 6.0), ("fast", 12.0)):
+        found = compared(
+            seconds | {"ours": seconds[kind]},
+            bar=bar if barred else None,
+            share=side**2 / part**2,
+        )
+        yield from ((f"{kind}/{key}", metric) for key, metric in found.items())
+    yield "fast/kept", Metric(value=kept, direction="lower", tolerance=0.3)
+    yield "fast/psnr", fast_error(papr, sharp, camera)
+    yield from _memory("exact", peak_bytes(ways["exact"], plan.device), None)
     with torch.no_grad():
         error = float((papr(cloud, crop).rgb - slow(dense.PAIRS)).abs().max())
-    yield f"{name}/exact/error", Metric(value=error, direction="lower", tolerance=9.0, bar=1e-4)
+    yield "exact/error", Metric(value=error, direction="lower", tolerance=9.0, bar=1e-4)
+
+
+def fast_error(papr: Papr, cloud: PointCloud, camera: Camera) -> Metric:
+    """PSNR of the fast picture against the exact one of the same model, dB.
+
+    The peak is the exact picture's own range: colours of untrained networks do not fill [0, 1].
+    """
+    exact = render(papr, cloud, camera).rgb
+    fast = render(papr, cloud, camera, threshold=FAST_THRESHOLD).rgb
+    peak = float(exact.max() - exact.min())
+    error = float((fast - exact).square().mean().clamp_min(1e-12 * peak**2))
+    return Metric(
+        value=10 * math.log10(peak**2 / error),
+        direction="higher",
+        tolerance=0.1,
+        bar=_LEAST_PSNR,
+        unit=" dB",
+    )
 
 
 @torch.no_grad()
-def _sharpened(papr: Papr, cloud: PointCloud, rays: RayBundle) -> tuple[PointCloud, float]:
+def sharpened(papr: Papr, cloud: PointCloud, rays: RayBundle) -> tuple[PointCloud, float]:
     """Scale the influence until `--fast` keeps half of a ray's neighbours, as in trained models.
 
     Returns:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from torch import Tensor
 
 from benchmarks import dense, scenes
-from benchmarks.measure import alternating, peak_bytes
+from benchmarks.measure import in_turns, peak_bytes
 from benchmarks.metrics import Metric
 from benchmarks.plan import Plan
 from pcore.geometry.rays import RayBundle
@@ -25,15 +25,24 @@ def measure_search(plan: Plan) -> Iterator[tuple[str, Metric]]:
     ours: dict[int, float] = {}
     for count in counts:
         name = f"search/patch/{count}"
-        yield from _memory(name, plan, patch, scenes.cloud(count), 20, bar=64.0)
+        yield from _memory(
+            name, plan, patch, scenes.cloud(count), 20, bar=64.0 if plan.bars else None
+        )
         found = _compared(
-            plan, patch, scenes.cloud(count), 20, bar=400.0 if count == 30_000 else None
+            plan,
+            patch,
+            scenes.cloud(count),
+            20,
+            bar=400.0 if plan.bars and count == 30_000 else None,
         )
         ours[count] = found["seconds"].value
         yield from ((f"{name}/{key}", metric) for key, metric in found.items())
     if not plan.quick:
         growth = ours[300_000] / ours[30_000]
-        yield "search/patch/growth", Metric(value=growth, direction="lower", tolerance=0.4, bar=4.0)
+        yield (
+            "search/patch/growth",
+            Metric(value=growth, direction="lower", tolerance=0.4, bar=4.0 if plan.bars else None),
+        )
     for name, rays, points, k, bar in _other_searches(plan):
         found = _compared(plan, rays, points, k, bar=bar)
         yield from ((f"search/{name}/{key}", metric) for key, metric in found.items())
@@ -42,7 +51,7 @@ def measure_search(plan: Plan) -> Iterator[tuple[str, Metric]]:
 def _other_searches(plan: Plan) -> Iterator[tuple[str, RayBundle, Tensor, int, float | None]]:
     side, count = (12, 300) if plan.quick else (64, 30_000)
     moved, points = scenes.near_surface(side, 5 * side, scenes.cloud(count))
-    bar = None if plan.quick else 50.0
+    bar = 50.0 if plan.bars else None
     yield f"near_surface/{count}", moved, points, 20, bar
     for size, count, k in ((100, 6_000, 8), (100, 6_000, 64), (200, 30_000, 20)):
         if plan.quick:
@@ -60,15 +69,18 @@ def _compared(
     points = points.to(plan.device)
     step = max(1, len(origins) * len(points) // _DENSE_PAIRS)
     some = (origins[::step].contiguous(), directions[::step].contiguous(), points, k)
-    mine, other = alternating(
-        lambda: nearest_to_rays(origins, directions, points, k),
-        lambda: dense.nearest_to_rays(*some),
-        plan.repeats,
+    seconds = in_turns(
+        {
+            "ours": lambda: nearest_to_rays(origins, directions, points, k),
+            "dense": lambda: dense.nearest_to_rays(*some),
+        },
+        plan.turns,
     )
     found = nearest_to_rays(origins, directions, points, k)[::step].sort(dim=-1).values
     expected = dense.nearest_to_rays(*some).sort(dim=-1).values
     same = float((found == expected).all(dim=-1).double().mean())
-    ratio = other * len(origins) / len(some[0]) / mine
+    mine = seconds["ours"]
+    ratio = seconds["dense"] * len(origins) / len(some[0]) / mine
     return {
         # Machines and their other work differ; the ratio hardly does.
         "seconds": Metric(value=mine, direction="lower", tolerance=3.0, unit=" s"),
@@ -79,15 +91,13 @@ def _compared(
 
 
 def _memory(
-    name: str, plan: Plan, rays: RayBundle, points: Tensor, k: int, *, bar: float
+    name: str, plan: Plan, rays: RayBundle, points: Tensor, k: int, *, bar: float | None
 ) -> Iterator[tuple[str, Metric]]:
     """Yield the peak of the search's own memory, its result included."""
     flat = rays.flat()
-    some = (flat.origins.contiguous(), flat.directions.contiguous(), points)
-    if plan.device.type != "cpu":
-        return
-    nearest_to_rays(some[0][:100], some[1][:100], points, k)
-    peak = peak_bytes(lambda: nearest_to_rays(*some, k))
+    some = [x.to(plan.device).contiguous() for x in (flat.origins, flat.directions, points)]
+    nearest_to_rays(some[0][:100], some[1][:100], some[2], k)
+    peak = peak_bytes(lambda: nearest_to_rays(*some, k), plan.device)
     if peak is not None:
         value = peak / 1e6
         metric = Metric(value=value, direction="lower", tolerance=0.5, bar=bar, unit=" MB")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from benchmarks.drag_workload import measure_drag
+from benchmarks.attention_workload import measure_attention
 from benchmarks.metrics import Metric
 from benchmarks.papr_workloads import measure_render, measure_step
 from benchmarks.plan import Plan
@@ -12,6 +13,7 @@ from benchmarks.search_workload import measure_search
 
 WORKLOADS: dict[str, Callable[[Plan], Iterator[tuple[str, Metric]]]] = {
     "search": measure_search,
+    "attention": measure_attention,
     "step": measure_step,
     "render": measure_render,
     "drag": measure_drag,

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
-from benchmarks.metrics import Metric, read, regressions, write
+from benchmarks.metrics import Metric, missed, read, regressions, unknown, write
 
 
 def ratio(value: float, *, bar: float | None = None) -> Metric:
@@ -41,6 +42,13 @@ def test_the_baseline_decides_what_is_tolerated() -> None:
 def test_what_is_not_measured_any_more_is_a_regression_and_what_is_new_is_none() -> None:
     assert regressions({}, {"a": ratio(1)}) == ["a: in the baseline, but not measured"]
     assert regressions({"b": ratio(1)}, {}) == []
+
+
+def test_what_misses_its_own_bar_and_what_is_no_number() -> None:
+    found = {"a": ratio(3, bar=2), "b": ratio(1, bar=2), "c": ratio(math.nan, bar=2), "d": ratio(0)}
+    assert [line.split(":")[0] for line in missed(found)] == ["b", "c"]
+    assert regressions({"a": ratio(math.nan)}, {"a": ratio(1)}) == ["a: is no number"]
+    assert unknown(found, {"a": ratio(1), "d": ratio(1)}) == ["b", "c"]
 
 
 def test_a_result_can_be_read_as_a_baseline(tmp_path: Path) -> None:

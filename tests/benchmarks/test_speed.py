@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from benchmarks.__main__ import BASELINE, gate, main
 from benchmarks.drag_workload import measure_drag
+from benchmarks.__main__ import main
+from benchmarks.attention_workload import measure_attention
+from benchmarks.measure import in_turns
 from benchmarks.papr_workloads import measure_render, measure_step
 from benchmarks.plan import Plan
+from benchmarks.speed import BASELINE, gate
 
-from benchmarks import dense, metrics, papr_workloads, scenes
+from benchmarks import dense, metrics, scenes
 from pcore.geometry.point_cloud import PointCloud
 from pcore.kernels.reference import nearest_to_rays
 from pcore.model.papr import Papr
@@ -61,7 +65,46 @@ def test_the_baseline_holds_the_bars() -> None:
     assert bars["render/200x200/30000/fast/ratio"] == 12
     assert bars["drag/cage/30000/seconds"] == bars["drag/anchor/30000/seconds"] == 0.03
     assert bars["drag/cage/30000/bind"] == bars["drag/anchor/30000/bind"] == 10
+    assert bars["render/200x200/30000/fast/psnr"] == 50
+    assert bars["step/64x64/30000/gradient_error/ours"] == 1e-3
     assert metrics.regressions(baseline, baseline) == []
+
+
+def test_what_the_baseline_does_not_hold_is_said_and_its_bar_counts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = metrics.Metric(value=2.0, direction="higher", tolerance=0.1, bar=1.0)
+    metrics.write(tmp_path / "x.json", {}, {})
+    assert gate({"step/new": one}, tmp_path / "x.json", ()) == 0
+    assert "not in the baseline, so nothing guards it: step/new" in capsys.readouterr().err
+    assert gate({"step/new": replace(one, value=0.5)}, tmp_path / "x.json", ()) == 1
+
+
+def test_unknown_workloads_are_refused_by_name(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "speed", "--only", "atention"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    shown = capsys.readouterr().err
+    assert "invalid choice: 'atention'" in shown
+    assert "attention" in shown.replace("atention", "")
+
+
+def test_calls_take_turns_and_the_middle_one_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    order: list[str] = []
+    times = iter([9.0, 9.0, 1.0, 10.0, 5.0, 30.0, 3.0, 20.0])
+
+    def seconds(call: Callable[[], object]) -> float:
+        call()
+        return next(times)
+
+    monkeypatch.setattr("benchmarks.measure.seconds", seconds)
+    found = in_turns({name: lambda name=name: order.append(name) for name in "ab"}, 3)
+    assert order == list("abababab")
+    assert found == {"a": 3.0, "b": 20.0}
+    assert Plan(device=torch.device("cpu"), turns=5).long_turns == 3
 
 
 def test_the_dense_formula_is_the_specification() -> None:
@@ -100,14 +143,19 @@ def test_scores_of_untrained_models_are_cut_about_as_in_trained_ones(
     assert 0.3 < float(cut.double().mean()) < 0.8
 
 
-def test_a_step_and_a_picture_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(papr_workloads, "_REPEATS", 1)
-    plan = Plan(device=torch.device("cpu"), quick=True, repeats=1)
-    found = dict(measure_step(plan)) | dict(measure_render(plan))
+def test_attention_a_step_and_a_picture_are_measured() -> None:
+    plan = Plan(device=torch.device("cpu"), quick=True, turns=1)
+    workloads = (measure_attention, measure_step, measure_render)
+    found = {name: metric for measure in workloads for name, metric in measure(plan)}
     error = {kind: found[f"step/8x8/200/gradient_error/{kind}"].value for kind in ("ours", "dense")}
     assert error["ours"] < 5 * error["dense"] < 0.05
     assert found["render/16x16/200/exact/error"].value < 1e-5
     assert 0 < found["render/16x16/200/fast/kept"].value <= 0.5
+    assert 20 < found["render/16x16/200/fast/psnr"].value < 100
+    for kind in ("forward", "both"):
+        assert found[f"attention/8x8/200/{kind}/ratio"].value > 0
+    for kind in ("exact", "fast"):
+        assert found[f"render/16x16/200/{kind}/ratio"].value > 0
     assert all(metric.value > 0 for metric in found.values())
 
 

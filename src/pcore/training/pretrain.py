@@ -9,7 +9,6 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from pcore.data.points import load_points
 from pcore.data.scene import Scene, View, check_images, hold_out
 from pcore.errors import InputError, TrainingError
 from pcore.geometry.point_cloud import PointCloud
@@ -145,6 +144,9 @@ def _start_positions(
         half = torch.full((3,), _GRID_HALF_SIDE)
         return grid_points(config.points, -half, half)
     if config.start != "hull":
+        # Reading such files takes a package that no other training needs.
+        from pcore.data.points import load_points
+
         return load_points(Path(config.start))
     if not all(view.has_alpha for view in views):
         raise InputError(
