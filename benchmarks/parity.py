@@ -27,9 +27,12 @@ from pcore.training.loop import autocast
 from pcore.training.presets import preset
 
 _MODELS = ("paper", "paper-lego", "fast", "tiny")
-_BOUNDS = {"single": (1e-4, 1e-2), "half": (5e-2, 0.2)}
+_BOUNDS = {"single": (1e-5, 2e-2), "half": (5e-2, 0.2)}
 """Largest errors of values and of gradients, the norm of the error over that of the truth. In
-float32 single units that lie on the kink of their ReLU change a gradient by up to a percent."""
+float32 single units that lie on the kink of their ReLU change a gradient of the `paper` sizes by up
+to 0.7 percent on a CPU, where values are off by 3e-6 at most."""
+_ONE_RAY = 1e-3
+"""What a weight that rounding moves across the threshold changes, of 256 rays."""
 
 
 def measure_parity(plan: Plan) -> Iterator[tuple[str, Metric]]:
@@ -121,10 +124,10 @@ def _attention(name: str, points: Tensor, side: int, plan: Plan) -> Iterator[tup
                 ):
                     found = case.values_and_gradients(threshold)
                 label = f"{backend}/{precision}" + ("/fast" if threshold else "")
-                # Rounding may move a weight across the threshold.
-                bounds = [(10 if threshold else 1) * one for one in _BOUNDS[precision]]
-                yield f"values/{label}", _error(found[0], expected[0], bounds[0])
-                yield f"gradients/{label}", _error(found[1], expected[1], bounds[1])
+                of_values, of_gradients = _BOUNDS[precision]
+                of_values = max(of_values, _ONE_RAY if threshold else 0.0)
+                yield f"values/{label}", _error(found[0], expected[0], of_values)
+                yield f"gradients/{label}", _error(found[1], expected[1], of_gradients)
 
 
 def _error(found: list[Tensor], expected: list[Tensor], bar: float) -> Metric:

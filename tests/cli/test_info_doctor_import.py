@@ -139,6 +139,20 @@ def test_doctor_says_which_kernels_are_used_and_why(monkeypatch: pytest.MonkeyPa
         assert "pip install triton" in missing.advice
 
 
+def test_doctor_reports_a_backend_that_cannot_work(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    for name, said in (("triton", "tensors on cpu, got 'triton'; unset it"), ("x", "got 'x'")):
+        monkeypatch.setenv("PCORE_KERNELS", name)
+        assert main(["doctor"]) == 0
+        shown = capsys.readouterr().out
+        assert said in shown
+        assert "none for cpu" in shown
+        assert not kernels()["search"].good
+        assert "LPIPS alex" in shown, "the report goes on"
+
+
 def kernels() -> dict[str, doctor.Finding]:
     return {found.name: found for found in doctor._kernels()}
 

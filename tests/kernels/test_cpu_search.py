@@ -152,6 +152,44 @@ def test_clouds_of_every_kind(cloud: Callable[[int], Tensor], bundle: str) -> No
     assert torch.equal(found, brute_force(origins, directions, points, 20))
 
 
+def one_line_and_points_at(heights: Tensor, along: Tensor) -> tuple[Rays, Tensor]:
+    """Twelve times the same line, and points at these distances from it and along it."""
+    direction, across = unit(torch.randn(2, 3)).double()
+    across = unit(across - (across @ direction) * direction)
+    other = torch.linalg.cross(direction, across)
+    angle = 2 * math.pi * torch.rand(len(heights), dtype=torch.float64)
+    around = angle.cos().unsqueeze(1) * across + angle.sin().unsqueeze(1) * other
+    points = heights.double().unsqueeze(1) * around + along.double().unsqueeze(1) * direction
+    origin = -1000.0 * direction
+    lines = (
+        origin.float().expand(12, 3).contiguous(),
+        direction.float().expand(12, 3).contiguous(),
+    )
+    return lines, points.float()
+
+
+def test_points_that_rounding_brings_nearer_are_not_dropped() -> None:
+    """The bounds are those of exact distances; the specification's are wrong by 1e-4 here."""
+    (origins, directions), points = one_line_and_points_at(
+        0.1 + 1e-4 * torch.rand(400), torch.rand(400) - 0.5
+    )
+    found = cpu_search.nearest_to_rays(origins, directions, points, 20)
+    assert torch.equal(found, brute_force(origins, directions, points, 20))
+
+
+def test_points_that_a_direction_too_long_brings_nearer_are_not_dropped() -> None:
+    """|v - <v, d> d| grows along a line whose d is too long: far along it, near is far."""
+    near_line = torch.arange(400) % 2 == 0
+    (origins, directions), points = one_line_and_points_at(
+        torch.where(near_line, 0.01, 0.3), torch.where(near_line, 900.0, 0.0) + torch.rand(400)
+    )
+    origins = origins + 1000 * directions
+    directions = directions * 1.001
+    found = cpu_search.nearest_to_rays(origins, directions, points, 20)
+    assert bool((~near_line)[found].all())
+    assert torch.equal(found, brute_force(origins, directions, points, 20))
+
+
 @pytest.mark.parametrize("number", [math.nan, -math.nan, math.inf, 1e30])
 def test_points_that_are_no_numbers_come_last(number: float) -> None:
     origins, directions = image()

@@ -22,16 +22,17 @@ def lines(count: int, angle: float, spread: float) -> tuple[np.ndarray, np.ndarr
 def test_bounds_hold_for_every_line_and_point(angle: float, spread: float) -> None:
     origins, directions = lines(50, angle, spread)
     bundle, centre, radius, _ = line_bundles.as_lines(origins, directions, BOX)
-    tube = line_bundles.enclose(bundle, centre, radius).astype(np.float64)
+    tube = line_bundles.enclose(bundle, centre, radius)
+    foot, axis = tube.foot.astype(np.float64), tube.axis.astype(np.float64)
     points = BOX[0] + np.random.default_rng(0).random((500, 3)) * (BOX[1] - BOX[0])
-    offset = points - tube[:3]
-    z = offset @ tube[3:6]
-    h = np.linalg.norm(offset - z[:, None] * tube[3:6], axis=-1)
-    r = np.maximum(tube[6] + tube[7] * z, tube[8] + tube[9] * z)
+    offset = points - foot
+    z = offset @ axis
+    h = np.linalg.norm(offset - z[:, None] * axis, axis=-1)
+    r = np.maximum(tube.base + tube.slope * z, tube.base_after + tube.slope_after * z)
     v = points[None] - origins[:, None].astype(np.float64)
     distance = np.linalg.norm(np.cross(v, directions[:, None].astype(np.float64)), axis=-1)
     assert (distance <= h + r + 1e-5).all()
-    assert (distance >= (h - r) * tube[10] - 1e-5).all()
+    assert (distance >= (h - r) * tube.cosine - 1e-5).all()
     if spread == 0.0:  # The lines meet in one point: some of them lie on the cone.
         assert (distance.max(axis=0) / (h + r)).max() > 0.95, "the bounds are tight"
 
@@ -39,7 +40,7 @@ def test_bounds_hold_for_every_line_and_point(angle: float, spread: float) -> No
 def test_lines_in_all_directions_have_no_bounds() -> None:
     directions = torch.nn.functional.normalize(torch.randn(40, 3), dim=-1).numpy()
     bundle, centre, radius, _ = line_bundles.as_lines(np.zeros_like(directions), directions, BOX)
-    assert line_bundles.enclose(bundle, centre, radius)[10] == 0
+    assert line_bundles.enclose(bundle, centre, radius).cosine == 0
 
 
 def test_splitting_keeps_lines_and_their_order_together() -> None:

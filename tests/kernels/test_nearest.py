@@ -162,6 +162,28 @@ def test_the_best_usable_backend_is_chosen(monkeypatch: pytest.MonkeyPatch) -> N
         assert backend(torch.device("mps")) == "reference"
 
 
+def test_double_precision_is_not_rounded() -> None:
+    """Distances that float32 cannot tell apart, in any of the inputs."""
+    origin = torch.tensor([[0.0, 0.0, 5.0]], dtype=torch.float64)
+    direction = torch.tensor([[0.0, 0.0, -1.0]], dtype=torch.float64)
+    points = torch.zeros(50, 3, dtype=torch.float64)
+    points[:, 0] = 0.5 - 1e-12 * torch.arange(50, dtype=torch.float64)
+    found = nearest_to_rays(origin, direction, points, 5)
+    assert found.tolist() == [[49, 48, 47, 46, 45]]
+    moved = nearest_to_rays(origin + points[40] - 0.5, direction, points.float(), 5)
+    assert moved.shape == (1, 5)
+
+
+def test_what_triton_does_not_search_the_reference_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backends, "backend", lambda device: "triton")
+    one, double = torch.zeros(4, 3), torch.zeros(4, 3, dtype=torch.float64)
+    assert backends.of_search(one, one, one, 64) == "triton"
+    assert backends.of_search(one, one, one, 65) == "reference"
+    for given in ((double, one, one), (one, double, one), (one, one, double)):
+        assert backends.of_search(*given, 5) == "reference"
+    assert backends.of_search(one.half(), one.half(), one.half(), 5) == "reference"
+
+
 def test_unknown_backend(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PCORE_KERNELS", "gpu")
     with pytest.raises(InputError, match=r"PCORE_KERNELS: expected one of .*, got 'gpu'"):

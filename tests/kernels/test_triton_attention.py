@@ -169,7 +169,18 @@ def test_interpreted_it_gives_what_the_reference_gives(tmp_path: Path) -> None:
 
 @needs_triton
 @pytest.mark.parametrize("capability", ["80", "90"])
-@pytest.mark.parametrize(("name", "kind"), [("fast", "bf16"), ("paper", "bf16"), ("paper", "fp32")])
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("tiny", "fp32"),
+        ("fast", "bf16"),
+        ("fast", "fp32"),
+        ("paper", "bf16"),
+        ("paper", "fp32"),
+        ("paper-lego", "bf16"),
+        ("paper-lego", "fp32"),
+    ],
+)
 def test_it_compiles_for_gpus_that_are_not_here(
     capability: str, name: str, kind: str, tmp_path: Path
 ) -> None:

@@ -23,12 +23,16 @@ torch.manual_seed(0)
 triton_search.RAYS, triton_search.LANES = 2, 32
 unit = torch.nn.functional.normalize
 shapes = [(5, 123, 3), (1, 1, 1), (1, 130, 1), (3, 100, 20), (2, 9, 9), (1, 70, 64), (0, 5, 2)]
+shapes += [(3, 40, 4)]
 for rays, count, k in shapes:
     for points in (torch.randn(count, 3), torch.randint(-1, 2, (count, 3)).float()):
         origins, directions = torch.randn(rays, 3), unit(torch.randn(rays, 3), dim=-1)
         found = triton_search.nearest_to_rays(origins, directions, points, k)
         expected = cpu_search.nearest_to_rays(origins, directions, points, k)
         assert torch.equal(found, expected), (rays, count, k)
+twice = [torch.stack([one, one], dim=-1)[..., 0] for one in (origins, directions, points)]
+assert not twice[0].is_contiguous() or len(origins) == 0
+assert torch.equal(triton_search.nearest_to_rays(*twice, k), expected)
 points[1] = float("nan")
 found = triton_search.nearest_to_rays(origins, directions, points, count)
 assert all(sorted(row) == list(range(count)) for row in found.tolist()), "all, each once"

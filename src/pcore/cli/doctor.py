@@ -162,10 +162,19 @@ def _kernels() -> list[Finding]:
     """Say which backend searches neighbours and which attends to them, and why these."""
     import torch
 
-    from pcore.kernels.backends import LARGEST_WIDTH, MOST_NEIGHBOURS, backend
+    from pcore.errors import InputError
+    from pcore.kernels.backends import LARGEST_WIDTH, MOST_FOUND, MOST_NEIGHBOURS, backend
 
     kind = "cuda" if torch.cuda.is_available() else "cpu"
-    used = backend(torch.device(kind))
+    try:
+        used = backend(torch.device(kind))
+    except InputError as error:
+        # The report is where people look when nothing else runs.
+        refused = f"none for {kind}"
+        return [
+            Finding(name=name, value=refused, good=False, advice=str(error))
+            for name in ("search", "attention")
+        ]
     package = {"cpu": "numba", "triton": "triton"}.get(used)
     reason = f"{package} {installed(package)}" if package else "plain PyTorch"
     if "PCORE_KERNELS" in os.environ:
@@ -176,14 +185,14 @@ def _kernels() -> list[Finding]:
             "unset PCORE_KERNELS" if kind == "cpu" else "`pip install triton`, PCORE_KERNELS unset"
         )
         advice = f"the reference kernels are slow: {mend}"
-    value = f"{used} for {kind} ({reason})"
-    attention = value
+    search = attention = f"{used} for {kind} ({reason})"
     if used == "triton":
+        search += f"; reference beyond {MOST_FOUND} neighbours"
         attention += (
             f"; reference beyond {LARGEST_WIDTH} wide layers and {MOST_NEIGHBOURS} neighbours"
         )
     return [
-        Finding(name="search", value=value, good=not advice, advice=advice),
+        Finding(name="search", value=search, good=not advice, advice=advice),
         Finding(name="attention", value=attention, good=not advice, advice=advice),
     ]
 

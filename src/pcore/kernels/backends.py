@@ -15,6 +15,8 @@ from pcore.kernels.networks import Layers
 BACKENDS = ("reference", "cpu", "triton")
 LARGEST_WIDTH, MOST_NEIGHBOURS = 256, 128
 """Attention by Triton takes networks and rays up to these: more does not fit a program."""
+MOST_FOUND = 64
+"""The search by Triton finds so many: longer sorted lists do not fit a program."""
 
 
 def backend(device: torch.device) -> str:
@@ -58,6 +60,18 @@ def takes_cpu(tensor: Tensor) -> bool:
         and tensor.dtype == torch.float32
         and not torch.is_autocast_enabled(tensor.device.type)
     )
+
+
+def of_search(origins: Tensor, directions: Tensor, points: Tensor, k: int) -> str:
+    """Name of the backend that serves a search; `reference` serves what the others do not.
+
+    The others compute in float32: float64 would be rounded, and half precision picks wrong points.
+    """
+    name = backend(points.device)
+    single = all(one.dtype == torch.float32 for one in (origins, directions, points))
+    if not single or (name == "triton" and k > MOST_FOUND):
+        return "reference"
+    return name
 
 
 def of_attention(positions: Tensor, key: Layers, value: Layers, neighbours: int) -> str:

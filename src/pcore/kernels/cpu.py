@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pcore.kernels.numba_bridge import as_float32, use_torch_threads
 from pcore.kernels.reference import LENGTH_GUARD, SHORTEST, per_pair
+from pcore.kernels.sorted_keys import PLACE, key_of, sift
 
 
 def pull_back(
@@ -43,18 +44,6 @@ def pull_back(
     return chosen, seen_from, seen_along
 
 
-@numba.njit(cache=True)
-def _insert(best: np.ndarray, index: np.ndarray, distance: float, point: int) -> None:
-    """Insert into a sorted list; equal distances keep the order of the index."""
-    slot = best.shape[0] - 1
-    while slot > 0 and best[slot - 1] > distance:
-        best[slot] = best[slot - 1]
-        index[slot] = index[slot - 1]
-        slot -= 1
-    best[slot] = distance
-    index[slot] = point
-
-
 @numba.njit(cache=True, parallel=True)
 def _pull_back(
     origins: np.ndarray,
@@ -72,8 +61,9 @@ def _pull_back(
     for ray in prange(rays):
         back = np.empty((count, 3), dtype=np.float32)
         turned = np.empty((count, 3), dtype=np.float32)
-        best = np.full(k, np.inf, dtype=np.float32)
-        slot = np.zeros(k, dtype=np.int64)
+        best = np.full(k, np.iinfo(np.int64).max)
+        squared = np.empty(count, dtype=np.float32)
+        bits = squared.view(np.int32)
         for c in range(count):
             point = candidates[ray, c]
             length = np.float32(0.0)
@@ -89,18 +79,20 @@ def _pull_back(
                 along += back[c, i] * turned[c, i]
             length = max(math.sqrt(length), np.float32(SHORTEST))
             along /= length
-            distance = 0.0
+            squared[c] = 0.0
             for i in range(3):
                 turned[c, i] /= length
                 across = back[c, i] - along * turned[c, i]
-                distance += across * across
-            if distance < best[k - 1]:
-                _insert(best, slot, distance, c)
+                squared[c] += across * across
+            key = key_of(bits[c], c)
+            if key < best[k - 1]:
+                sift(best, k - 1, key)
         for s in range(k):
-            chosen[ray, s] = candidates[ray, slot[s]]
+            c = best[s] & PLACE
+            chosen[ray, s] = candidates[ray, c]
             for i in range(3):
-                seen_from[ray, s, i] = rest[chosen[ray, s], i] + back[slot[s], i]
-                seen_along[ray, s, i] = turned[slot[s], i]
+                seen_from[ray, s, i] = rest[chosen[ray, s], i] + back[c, i]
+                seen_along[ray, s, i] = turned[c, i]
 
 
 def encode_pairs(

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from pcore.kernels import cpu_attention_loops as loops
-from pcore.kernels.cpu_networks import Chunk, Kept, Network, chunks_of, layers_of, recall, widest
+from pcore.kernels.cpu_networks import Chunk, Kept, Network, chunks_of, recall, widest
 from pcore.kernels.networks import Layers
 from pcore.kernels.numba_bridge import use_torch_threads
 
@@ -49,7 +49,7 @@ class _Scores(torch.autograd.Function):
         *parameters: Tensor,
     ) -> Tensor:
         use_torch_threads()
-        network = Network(layers=layers_of(parameters, key), linear=True)
+        network = Network(layers=key.with_parameters(parameters), linear=True)
         queries, points = queries.detach().contiguous(), neighbours.flatten()
         kept, scores = Kept(keep=keep), torch.zeros(neighbours.shape)
         for chunk in chunks_of(answering, widest(key)):
@@ -72,7 +72,7 @@ class _Scores(torch.autograd.Function):
         key: Layers = ctx.key
         waves, queries, own, points, *rest = ctx.saved_tensors
         parameters, tensors = rest[: 2 * len(key.weights)], rest[2 * len(key.weights) :]
-        network = Network(layers=layers_of(parameters, key), linear=True)
+        network = Network(layers=key.with_parameters(parameters), linear=True)
         upstream = gradients[0].flatten().numpy()
         to_waves, to_queries = torch.zeros_like(waves), torch.zeros_like(queries)
         to_parameters = [torch.zeros_like(one) for one in parameters]
@@ -96,7 +96,7 @@ class _Scores(torch.autograd.Function):
                 to_queries[chunk.rays].numpy(),
                 to_keys.numpy(),
             )
-            to_x = network.backward(to_keys, x, outputs, layers_of(to_parameters, key))
+            to_x = network.backward(to_keys, x, outputs, key.with_parameters(to_parameters))
             loops.key_rows_backward(
                 to_x.numpy(), x.numpy(), scales.numpy(), chunk.ids, to_waves.numpy()
             )
@@ -145,7 +145,7 @@ class _Features(torch.autograd.Function):
         *parameters: Tensor,
     ) -> Tensor:
         use_torch_threads()
-        network = Network(layers=layers_of(parameters, value), linear=False)
+        network = Network(layers=value.with_parameters(parameters), linear=False)
         points, weights = neighbours.flatten(), weights.contiguous()
         kept, pooled = Kept(keep=keep), torch.zeros(len(neighbours), value.weights[-1].shape[1])
         for chunk in chunks_of(weights != 0, widest(value)):
@@ -169,7 +169,7 @@ class _Features(torch.autograd.Function):
         waves, features, weights, points, *rest = ctx.saved_tensors
         split = 2 * (len(value.weights) - 1)
         parameters, tensors = rest[:split], rest[split:]
-        network = Network(layers=layers_of(parameters, value), linear=False)
+        network = Network(layers=value.with_parameters(parameters), linear=False)
         upstream = gradients[0].contiguous()
         to_waves, to_features = torch.zeros_like(waves), torch.zeros_like(features)
         to_weights = torch.zeros_like(weights)
@@ -188,7 +188,7 @@ class _Features(torch.autograd.Function):
                 to_weights.view(-1).numpy(),
                 to_hidden.numpy(),
             )
-            to_x = network.backward(to_hidden, x, outputs, layers_of(to_parameters, value))
+            to_x = network.backward(to_hidden, x, outputs, value.with_parameters(to_parameters))
             loops.value_rows_backward(
                 to_x.numpy(), points.numpy(), chunk.ids, to_waves.numpy(), to_features.numpy()
             )

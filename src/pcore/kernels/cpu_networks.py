@@ -78,7 +78,7 @@ class Network:
             out = out @ weight[:, :before].T
             if index > 0 and index == self.layers.skip_after:
                 out.addmm_(x, weight[:, before:].T)
-            loops.activate(out.numpy(), bias.numpy(), self._slope(index))
+            loops.activate(out.numpy(), bias.detach().numpy(), self._slope(index))
             outputs.append(out)
         if len(outputs) == self.layers.skip_after:
             outputs.append(torch.cat([out, x], dim=1))
@@ -133,17 +133,6 @@ def recall(
     for index, chunk in enumerate(chunks):
         found = tensors[index * each : (index + 1) * each]
         yield chunk, found or None
-
-
-def layers_of(parameters: Sequence[Tensor], like: Layers) -> Layers:
-    """Weights and then biases as a network of the same kind, without gradient."""
-    half = len(parameters) // 2
-    return Layers(
-        weights=tuple(one.detach() for one in parameters[:half]),
-        biases=tuple(one.detach() for one in parameters[half:]),
-        negative_slope=like.negative_slope,
-        skip_after=like.skip_after,
-    )
 
 
 def widest(network: Layers) -> int:

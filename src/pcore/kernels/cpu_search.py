@@ -25,6 +25,7 @@ from torch import Tensor
 
 from pcore.kernels.line_bundles import LEAF, as_lines, cut, enclose, split
 from pcore.kernels.numba_bridge import as_float32, use_torch_threads
+from pcore.kernels.sorted_keys import PLACE, key_of, sift
 
 _SHRINK = 3
 """A bundle is examined when it has at most 1 / _SHRINK of the rays of the last one examined: in
@@ -124,7 +125,7 @@ def _drop(
     listed: np.ndarray,
     first: int,
     size: int,
-    tube: np.ndarray,
+    tube: Any,
     margin: float,
     k: int,
     scratch: np.ndarray,
@@ -134,8 +135,7 @@ def _drop(
     Returns:
         How many; `size` where it is not worth a new list.
     """
-    cosine = tube[10]
-    if cosine == 0:
+    if tube.cosine == 0:
         return size
     lower, upper, least = scratch[0], scratch[1], scratch[2]
     _bound(near[0, first:], near[1, first:], near[2, first:], size, tube, lower, upper)
@@ -146,7 +146,7 @@ def _drop(
         for lane in range(min(lanes, size - begin)):
             least[lane] = min(least[lane], upper[begin + lane])
     # What rounding may have done to either of the distances that are compared.
-    bound = (_kth(least[:lanes], k) + np.float32(2.0) * margin) / cosine
+    bound = (_kth(least[:lanes], k) + np.float32(2.0) * margin) / tube.cosine
     picked, kept = upper.view(np.int32), 0
     for i in range(size):
         picked[kept] = i
@@ -166,20 +166,20 @@ def _bound(
     py: np.ndarray,
     pz: np.ndarray,
     size: int,
-    tube: np.ndarray,
+    tube: Any,
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> None:
     """Bounds of the distances of points to the lines in a tube; the lower one over its cosine."""
-    cx, cy, cz, ax, ay, az = tube[0], tube[1], tube[2], tube[3], tube[4], tube[5]
-    base, slope, base2, slope2 = tube[6], tube[7], tube[8], tube[9]
+    cx, cy, cz = tube.foot[0], tube.foot[1], tube.foot[2]
+    ax, ay, az = tube.axis[0], tube.axis[1], tube.axis[2]
     for i in range(size):
         vx, vy, vz = px[i] - cx, py[i] - cy, pz[i] - cz
         z = vx * ax + vy * ay + vz * az
         # The difference form, as for the distances themselves.
         tx, ty, tz = vx - z * ax, vy - z * ay, vz - z * az
         h = np.sqrt(tx * tx + ty * ty + tz * tz)
-        r = max(base + slope * z, base2 + slope2 * z)
+        r = max(tube.base + tube.slope * z, tube.base_after + tube.slope_after * z)
         lower[i], upper[i] = h - r, h + r
 
 
@@ -198,24 +198,6 @@ def _kth(values: np.ndarray, k: int) -> Any:
         else:
             low = middle
     return high
-
-
-@numba.njit(cache=True)
-def _key(bits: Any, place: Any) -> Any:
-    """Squared distance, whose bits are ordered as integers, and behind it the place in the list.
-
-    The list is in order of the index, so equal distances are too. Without its sign, NaN is last.
-    """
-    return ((np.int64(bits) & 0x7FFFFFFF) << 32) | place
-
-
-@numba.njit(cache=True)
-def _sift(best: np.ndarray, slot: int, key: Any) -> None:
-    """Move keys up until `key` has its place in the sorted list, at `slot` or before."""
-    while slot > 0 and best[slot - 1] > key:
-        best[slot] = best[slot - 1]
-        slot -= 1
-    best[slot] = key
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -248,13 +230,13 @@ def _rank(
     A ray starts from the neighbours of the ray before: few of them move, and hardly any is new.
     """
     size, k = listed.shape[0], out.shape[1]
-    low, mask = np.int64(0xFFFFFFFF), np.int32(0x7FFFFFFF)
+    mask = np.int32(0x7FFFFFFF)
     bits, best = squared.view(np.int32), np.arange(k)
     for ray in bundle:
         _measure(origins[ray], directions[ray], places, squared, size)
         for slot in range(k):
-            place = best[slot] & low
-            _sift(best, slot, _key(bits[place], place))
+            place = best[slot] & PLACE
+            sift(best, slot, key_of(bits[place], place))
             bits[place] = mask
         farthest = np.int32(best[k - 1] >> 32)
         for begin in range(0, size, _STRIP):
@@ -262,9 +244,9 @@ def _rank(
             for i in range(begin, end):
                 hits += (bits[i] & mask) <= farthest
             for i in range(begin, end if hits > 0 else begin):
-                key = _key(bits[i], i)
+                key = key_of(bits[i], i)
                 if key < best[k - 1]:
-                    _sift(best, k - 1, key)
+                    sift(best, k - 1, key)
                     farthest = np.int32(best[k - 1] >> 32)
         for slot in range(k):
-            out[ray, slot] = listed[best[slot] & low]
+            out[ray, slot] = listed[best[slot] & PLACE]

@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from pcore.errors import InputError
 from pcore.kernels import cpu, cpu_attention, cpu_search, reference, reference_attention
-from pcore.kernels.backends import backend, of_attention, takes_cpu
+from pcore.kernels.backends import backend, of_attention, of_search, takes_cpu
 from pcore.kernels.networks import Layers
 
 
@@ -38,7 +38,7 @@ def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int)
             f"points and k = {k}"
         )
     k = min(k, points.shape[0])
-    search = _search(backend(points.device))
+    search = _search(of_search(origins, directions, points, k))
     flat = search(origins.reshape(-1, 3), directions.reshape(-1, 3), points, k)
     return flat.reshape(*origins.shape[:-1], k)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -19,6 +19,28 @@ an order of magnitude more than was seen."""
 _OVERFLOW = 1e15
 """Lengths up to which float32 can add up squares."""
 _TINY = np.float32(1e-30)
+
+
+class Tube(NamedTuple):
+    """What holds a bundle: an axis, and at every position z along it the largest of two chords.
+
+    Attributes:
+        foot: (3,) a point of the axis, where z is 0.
+        axis: (3,) its unit direction.
+        base: spread at z = 0 by the chord before the waist.
+        slope: how that chord grows with z.
+        base_after: the same of the chord behind the waist.
+        slope_after: the same.
+        cosine: least cosine between a line and the axis; 0 where there are no bounds.
+    """
+
+    foot: np.ndarray
+    axis: np.ndarray
+    base: np.float32
+    slope: np.float32
+    base_after: np.float32
+    slope_after: np.float32
+    cosine: np.float32
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -107,46 +129,47 @@ def split(lines: np.ndarray, order: np.ndarray, radius: float, start: int, stop:
 
 
 @numba.njit(cache=True, fastmath=True, error_model="numpy")
-def enclose(lines: np.ndarray, centre: np.ndarray, radius: float) -> np.ndarray:
-    """Find the axis and the spread of a bundle.
+def enclose(lines: np.ndarray, centre: np.ndarray, radius: float) -> Any:
+    """Find the tube of a bundle; one without bounds where its lines differ too much.
 
     The spread is convex in z, so chords bound it from above: two of them, between the ends of the
     cloud and the waist, where the lines come closest to each other (least squares).
-
-    Returns:
-        (11,) foot and direction of the axis; base and slope of both chords; and the least cosine
-        between a line and the axis, or 0 where the lines differ so much that there are no bounds.
     """
-    tube = np.zeros(11, dtype=np.float32)
+    foot, axis = np.zeros(3, dtype=np.float32), np.zeros(3, dtype=np.float32)
     across = np.empty((6, lines.shape[0]), dtype=np.float32)
-    cosine = _across(lines, tube, across)
+    cosine, none = _across(lines, foot, axis, across), np.float32(0.0)
+    foot += centre
     if cosine <= _LEAST_COSINE:
-        return tube
+        return Tube(foot, axis, none, none, none, none, none)
     uw, ww = np.float32(0.0), _TINY
     for ray in range(lines.shape[0]):
-        for axis in range(3):
-            uw += across[axis, ray] * across[3 + axis, ray]
-            ww += across[3 + axis, ray] ** 2
+        for i in range(3):
+            uw += across[i, ray] * across[3 + i, ray]
+            ww += across[3 + i, ray] ** 2
     end = np.float32(0.98) * radius
     waist = min(max(-uw / ww, -end), end)
     low, middle, high = _spread(across, -radius), _spread(across, waist), _spread(across, radius)
     before = (middle - low) / (waist + radius + _TINY)
     after = (high - middle) / (radius - waist + _TINY)
-    tube[6], tube[7] = middle - waist * before, before
-    tube[8], tube[9] = middle - waist * after, after
-    tube[10] = cosine
-    for axis in range(3):
-        tube[axis] += centre[axis]
-    return tube
+    return Tube(
+        foot,
+        axis,
+        np.float32(middle - waist * before),
+        np.float32(before),
+        np.float32(middle - waist * after),
+        np.float32(after),
+        cosine,
+    )
 
 
 @numba.njit(cache=True, fastmath=True, error_model="numpy")
-def _across(lines: np.ndarray, tube: np.ndarray, across: np.ndarray) -> Any:
-    """Write the axis to tube[:6] and the lines as u + z w across it; return the least cosine."""
-    n, foot, axis = lines.shape[0], tube[:3], tube[3:6]
+def _across(lines: np.ndarray, foot: np.ndarray, axis: np.ndarray, across: np.ndarray) -> Any:
+    """Write the axis, and the lines as u + z w across it; return the least cosine."""
+    n = lines.shape[0]
     for ray in range(n):
-        for i in range(6):
-            tube[i] += lines[ray, i] / np.float32(n)
+        for i in range(3):
+            foot[i] += lines[ray, i] / np.float32(n)
+            axis[i] += lines[ray, 3 + i] / np.float32(n)
     length = np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
     if length <= _LEAST_COSINE:
         return np.float32(0.0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -27,6 +28,11 @@ class Layers:
     biases: tuple[Tensor, ...]
     negative_slope: float = 0.0
     skip_after: int | None = None
+
+    def with_parameters(self, parameters: Sequence[Tensor]) -> Layers:
+        """Return the same network with other weights and, behind them, biases."""
+        half = len(parameters) // 2
+        return replace(self, weights=tuple(parameters[:half]), biases=tuple(parameters[half:]))
 
     def hidden(self, x: Tensor) -> Tensor:
         """Everything but the last linear layer, of (..., in)."""
@@ -56,12 +62,7 @@ class Layers:
             before, read = weight.split([weight.shape[1] - len(gain), len(gain)], dim=1)
             weights[index] = torch.cat([before, read * gain], dim=1)
             biases[index] = biases[index] + read @ offset
-        return Layers(
-            weights=tuple(weights),
-            biases=tuple(biases),
-            negative_slope=self.negative_slope,
-            skip_after=self.skip_after,
-        )
+        return self.with_parameters([*weights, *biases])
 
 
 def standardise(x: Tensor) -> Tensor:

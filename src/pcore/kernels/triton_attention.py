@@ -74,7 +74,9 @@ class _Scores(torch.autograd.Function):
         # Without its mean over the columns the last layer's output is standardised by its length.
         last = [one - one.mean(dim=0) for one in (parameters[len(key.weights) - 1], parameters[-1])]
         inner = len(key.weights) - 1
-        layers = _layers([*parameters[:inner], last[0], *parameters[inner + 1 : -1], last[1]], key)
+        layers = key.with_parameters(
+            [*parameters[:inner], last[0], *parameters[inner + 1 : -1], last[1]]
+        )
         packed = pack(layers, own.shape[1], waves.shape[1], half or torch.float32)
         return launch_scores(packed, own, waves, neighbours, answering, queries)
 
@@ -89,7 +91,7 @@ class _Scores(torch.autograd.Function):
                 neighbours[rays],
                 answering[rays],
                 queries,
-                _layers(parameters, ctx.like),
+                ctx.like.with_parameters(parameters),
             )
 
         pairs = waves.unflatten(0, neighbours.shape)
@@ -112,7 +114,7 @@ class _Features(torch.autograd.Function):
     ) -> Tensor:
         ctx.save_for_backward(waves, weights, features, neighbours, *parameters)
         ctx.like, ctx.half = value, half
-        hidden = all_but_last(_layers(parameters, value))
+        hidden = all_but_last(value.with_parameters(parameters))
         sizes = waves.shape[1], features.shape[1]
         packed = pack(hidden, *sizes, half or torch.float32, neighbours.shape[1])
         pooled = launch_features(packed, waves, features, neighbours, weights)
@@ -134,7 +136,7 @@ class _Features(torch.autograd.Function):
                 features,
                 neighbours[rays],
                 weights,
-                _layers(parameters, ctx.like),
+                ctx.like.with_parameters(parameters),
             )
 
         pairs = waves.unflatten(0, neighbours.shape)
@@ -149,17 +151,6 @@ class _Features(torch.autograd.Function):
 def all_but_last(network: Layers) -> Layers:
     """Return a network without its last layer."""
     return replace(network, weights=network.weights[:-1], biases=network.biases[:-1])
-
-
-def _layers(parameters: Sequence[Tensor], like: Layers) -> Layers:
-    """Weights and then biases as a network of the same kind."""
-    half = len(parameters) // 2
-    return Layers(
-        weights=tuple(parameters[:half]),
-        biases=tuple(parameters[half:]),
-        negative_slope=like.negative_slope,
-        skip_after=like.skip_after,
-    )
 
 
 def _gradients(
