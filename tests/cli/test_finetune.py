@@ -52,6 +52,17 @@ def test_the_result_lies_beside_the_run_which_stays_as_it_is(
     assert changed
 
 
+def test_networks_are_compiled_unless_told_otherwise(
+    base: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[object] = []
+    monkeypatch.setattr(finetune, "compile_networks", lambda device, *nets: asked.append(nets))
+    assert call(base, "-o", tmp_path / "one", steps=1) == 0
+    assert len(asked) == 1
+    assert call(base, "-o", tmp_path / "two", "--no-compile", steps=1) == 0
+    assert len(asked) == 1
+
+
 def test_settings_of_an_imported_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

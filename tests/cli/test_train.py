@@ -72,6 +72,19 @@ def test_options_change_the_preset(scene: Path, tmp_path: Path) -> None:
     assert not (run / "tensorboard").exists()
 
 
+def test_networks_are_compiled_unless_told_otherwise(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[object] = []
+    monkeypatch.setattr(
+        "pcore.training.pretrain.compile_networks", lambda device, *networks: asked.append(networks)
+    )
+    assert call(scene, tmp_path / "one", "--no-tensorboard", steps=1) == 0
+    assert len(asked) == 1
+    assert call(scene, tmp_path / "two", "--no-tensorboard", "--no-compile", steps=1) == 0
+    assert len(asked) == 1
+
+
 def test_weights_of_losses_are_options(scene: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
     assert call(scene, run, "--opacity-weight", 0, "--front-weight", 0.2, steps=1) == 0
