@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -18,6 +19,7 @@ from pcore.model.passes import RenderCancelledError
 from pcore.model.render import (
     FAST_THRESHOLD,
     Picture,
+    check_request,
     normals,
     rays_within,
     render,
@@ -162,6 +164,22 @@ def test_a_threshold_changes_colours_a_little_and_nothing_else(cloud: PointCloud
         assert torch.equal(fast.surface.nan_to_num(), exact.surface.nan_to_num())
         errors.append(float((fast.rgb - exact.rgb).abs().max()))
     assert 0 < errors[0] < errors[1] < 0.2
+
+
+def test_chunks_are_larger_on_a_gpu(cloud: PointCloud) -> None:
+    """Smaller ones would leave it waiting for the processor."""
+    on_gpu = SimpleNamespace(device=torch.device("cuda"))
+    rays = [
+        check_request(
+            SimpleNamespace(config=config(), parameters=parameters),  # pyright: ignore[reportArgumentType]
+            cloud,
+            camera(8, 8),
+            None,
+            8,
+        )
+        for parameters in (Papr(config()).parameters, lambda: iter([on_gpu]))
+    ]
+    assert rays == [rays_within(config(), 256 * 2**20), rays_within(config(), 2 * 2**30)]
 
 
 def test_progress_ends_at_one_and_grows(cloud: PointCloud) -> None:

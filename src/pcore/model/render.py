@@ -34,7 +34,10 @@ from pcore.validation import check_count
 FAST_THRESHOLD = 0.03
 """Of `pcore render --fast`. Measured on 12 test views of four trained `tiny` models: PSNR against
 the exact picture 60.4 dB or more, no colour off by more than 0.021 (0.01: 68.6 dB; 0.1: 50.4)."""
-_ATTENTION_BYTES = 256 * 2**20
+_ATTENTION_BYTES = {"cuda": 2 * 2**30}
+_LEAST_ATTENTION_BYTES = 256 * 2**20
+"""What a chunk of rays may take. A GPU needs more of them at once to be busy: a picture of
+800 x 800 pixels at the sizes of `paper` is 31 chunks there, and would be 245."""
 TILE = 256
 _SOLID = 0.5
 _STEEPEST = math.tan(math.radians(80))
@@ -58,7 +61,8 @@ def render(
         papr: the networks, on any device; the work is done there.
         cloud: the points, canonical or deformed, world units.
         camera: at least 4 x 4 pixels (the UNet halves the picture twice).
-        max_rays: rays attended to at once; None takes as many as fit about 256 MB.
+        max_rays: rays attended to at once; None takes as many as fit about 256 MB, or
+            2 GB of a GPU.
         tile: side of the UNet's tiles in pixels, a multiple of 4.
         threshold: points with less than this weight on a ray add nothing to its colour; 0 is
             exact, `FAST_THRESHOLD` is what `pcore render --fast` takes.
@@ -93,7 +97,7 @@ def check_request(
     if tile % ALIGNMENT:
         raise InputError(f"render: expected a tile that is a multiple of {ALIGNMENT}, got {tile}")
     _check_cloud(cloud)
-    return check_count("render: max_rays", max_rays or rays_within(papr.config, _ATTENTION_BYTES))
+    return check_count("render: max_rays", max_rays or _rays_at_once(papr))
 
 
 def paint(
@@ -146,6 +150,11 @@ def _check_cloud(cloud: PointCloud) -> None:
             f"render: expected local maps that keep space right side out (det > 0), got {folded} "
             f"of {len(cloud)} that do not; estimate frames from the points, or use plain rays"
         )
+
+
+def _rays_at_once(papr: Papr) -> int:
+    kind = next(papr.parameters()).device.type
+    return rays_within(papr.config, _ATTENTION_BYTES.get(kind, _LEAST_ATTENTION_BYTES))
 
 
 def rays_within(config: PaprConfig, memory: int) -> int:

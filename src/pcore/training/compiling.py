@@ -46,5 +46,5 @@ def compiler_errors_explained() -> Generator[None]:
         raise TrainingError(
             f"torch.compile: expected networks that it can compile on this machine, got "
             f"{type(error).__name__} ({str(error).strip().splitlines()[0]}); go on with "
-            "--no-compile (in Python compiled=False), which is slower but gives the same"
+            "--no-compile, or with TORCHDYNAMO_DISABLE=1 in the environment: slower, and the same"
         ) from error
