@@ -1,6 +1,6 @@
 """`python -m benchmarks speed [--out FILE] [--gate]` and `python -m benchmarks gpu DATA`.
 
-Only packages that a bare machine with PyTorch for a GPU has, and pydantic: see
+`gpu` takes only packages that an image with PyTorch for a GPU has, and pydantic: see
 docs/benchmarks/speed.md for how to bring that along.
 """
 
@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from importlib import import_module
 from importlib.util import find_spec
 
+COMMANDS = ("speed", "gpu")
 NEEDED = {
     "torch": "torch",
     "numpy": "numpy",
@@ -32,17 +34,17 @@ def main() -> int:
             file=sys.stderr,
         )
         return 2
-    # What is missing is to be said before it is imported.
-    from benchmarks import gpu, speed
-
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    commands = parser.add_subparsers(required=True)
-    for name, module in (("speed", speed), ("gpu", gpu)):
-        command = commands.add_parser(name, help=(module.__doc__ or "").split("\n")[0])
-        module.add_options(command)
-        command.set_defaults(run=module.run)
-    wanted = parser.parse_args()
-    return wanted.run(wanted)
+    name = sys.argv[1] if len(sys.argv) > 1 else ""
+    if name not in COMMANDS:
+        print(f"benchmarks: expected {' or '.join(COMMANDS)}, got {name!r}", file=sys.stderr)
+        return 2
+    # Only what the command needs: `speed` looks at editing, too, which takes more packages.
+    command = import_module(f"benchmarks.{name}")
+    parser = argparse.ArgumentParser(
+        prog=f"python -m benchmarks {name}", description=command.__doc__
+    )
+    command.add_options(parser)
+    return command.run(parser.parse_args(sys.argv[2:]))
 
 
 if __name__ == "__main__":

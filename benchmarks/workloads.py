@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from benchmarks.drag_workload import measure_drag
 from benchmarks.attention_workload import measure_attention
+from benchmarks.drag_workload import measure_drag
 from benchmarks.metrics import Metric
 from benchmarks.papr_workloads import measure_render, measure_step
 from benchmarks.plan import Plan

@@ -127,6 +127,14 @@ def test_it_needs_no_more_than_it_says() -> None:
     assert "--training-seconds" in shown.stdout
 
 
+def test_unknown_commands_are_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "gpus"])
+    assert main() == 2
+    assert "expected speed or gpu, got 'gpus'" in capsys.readouterr().err
+
+
 def test_missing_packages_are_named() -> None:
     shown = bare("pydantic", "PIL")
     assert shown.returncode == 2

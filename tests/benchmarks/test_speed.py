@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 import torch
-from benchmarks.drag_workload import measure_drag
 from benchmarks.__main__ import main
 from benchmarks.attention_workload import measure_attention
+from benchmarks.drag_workload import measure_drag
 from benchmarks.measure import in_turns
 from benchmarks.papr_workloads import measure_render, measure_step
 from benchmarks.plan import Plan
@@ -160,7 +160,7 @@ def test_attention_a_step_and_a_picture_are_measured() -> None:
 
 
 def test_drags_are_measured() -> None:
-    plan = Plan(device=torch.device("cpu"), quick=True, repeats=1)
+    plan = Plan(device=torch.device("cpu"), quick=True, turns=1)
     found = dict(measure_drag(plan))
     assert set(found) == {
         f"drag/{kind}/300/{what}" for kind in ("cage", "anchor") for what in ("bind", "seconds")
