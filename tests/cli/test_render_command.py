@@ -17,6 +17,7 @@ from pcore.cli import draw
 from pcore.cli.main import main
 from pcore.data.load import load_cameras, load_scene
 from pcore.deform.anchor_distance import path_distance
+from pcore.deform.local_frames import estimated_frames
 from pcore.editing.anchors import rig_with
 from pcore.editing.script import load_edit
 from pcore.geometry.anchors import farthest_points
@@ -307,8 +308,32 @@ def test_a_folding_edit_is_refused(
 ) -> None:
     edit = write_edit(tmp_path / "fold.json", {"type": "taper", "axis": "z", "factor": -9})
     assert call(made[0], "--split", "test", "--edit", edit) == 2
-    assert "fold.json: edit 1 (taper)" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "fold.json: edit 1 (taper)" in said
+    assert "plain rays can draw it" in said
     assert not (made[0] / "renders").exists()
+    # Nothing has to be undone for plain rays.
+    assert call(made[0], "--split", "test", "--edit", edit, "--rays", "plain") == 0
+    assert (made[0] / "renders" / "test-fold").is_dir()
+
+
+def test_local_maps_that_were_replaced_are_said(
+    made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Layers of the cloud change places, which no map around a point can do."""
+    run, _, cloud = made
+    points = cloud.positions.detach()
+    layer = (100 * points[:, 2]).long() % 2 == 0
+    moved = points + torch.where(layer, -2 * points[:, 2], 0.0)[:, None] * torch.eye(3)[2]
+    np.save(tmp_path / "rest.npy", points.numpy())
+    np.save(tmp_path / "moved.npy", moved.numpy())
+    edit = {"type": "displacement", "before": "rest.npy", "after": "moved.npy"}
+    (tmp_path / "layers.json").write_text(json.dumps({"version": 2, "edits": [edit]}))
+    frames = estimated_frames(points, moved)
+    assert len(frames.mended) > 0
+    assert call(run, "--split", "test", "--edit", tmp_path / "layers.json") == 0
+    said = f"warning: edit 1 (displacement): at {len(frames.mended)} of {len(points)} points"
+    assert said in capsys.readouterr().out
 
 
 def test_cameras_without_a_size(

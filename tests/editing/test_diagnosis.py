@@ -98,6 +98,13 @@ def test_points_in_one_place_are_no_trouble():
     assert diagnose(few, 3 * few).tearing.tolist() == [1.0] * 3
 
 
+def test_points_that_all_went_to_one_place_have_no_holes():
+    points = torch.rand(50, 3)
+    found = diagnose(points, torch.ones(50, 3))
+    assert float(found.tearing.max()) == 1.0
+    assert found.hole_score == 0.0
+
+
 def test_misfits_are_refused():
     with pytest.raises(InputError, match=r"the same points \(N, 3\) twice, at least two, got"):
         diagnose(shell(), shell()[:-1])

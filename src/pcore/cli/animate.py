@@ -144,9 +144,9 @@ def _frames(
     with counting(console, "edits") as tell:
         for number, time in enumerate(times, start=1):
             if time not in known:
-                bound = animation.at(time).bound(cloud.positions, rig=rig)
-                notes += bound.notes
                 aware = command.rays == "aware"
+                bound = animation.at(time).bound(cloud.positions, rig=rig, check=aware)
+                notes += bound.notes
                 known[time] = deformed_cloud(cloud, bound.deformation, aware=aware)
             tell(number, len(times))
     note(console, notes)

@@ -156,9 +156,10 @@ def _edited(cloud: PointCloud, command: RenderCommand, console: Console) -> Poin
     from pcore.editing.script import load_edit
 
     rig = learned_rig(command.run_or_file, cloud.positions)
-    bound = load_edit(command.edit).bound(cloud.positions, rig=rig)
+    aware = command.rays == "aware"
+    bound = load_edit(command.edit).bound(cloud.positions, rig=rig, check=aware)
     note(console, bound.notes)
-    return deformed_cloud(cloud, bound.deformation, aware=command.rays == "aware")
+    return deformed_cloud(cloud, bound.deformation, aware=aware)
 
 
 def _image_size(folder: Path, factor: int) -> tuple[int, int]:

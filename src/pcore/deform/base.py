@@ -45,6 +45,13 @@ class Deformation(ABC):
         # Written so that a NaN counts as folded.
         return ~(orientation(self, points) > SINGULAR)
 
+    def mended(self, points: Tensor) -> Tensor:
+        """Where `jacobian` answers with a substitute: bool (...,) at points (..., 3).
+
+        Nowhere, except for maps that are known by where points went: see `PointMotion`.
+        """
+        return torch.zeros(points.shape[:-1], dtype=torch.bool, device=points.device)
+
 
 @dataclass(frozen=True)
 class Identity(Deformation):
@@ -137,6 +144,14 @@ class Compose(Deformation):
             points = step(points)
         return result
 
+    def mended(self, points: Tensor) -> Tensor:
+        """Where any of the steps answers with a substitute."""
+        result = super().mended(points)
+        for step in self.steps:
+            result = result | step.mended(points)
+            points = step(points)
+        return result
+
 
 def gradients(function: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
     """Derivatives (..., C, 3) of a function (..., 3) -> (..., C) that takes every point by itself.
@@ -172,7 +187,12 @@ def orientation(deformation: Deformation, points: Tensor) -> Tensor:
     negative where it turns space inside out. It does not depend on units.
     """
     with torch.no_grad():
-        jacobian = deformation.jacobian(points)
+        return uprightness(deformation.jacobian(points))
+
+
+def uprightness(jacobian: Tensor) -> Tensor:
+    """Return `orientation` of Jacobians (..., 3, 3): (...,)."""
+    with torch.no_grad():
         # Closed form instead of torch.linalg.det, which factorises matrix by matrix.
         rows = jacobian.unbind(dim=-2)
         determinant = (rows[0] * torch.linalg.cross(rows[1], rows[2])).sum(dim=-1)

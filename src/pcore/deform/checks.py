@@ -15,13 +15,23 @@ def count_folded(deformation: Deformation, points: Tensor) -> int:
 
 
 def check_invertible(
-    deformation: Deformation, points: Tensor, *, allow_folds: bool = False
+    deformation: Deformation,
+    points: Tensor,
+    *,
+    allow_folds: bool = False,
+    advice: str = "lower the amount of the deformation",
 ) -> None:
     """Raise unless the map keeps space right side out at the points (N, 3), world units.
 
     Rendering carries directions through the Jacobian, which needs det J > 0. A bare set of points
     can still be moved by a map that folds space in places: `allow_folds` accepts that and
     refuses only maps that keep space right side out nowhere (flattened or mirrored as a whole).
+
+    Args:
+        deformation: the map.
+        points: (N, 3) where it is looked at.
+        allow_folds: see above.
+        advice: what the message tells the reader to do about it.
 
     Raises:
         EditError: det J <= 0, or nearly so, at some of the points (at all of them if folds are
@@ -41,9 +51,7 @@ def check_invertible(
     raise EditError(
         f"singular deformation: expected space to keep its orientation (det J > 0) at all points, "
         f"got det J <= 0 or nearly 0 at {int(folded.sum())} of {total} points "
-        f"({_numbers(folded)}), where space is flattened or turned inside out; lower the angle or "
-        "factor, widen the limits, the extent or the falloff of the region, move the origin, or "
-        'for a stretch use the profile "axial" or "volume"'
+        f"({numbers(folded)}), where space is flattened or turned inside out; {advice}"
     )
 
 
@@ -57,11 +65,11 @@ def check_finite(moved: Tensor) -> None:
     if bool(lost.any()):
         raise EditError(
             f"the deformation sends {int(lost.sum())} of {lost.numel()} points to NaN or infinity "
-            f"({_numbers(lost)}), expected finite positions; lower the amount"
+            f"({numbers(lost)}), expected finite positions; lower the amount"
         )
 
 
-def _numbers(mask: torch.Tensor, most: int = 5) -> str:
+def numbers(mask: torch.Tensor, most: int = 5) -> str:
     """Say which points, by number from 0: "numbers 3, 17, 20, ..."."""
     chosen = mask.nonzero().reshape(-1)
     listed = ", ".join(str(int(number)) for number in chosen[:most])

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from pcore.deform.base import Deformation
+from pcore.deform.base import SINGULAR, Deformation, uprightness
 from pcore.deform.checks import check_invertible
 from pcore.errors import EditError
 from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.rotation import nearest_rotation
 
 _NEIGHBOURS = 16
 _RIDGE = 0.03
@@ -20,6 +23,8 @@ _FLATTEST = 0.05
 """A cloud that extends so much less in one direction than in another is a sheet."""
 _COLLAPSED = 1e-4
 """A neighbourhood that shrinks by so much more than the whole cloud has collapsed."""
+_FLATNESS = 1e-9
+"""Share of the identity in the matrix a rotation is taken from: on a line it chooses the turn."""
 
 
 def analytic_frames(deformation: Deformation, points: Tensor) -> LocalFrames:
@@ -28,8 +33,10 @@ def analytic_frames(deformation: Deformation, points: Tensor) -> LocalFrames:
     Raises:
         EditError: the map folds space or leaves the finite numbers at some of the points.
     """
-    check_invertible(deformation, points.detach().double())
-    return unchecked_frames(deformation, points)
+    places = points.detach().double()
+    check_invertible(deformation, places)
+    mended = deformation.mended(places).nonzero().squeeze(-1)
+    return replace(unchecked_frames(deformation, points), mended=mended)
 
 
 def unchecked_frames(deformation: Deformation, points: Tensor) -> LocalFrames:
@@ -80,21 +87,24 @@ def estimated_frames(rest: Tensor, moved: Tensor) -> LocalFrames:
             no extent; or the move mirrors the whole.
     """
     _check(rest, moved)
-    to_rest, bad = fitted_inverses(rest, moved)
-    return LocalFrames(
-        rest=rest.detach(), to_rest=to_rest.to(rest), mended=torch.nonzero(bad).squeeze(-1)
-    )
+    linear, bad = fitted_maps(rest, moved)
+    to_rest = torch.linalg.inv(linear).to(rest)
+    return LocalFrames(rest=rest.detach(), to_rest=to_rest, mended=torch.nonzero(bad).squeeze(-1))
 
 
-def fitted_inverses(rest: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
-    """Inverses (N, 3, 3) of the maps of `estimated_frames`, and which (N,) bool were replaced.
+def fitted_maps(rest: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
+    """Linear maps (N, 3, 3) of `estimated_frames` on the CPU, and which (N,) are similarities.
 
-    For points that were checked already: finite, at least four, and not all in one place.
+    For finite points of one shape, also few of them: a single point has the identity. Points that
+    all went to one place have maps that are zero.
     """
     before, after = rest.detach().cpu().double(), moved.detach().cpu().double()
+    if not _size(before) > 0 or not _size(after) > 0:
+        unit = torch.eye(3, dtype=torch.float64) * float(not _size(before) > 0)
+        return unit.repeat(len(before), 1, 1), torch.zeros(len(before), dtype=torch.bool)
     linear, similar = _fit(before, after)
-    bad = ~(torch.linalg.det(linear) > 0)
-    return torch.linalg.inv(torch.where(bad[:, None, None], similar, linear)), bad
+    bad = ~(uprightness(linear) > SINGULAR)
+    return torch.where(bad[:, None, None], similar, linear), bad
 
 
 def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
@@ -112,16 +122,17 @@ def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
     scale = ratio.nanmedian(dim=-1).values.nan_to_num(nan=1.0)
     scale = scale.clamp_min(_COLLAPSED * _size(after) / _size(before))
     length = length.clamp_min(tiny)
-    trust = torch.ones_like(near)
+    trust, unit = torch.ones_like(near), torch.eye(3, dtype=before.dtype)
     linear = similar = torch.empty(0)
     for tolerance in _TOLERANCES:
         weight = near * trust
         weight = weight / weight.sum(dim=-1, keepdim=True)
         spread = torch.einsum("nk,nki,nkj->nij", weight, offset, offset)
         cross = torch.einsum("nk,nki,nkj->nij", weight, image, offset)
-        similar = scale[:, None, None] * _rotation(cross)
-        ridge = _RIDGE * spread.diagonal(dim1=1, dim2=2).sum(dim=-1)[:, None, None] + tiny**2
-        unit = torch.eye(3, dtype=before.dtype)
+        trace = spread.diagonal(dim1=1, dim2=2).sum(dim=-1)[:, None, None]
+        turn = cross / scale[:, None, None] + _FLATNESS * trace * unit
+        similar = scale[:, None, None] * nearest_rotation(turn)
+        ridge = _RIDGE * trace + tiny**2
         linear = torch.linalg.solve(spread + ridge * unit, cross + ridge * similar, left=False)
         miss = (image - offset @ linear.mT).norm(dim=-1) / (scale[:, None] * length)
         trust = (1 + (miss / tolerance).square()).pow(-2)
@@ -131,14 +142,6 @@ def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
 def _size(points: Tensor) -> float:
     """Diagonal of the bounding box."""
     return float((points.amax(dim=0) - points.amin(dim=0)).norm())
-
-
-def _rotation(matrices: Tensor) -> Tensor:
-    """Rotations (N, 3, 3) nearest to matrices (N, 3, 3); never reflections."""
-    left, _, right = torch.linalg.svd(matrices)
-    sign = torch.linalg.det(left @ right)
-    left = torch.cat([left[..., :2], left[..., 2:] * sign[:, None, None]], dim=-1)
-    return left @ right
 
 
 def _check(rest: Tensor, moved: Tensor) -> None:
@@ -163,16 +166,18 @@ def _check(rest: Tensor, moved: Tensor) -> None:
                 f"local frames: expected {name} points that extend in space, got all "
                 f"{len(points)} in one place"
             )
-    if _mirrored(rest, moved):
+    if is_mirrored(rest, moved):
         raise EditError(
             "local frames: the move mirrors the object, which turns its inside out; rays cannot be "
             "pulled back. Turn it instead, or render with plain rays"
         )
 
 
-def _mirrored(rest: Tensor, moved: Tensor) -> bool:
+def is_mirrored(rest: Tensor, moved: Tensor) -> bool:
     """Whether the affine map nearest to the whole move keeps three dimensions and flips one."""
     before, after = (points.detach().cpu().double() for points in (rest, moved))
+    if len(before) < _FEWEST:
+        return False
     before, after = before - before.mean(dim=0), after - after.mean(dim=0)
     if float(torch.linalg.svdvals(before)[2]) < _FLATTEST * float(torch.linalg.svdvals(before)[0]):
         return False  # A sheet turned over and a sheet mirrored are the same.

@@ -20,13 +20,20 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from pcore.deform.base import Deformation, check_points, gradients
+from pcore.deform.base import (
+    SINGULAR,
+    Deformation,
+    Identity,
+    check_points,
+    gradients,
+    uprightness,
+)
+from pcore.deform.local_frames import fitted_maps, is_mirrored
 from pcore.errors import InputError
 from pcore.geometry.neighbours import as_points
-from pcore.geometry.rotation import procrustes
 
 NEIGHBOURS = 12
-"""Sites that answer for a place, and that a slope is fitted to."""
+"""Sites that answer for a place, and that the gradient of a value is fitted to."""
 # Shares of R^2: what keeps a weight finite at its own site, and one site's weight from vanishing
 # where all are equally far. Both are far below what double precision resolves of a position.
 _AT_SITE, _AT_RIM = 1e-14, 1e-12
@@ -81,6 +88,10 @@ class Scattered:
         result = torch.where(squared[:, :1] == 0, local[:, 0], mean)
         return result.reshape(*points.shape[:-1], values.shape[-1]).to(points.dtype)
 
+    def nearest(self, points: Tensor) -> Tensor:
+        """Number (...,) of the site nearest to each of the points (..., 3)."""
+        return self._nearest(points.reshape(-1, 3))[:, 0].reshape(points.shape[:-1])
+
     def _nearest(self, flat: Tensor) -> Tensor:
         """Numbers (n, k) of the nearest sites, nearest first."""
         k = min(NEIGHBOURS + 1, len(self.sites))
@@ -95,7 +106,9 @@ class Scattered:
 class PointMotion(Deformation):
     """Space that goes along with points whose new places are known, exactly at the points.
 
-    Between the points it is `Scattered` with a linear map at each of them.
+    Between the points it is `Scattered` with a linear map at each of them. Places say nothing of
+    space turned inside out at a single point, so a map that would do that is replaced there by
+    one that does not: see `mended`.
 
     Attributes:
         field: new places as a function of old ones.
@@ -107,9 +120,18 @@ class PointMotion(Deformation):
         Args:
             before: (N, 3) world units.
             after: (N, 3) where they go.
-            linear: (N, 3, 3) the Jacobian at every point; fitted to its neighbours when None.
+            linear: (N, 3, 3) the Jacobian at every point; None takes those of `fitted_maps`, which
+                also stand in where a given one flattens space or turns it inside out.
         """
-        slopes = motion_slopes(before, after) if linear is None else linear
+        if linear is None:
+            slopes, self._mended = fitted_maps(before, after)
+        else:
+            slopes = linear.detach().cpu().double()
+            self._mended = ~(uprightness(slopes) > SINGULAR)
+            if bool(self._mended.any()):
+                slopes = torch.where(
+                    self._mended[:, None, None], fitted_maps(before, after)[0], slopes
+                )
         self.field = Scattered(sites=before, values=after, slopes=slopes)
 
     def __call__(self, points: Tensor) -> Tensor:
@@ -120,25 +142,28 @@ class PointMotion(Deformation):
         """Jacobians (..., 3, 3); at the points themselves those that were given or fitted."""
         return gradients(self.field, points)
 
+    def eased(self, amount: float) -> Deformation:
+        """Return the motion after a share of every point's way: 0 is the identity, 1 this one."""
+        if amount == 1.0:
+            return self
+        if amount == 0.0:
+            return Identity()
+        sites, unit = self.field.sites, torch.eye(3, dtype=torch.float64)
+        after = sites + amount * (self.field.values - sites)
+        part = PointMotion(sites, after, unit + amount * (self.field.slopes - unit))
+        part._mended = part._mended | self._mended
+        return part
 
-def motion_slopes(before: Tensor, after: Tensor) -> Tensor:
-    """Linear maps (N, 3, 3) that carry the neighbours of every point to where they went.
+    def folded(self, points: Tensor) -> Tensor:
+        """Where space is flattened or turned inside out; everywhere when the whole is mirrored."""
+        if is_mirrored(self.field.sites, self.field.values):
+            return torch.ones(points.shape[:-1], dtype=torch.bool, device=points.device)
+        return super().folded(points)
 
-    Least squares over the offsets to the nearest points, drawn a little towards the best rotation:
-    neighbours on a flat piece of surface say nothing about the direction across it.
-    """
-    source, target = as_points(before), as_points(after)
-    index = _neighbours(source)
-    old = source[index] - source[:, None]
-    new = target[index] - target[:, None]
-    weight = _closeness(old)
-    moments = np.einsum("nk,nki,nkj->nij", weight, old, old)
-    mixed = np.einsum("nk,nki,nkj->nij", weight, new, old)
-    rotation = procrustes(*(torch.from_numpy(one) for one in (old, new, weight))).numpy()
-    stiff = _STIFFNESS * np.trace(moments, axis1=1, axis2=2)[:, None, None] + _SMALLEST
-    matrix = moments + stiff * np.eye(3)
-    linear = np.linalg.solve(matrix, np.swapaxes(mixed + stiff * rotation, 1, 2))
-    return torch.from_numpy(np.swapaxes(linear, 1, 2))
+    def mended(self, points: Tensor) -> Tensor:
+        """Where the nearest of the points has a substitute for its map: bool (...,)."""
+        check_points(points)
+        return self._mended.to(points.device)[self.field.nearest(points)]
 
 
 def scalar_slopes(sites: Tensor, values: Tensor) -> Tensor:

@@ -48,6 +48,10 @@ class Weighted(Deformation):
         """Where space is flattened or turned inside out, bool (...,)."""
         return super().folded(points) | (self.inner.folded(points) & (self.weight(points) == 1))
 
+    def mended(self, points: Tensor) -> Tensor:
+        """Where it acts and its inner map answers with a substitute."""
+        return self.inner.mended(points) & (self.weight(points) != 0)
+
     def weight(self, points: Tensor) -> Tensor:
         """Share (...,) of the way to D(x) that points (..., 3) go."""
         weight = torch.full_like(points[..., 0], self.amount)
@@ -114,6 +118,15 @@ class Held(Deformation):
             beginning = Held(self.steps[:number], self.hold)
             result = result | ~(orientation_of(beginning, points) > SINGULAR)
             result = result | (step.folded(place) & (free == 1))
+            place = blend(place, step(place), free)
+        return result
+
+    def mended(self, points: Tensor) -> Tensor:
+        """Where a step answers with a substitute and nothing is held."""
+        free = 1.0 - self.hold.weight(points)
+        result, place = super().mended(points), points
+        for step in self.steps:
+            result = result | (step.mended(place) & (free != 0))
             place = blend(place, step(place), free)
         return result
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -67,6 +67,8 @@ class AnchorsEdit(PlacedEdit):
     `near` and `to` are measured from `origin`. `amount` is the share of its way, and of its turn,
     that every handle goes: half a drag is a drag half as far, not a blend of two shapes.
     """
+
+    advice: ClassVar[str] = "drag the handles less far, or turn them along"
 
     type: Literal["anchors"] = "anchors"
     handles: Annotated[

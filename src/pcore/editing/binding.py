@@ -68,8 +68,17 @@ class Bound:
         moved = whole(places)
         check_finite(moved)
         if check:
-            check_invertible(whole, places, allow_folds=self.allow_folds)
+            check_invertible(
+                whole, places, allow_folds=self.allow_folds, advice=_advice(edit, self.hold)
+            )
         return replace(longer, setting=self.setting.at(moved))
+
+
+def _advice(edit: Edit, hold: Region | None) -> str:
+    """What to do about an edit that folds space."""
+    fades = edit.region is not None or edit.freeze or hold is not None
+    seam = "widen the falloff of the region, or " if fades else ""
+    return f"{seam}{edit.advice}; plain rays can draw it"
 
 
 def _kind(edit: Edit) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import torch
@@ -22,13 +22,16 @@ from pcore.errors import EditError
 class CageEdit(MeshPair):
     """Space goes along with a closed mesh around the object."""
 
+    advice: ClassVar[str] = 'move the vertices of the cage less, or lower "amount"'
+
     type: Literal["cage"] = "cage"
 
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`; the same cage and points are bound once, whatever shape it takes."""
         before, after = self.meshes()
         rest = _bytes(before.vertices), _bytes(before.faces), _bytes(points)
-        return self.eased(_deform(*rest, _bytes(after.vertices)))
+        whole = _deform(*rest, _bytes(after.vertices))
+        return whole if self.amount == 1.0 else Weighted(whole, amount=self.amount)
 
     def notes(self, setting: Setting, step: Deformation) -> tuple[str, ...]:
         """See `Edit.notes`: a cage acts on what it does not hold, but that is seldom meant."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from pcore.deform.local_frames import fitted_inverses
+from pcore.deform.local_frames import fitted_maps
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.neighbours import nearest
@@ -140,7 +140,9 @@ def diagnose(before: Tensor, after: Tensor) -> Diagnosis:
     strain = _growth(now, near, tiny)
     tearing = torch.ones_like(strain)
     if len(rest) >= _FEWEST and size > 0:
-        to_rest, _ = fitted_inverses(rest, moved)
+        maps, _ = fitted_maps(rest, moved)
+        # All in one place has no way back, and nothing comes apart.
+        to_rest = torch.linalg.inv(maps) if bool(maps.any()) else torch.zeros_like(maps)
         tearing = _growth(
             (to_rest.unsqueeze(1) @ offset.unsqueeze(-1)).norm(dim=(2, 3)), near, tiny
         )

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from torch import Tensor
 
 from pcore.deform.base import Deformation, apply_matrix
+from pcore.deform.checks import numbers
 from pcore.deform.frame import AXIS_NAMES, axis_frame, bend_frame
 from pcore.deform.simple import (
     AlongAxis,
@@ -58,9 +59,11 @@ class Edit(BaseModel, ABC):
     Attributes:
         region: where it acts, with a seam; None is everywhere.
         freeze: where it does not act, whatever `region` says.
+        advice: what to do when it folds space.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+    advice: ClassVar[str] = "lower its amount"
 
     region: Annotated[AnyRegion | None, Field(description=REGION)] = None
     freeze: Annotated[tuple[AnyRegion, ...], Field(description=f"a list, each {REGION}")] = ()
@@ -88,8 +91,13 @@ class Edit(BaseModel, ABC):
         Raises:
             EditError: it cannot be meant.
         """
-        del setting, step  # Most kinds have nothing to say.
-        return ()
+        bad = step.mended(setting.points)
+        if not bool(bad.any()):
+            return ()
+        return (
+            f"at {int(bad.sum())} of {len(bad)} points ({numbers(bad)}) the local map turns space "
+            "inside out, as beside a tear; deformation-aware rays use one that does not there",
+        )
 
 
 class PlacedEdit(Edit):
@@ -100,6 +108,10 @@ class PlacedEdit(Edit):
 
 class SimpleEdit(PlacedEdit):
     """What twist, bend, taper and stretch share."""
+
+    advice: ClassVar[str] = (
+        "lower the angle or factor, widen the limits or the extent, or move the origin"
+    )
 
     axis: Annotated[Axis, Field(description=AXIS)]
     limits: Limits = (0.0, 1.0)
@@ -179,6 +191,10 @@ _STRETCHES: dict[str, type[AlongAxis]] = {
 
 class StretchEdit(SimpleEdit):
     """Lengthen along the axis with one of three profiles of the cross-section."""
+
+    advice: ClassVar[str] = (
+        'lower the factor, widen the limits or the extent, or use the profile "axial" or "volume"'
+    )
 
     type: Literal["stretch"] = "stretch"
     factor: Factor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import torch
 from pydantic import Field, model_validator
@@ -20,6 +20,8 @@ _TRIPLE = "three finite numbers [x, y, z]"
 
 class PartEdit(Edit):
     """Scale the part by `factor` and turn it about `origin`, then translate it."""
+
+    advice: ClassVar[str] = "move, turn or scale the part less"
 
     type: Literal["part"] = "part"
     region: Annotated[AnyRegion, Field(description=REGION)]  # pyright: ignore

@@ -96,9 +96,25 @@ class EditScript(BaseModel):
         return self.bound(points, allow_folds=allow_folds, rig=rig).deformation
 
     def bound(
-        self, points: Tensor, *, allow_folds: bool = False, rig: AnchorRig | None = None
+        self,
+        points: Tensor,
+        *,
+        allow_folds: bool = False,
+        rig: AnchorRig | None = None,
+        check: bool = True,
     ) -> Bound:
-        """Do the same and keep the steps apart, so that more can be added; see `bind`."""
+        """Do the same and keep the steps apart, so that more can be added.
+
+        Args:
+            points: see `bind`.
+            allow_folds: see `bind`.
+            rig: see `bind`.
+            check: look for folds; without, any map is accepted that leaves the points finite, which
+                is enough for plain rays.
+
+        Raises:
+            EditError: as `bind`.
+        """
         if points.ndim != 2 or points.shape[-1] != 3:
             raise EditError(f"{self._source}: expected points (N, 3), got {tuple(points.shape)}")
         resting = points.detach().to(device="cpu", dtype=torch.float64)
@@ -108,7 +124,7 @@ class EditScript(BaseModel):
             raise EditError(f"{self._source}: freeze: {error}") from error
         for number, edit in enumerate(self.edits, start=1):
             try:
-                bound = bound.then(edit)
+                bound = bound.then(edit, check=check)
             except (EditError, InputError) as error:
                 raise EditError(f"{_place(self._source, number, edit.type)}: {error}") from error
         return bound

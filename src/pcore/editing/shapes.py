@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import torch
 from pydantic import Field
@@ -15,7 +15,6 @@ from pcore.data.points import read_point_file
 from pcore.deform.base import Deformation
 from pcore.deform.proxy import follow_mesh
 from pcore.deform.scattered import PointMotion
-from pcore.deform.weighted import Weighted
 from pcore.editing.edits import Edit
 from pcore.editing.fields import Amount, Positive, StoredFile, StoredPlaces
 from pcore.errors import EditError
@@ -31,13 +30,11 @@ _POINTS = "the path of a file of points (.npy or .ply)"
 
 
 class EasedEdit(Edit):
-    """What edits share that know one end of a motion: how much of the way is gone."""
+    """What edits share that know one end of a motion: x + amount (D(x) - x) of the whole D."""
+
+    advice: ClassVar[str] = 'turn the object instead of mirroring it, or lower "amount"'
 
     amount: Amount = 1.0
-
-    def eased(self, whole: Deformation) -> Deformation:
-        """Return x + amount (D(x) - x) of the whole motion D."""
-        return whole if self.amount == 1.0 else Weighted(whole, amount=self.amount)
 
 
 class MeshPair(EasedEdit):
@@ -83,7 +80,7 @@ class MeshEdit(MeshPair):
         """See `Edit.bind`."""
         before, after = self.meshes()
         motion = follow_mesh(points, before.vertices, after.vertices, before.faces)
-        return self.eased(motion)
+        return motion.eased(self.amount)
 
 
 class DisplacementEdit(EasedEdit):
@@ -106,9 +103,10 @@ class DisplacementEdit(EasedEdit):
             )
         if self.match == "id":
             self._check_ids(points, before)
-            return self.eased(PointMotion(points, after))
+            return PointMotion(points, after).eased(self.amount)
         self._check_places(points, before)
-        return self.eased(PointMotion(before, after))
+        # The local maps at the points are fitted to the points: those of others tear elsewhere.
+        return PointMotion(points, PointMotion(before, after)(points)).eased(self.amount)
 
     def _check_ids(self, points: Tensor, before: Tensor) -> None:
         if len(before) != len(points):

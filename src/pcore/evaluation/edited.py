@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -67,7 +68,9 @@ class EditedShape:
 
     def _frames(self, points: Tensor, moved: Tensor) -> LocalFrames:
         del moved  # The edit itself says more than where the points went.
-        return unchecked_frames(self._of(points)[2].deformation, points)
+        deformation = self._of(points)[2].deformation
+        mended = deformation.mended(points.detach().double()).nonzero().squeeze(-1)
+        return replace(unchecked_frames(deformation, points), mended=mended)
 
     def _handles(self, points: Tensor) -> tuple[HandleDiagnosis, ...]:
         rest, rig, _ = self._of(points)

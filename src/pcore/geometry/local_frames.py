@@ -23,8 +23,8 @@ class LocalFrames:
     Attributes:
         rest: (N, 3) positions p_i before the deformation, world units.
         to_rest: (N, 3, 3) inverses of the local maps: x - p_i = to_rest_i (x' - p'_i).
-        mended: (M,) indices of points whose frame is a similarity instead of the local map,
-            because the map that was estimated there would turn space inside out.
+        mended: (M,) indices of points whose frame is a substitute, because the local map that was
+            found there would turn space inside out.
     """
 
     rest: Tensor
