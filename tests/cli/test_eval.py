@@ -3,13 +3,19 @@
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 from PIL import Image
+from torch import Tensor
 
 import tiny_scene
 from pcore.cli.main import main
+from pcore.deform.local_frames import estimated_frames
+from pcore.evaluation import states
+from pcore.geometry.local_frames import LocalFrames
 
 
 @pytest.fixture(scope="module")
@@ -169,6 +175,21 @@ def test_two_runs_of_one_kind_are_told_apart(run: Path, scene: Path, tmp_path: P
     assert main(["eval", str(run), *words]) == 0
     methods = {row["method"] for row in rows_of(tmp_path / "out")}
     assert methods == {f"{name} ({run})" for name in ("PAPR", "aware") for run in ("run", "other")}
+
+
+def test_frames_that_had_to_be_replaced_are_in_the_notes(
+    run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def folded(rest: Tensor, moved: Tensor) -> LocalFrames:
+        return replace(estimated_frames(rest, moved), mended=torch.tensor([1, 3]))
+
+    monkeypatch.setattr(states, "estimated_frames", folded)
+    assert main(["eval", str(run), "--state", "walk", "--protocol", "standard"]) == 0
+    notes = json.loads((run / "eval" / "summary.json").read_text())["notes"]
+    (note,) = [one for one in notes if "inside out" in one]
+    assert note.startswith("state walk, aware: 2 of ")
+    assert note.endswith("at points number 1, 3")
+    assert "at points number 1, 3" in " ".join(capsys.readouterr().out.split())
 
 
 def test_scaling_by_two_costs_nothing_with_aware_rays(run: Path) -> None:

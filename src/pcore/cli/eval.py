@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pcore.evaluation.states import SceneStates, State
 
 PICTURES = "pictures"
+_LISTED = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +133,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         "factor": places.factor,
     }
     left_out = [places.left_out] if places.left_out else []
-    notes = [*left_out, *odd, *_mended(rows, methods)]
+    notes = [*left_out, *odd, *_mended(rows, methods, states)]
     finish(console, output, rows, about=about, perceptual=perceptual, notes=notes)
 
 
@@ -183,21 +184,34 @@ def finish(
 
     means = state_means(rows)
     found = gains(means, means[0].method)
-    write_tables(output, rows, summary_record(means, found, about=about, perceptual=perceptual))
+    record = summary_record(means, found, about=about, perceptual=perceptual, notes=notes)
+    write_tables(output, rows, record)
     show_results(console, means, found, perceptual=perceptual, notes=notes)
     console.print(Text(f"written to {output}"), soft_wrap=True)
 
 
-def _mended(rows: Sequence[ImageRow], methods: Sequence[Method]) -> list[str]:
-    """Say where estimated frames had to be replaced, once per state and method."""
-    points = {method.name: len(method.cloud) for method in methods}
+def _mended(
+    rows: Sequence[ImageRow], methods: Sequence[Method], states: Sequence[State]
+) -> list[str]:
+    """Say at which points estimated frames had to be replaced, once per state and method."""
+    from pcore.evaluation.runner import carry
+
+    named = {method.name: method for method in methods}
+    places = {state.name: state for state in states}
     found = {(row.state, row.method): row.scores["mended_frames"] for row in rows}
-    return [
-        f"state {state}, {method}: {count:.0f} of {points[method]:,} local frames were estimated "
-        "inside out and replaced by a similarity"
-        for (state, method), count in found.items()
-        if count
-    ]
+    notes: list[str] = []
+    for (state, name), count in found.items():
+        if not count:
+            continue
+        # Moved once more: the rows hold numbers only, and few states come here.
+        frames = carry([named[name]], places[state])[name].frames
+        numbers = [] if frames is None else frames.mended.tolist()
+        notes.append(
+            f"state {state}, {name}: {count:.0f} of {len(named[name].cloud):,} local frames were "
+            "estimated inside out and replaced by a similarity, at points number "
+            f"{', '.join(map(str, numbers[:_LISTED]))}{', ...' * (len(numbers) > _LISTED)}"
+        )
+    return notes
 
 
 def _methods(run: Run, base: Run | None, rays: str, scene: Scene) -> list[Method]:

@@ -43,6 +43,7 @@ def summary_record(
     *,
     about: Mapping[str, Any],
     perceptual: Perceptual | None = None,
+    notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Build what `summary.json` holds, as JSON values.
 
@@ -51,6 +52,7 @@ def summary_record(
         gains: comparisons with the baseline; empty when there is one method.
         about: where the figures come from: scene, runs, factor, version.
         perceptual: says why LPIPS columns are empty.
+        notes: what else a reader has to know.
 
     Returns:
         Keys `about`, `protocols` (name -> description), `notes`, `means`, `gains`. Infinity is
@@ -61,7 +63,7 @@ def summary_record(
     record = {
         "about": dict(about),
         "protocols": {n: PROTOCOLS[n].description for n in used if n in PROTOCOLS},
-        "notes": [note] if note else [],
+        "notes": [*([note] if note else []), *notes],
         "means": [asdict(one) for one in means],
         "gains": [asdict(one) for one in gains],
     }
