@@ -18,6 +18,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
+from pcore.kernels.reference import encode
 from pcore.model.config import MlpConfig, PaprConfig, ReferenceOrigin
 from pcore.model.papr import Papr, Rendering
 from pcore.model.render import render
@@ -108,6 +109,62 @@ def test_affine_maps_give_the_canonical_features(
     canonical, deformed = both(papr, cloud, deformation)
     torch.testing.assert_close(deformed.features, canonical.features, rtol=0, atol=1e-4)
     torch.testing.assert_close(deformed.alpha, canonical.alpha, rtol=0, atol=1e-4)
+
+
+STRONG = {
+    "mild": [[1.3, 0.2, 0.0], [0.0, 0.8, -0.1], [0.1, 0.0, 1.1]],
+    "half as long": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.5]],
+    "shear": [[1.0, 2.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+    "thin": [[0.3, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]],
+}
+
+
+@pytest.mark.parametrize("name", STRONG)
+def test_few_neighbours_of_many_are_found_and_give_the_canonical_features(name: str) -> None:
+    """On a surface, 6 of 3,000 points: the right ones must be among the candidates."""
+    draw = torch.Generator().manual_seed(3)
+    places = torch.nn.functional.normalize(torch.randn(3000, 3, generator=draw), dim=-1) * 0.6
+    cloud = PointCloud(
+        positions=places,
+        features=torch.randn(3000, 8, generator=draw),
+        influence=torch.rand(3000, generator=draw),
+    )
+    deformation = Affine(torch.tensor(STRONG[name]), torch.tensor([0.2, -0.1, 0.3]))
+    papr = Papr(replace(CONFIG, neighbours=6, cutoff=0.1, reference=REFERENCE)).eval()
+    canonical, deformed = both(papr, cloud, deformation)
+    hit = canonical.weights.sum(dim=-1) > 0
+    right = deformed.neighbours[..., :, None] == canonical.neighbours[..., None, :]
+    recall = right.any(dim=-2).float().mean(dim=-1)[hit]
+    assert int(hit.sum()) > 40
+    assert float(recall.mean()) > 0.92
+    same = right.any(dim=-2).all(dim=-1) & hit
+    assert float(same.sum() / hit.sum()) > 0.8
+    torch.testing.assert_close(deformed.features[same], canonical.features[same], rtol=0, atol=1e-4)
+    torch.testing.assert_close(deformed.alpha[same], canonical.alpha[same], rtol=0, atol=1e-4)
+
+
+def test_the_query_sees_the_mean_direction_of_the_neighbours() -> None:
+    """Two points whose frames turn by as much to either side: the query sees the ray itself."""
+    places = torch.tensor([[-0.06, 0.0, 0.0], [0.05, 0.0, 0.0]])
+    cloud = PointCloud(positions=places, features=torch.randn(2, 8), influence=torch.ones(2))
+    turns = torch.stack([rigid("y", angle).matrix.float() for angle in (0.4, -0.4)])
+    rays = RayBundle(
+        origins=torch.tensor([[[0.0, 0.0, 2.5]]]), directions=torch.tensor([[[0.0, 0.0, -1.0]]])
+    )
+    papr, seen = Papr(replace(CONFIG, neighbours=2)).eval(), list[Tensor]()
+    papr.attention.query.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    with torch.no_grad():
+        papr.attend(cloud.moved(places, LocalFrames(rest=places, to_rest=turns)), rays.flat())
+    expected = encode(rays.flat().directions, CONFIG.frequencies)
+    torch.testing.assert_close(seen[0], expected, rtol=0, atol=1e-6)
+
+
+def test_the_anisotropy_of_an_edit_is_that_of_most_points() -> None:
+    rest, eye = torch.rand(100, 3), torch.eye(3).repeat(100, 1, 1)
+    flat = eye * torch.tensor([1.0, 1.0, 0.1])
+    few = torch.where((torch.arange(100) < 3)[:, None, None], flat, eye)
+    found = [LocalFrames(rest=rest, to_rest=maps).anisotropy for maps in (eye, 3 * flat, few)]
+    assert found == pytest.approx([1.0, 10.0, 1.0])
 
 
 def test_without_frames_a_scaled_object_looks_different(cloud: PointCloud) -> None:

@@ -11,6 +11,7 @@ from torch import Tensor
 from pcore.errors import InputError
 
 _FLATTEST = 1e-12
+_MOST = 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +35,18 @@ class LocalFrames:
     @cached_property
     def stretch(self) -> Tensor:
         """(N,) largest factor by which each local map lengthens anything."""
-        shortest = torch.linalg.matrix_norm(self.to_rest.detach().double(), ord=-2)
-        return (1.0 / shortest.clamp_min(_FLATTEST)).to(self.to_rest)
+        return (1.0 / self._sizes[:, 2].clamp_min(_FLATTEST)).to(self.to_rest)
+
+    @cached_property
+    def anisotropy(self) -> float:
+        """Condition number that 95 % of the local maps keep: longest over shortest stretch."""
+        ratio = self._sizes[:, 0] / self._sizes[:, 2].clamp_min(_FLATTEST)
+        return float(torch.quantile(ratio, _MOST))
+
+    @cached_property
+    def _sizes(self) -> Tensor:
+        """(N, 3) factors by which `to_rest` changes lengths, largest first."""
+        return torch.linalg.svdvals(self.to_rest.detach().double())
 
     def __post_init__(self) -> None:
         shapes = tuple(self.rest.shape), tuple(self.to_rest.shape)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,8 +17,11 @@ from pcore.model.attention import Attended, ProximityAttention
 from pcore.model.config import PaprConfig
 from pcore.model.unet import Unet
 
-_CANDIDATES = 2
-"""Candidates of the plain search per neighbour: the nearest in the rest state are among them."""
+_CANDIDATES = 1.25
+_MOST_CANDIDATES = 128
+"""Candidates of the plain search, per neighbour and unit of the frames' condition number, and in
+all. A circle around an ellipse is larger than it by the ratio of its axes: among so many times more
+points are the nearest of the rest state, were all spread evenly. Chosen by recall: see ADR 5."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +147,8 @@ def _pulled_back(
     positions: Tensor, frames: LocalFrames, rays: RayBundle, k: int, cutoff: float | None
 ) -> tuple[Tensor, Tensor | None, RayBundle]:
     """Neighbours (R, k), near rays (M,) or None, and these rays (M, k) of the rest state."""
-    candidates = nearest_to_rays(rays.origins, rays.directions, positions, _CANDIDATES * k)
+    count = _candidates(frames, k)
+    candidates = nearest_to_rays(rays.origins, rays.directions, positions, count)
     k = min(k, len(positions))
     near: Tensor | None = None
     if cutoff is not None:
@@ -166,6 +171,11 @@ def _pulled_back(
     answered = _reached(frames.rest, chosen, seen[:, 0], cutoff)
     near = near[answered]
     return candidates[:, :k].index_copy(0, near, chosen[answered]), near, seen[answered]
+
+
+def _candidates(frames: LocalFrames, k: int) -> int:
+    """How many candidates are looked at for k neighbours."""
+    return max(k, math.ceil(min(_CANDIDATES * frames.anisotropy * k, _MOST_CANDIDATES)))
 
 
 @torch.no_grad()
