@@ -1,0 +1,68 @@
+"""The law of scaling on real photos: twice the size from twice as far is the same picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pcore.data.load import load_scene
+from pcore.evaluation.protocol import PROTOCOLS
+from pcore.evaluation.runner import Method, evaluate, mean
+from pcore.evaluation.states import CANONICAL, open_states
+from pcore.model.config import MlpConfig
+from pcore.model.render import render
+from pcore.training.presets import TINY
+from pcore.training.pretrain import pretrain
+
+_EVERY = 5
+_BAR = 0.1
+STATES = ("scale:0.5", "scale:2")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("name", ["lego", "chair"])
+def test_scaled_pictures_are_as_good_as_canonical_ones(name: str, shared_data: Path) -> None:
+    """PSNR over every fifth test view of a model that was trained for 150 steps.
+
+    The pictures need not be good for the law; plain rays of the same model must break it.
+    """
+    places = open_states(shared_data / "nerf_synthetic" / name, factor=8)
+    small = MlpConfig(layers=2, width=32, size=32)
+    model = replace(
+        TINY.model,
+        neighbours=6,
+        key=small,
+        query=small,
+        value=replace(small, size=16),
+        feature_size=16,
+        unet_channels=(8, 12, 16),
+    )
+    config = replace(
+        TINY, model=model, points=1500, steps=150, prune=None, grow=None, validate_every=150
+    )
+    trained = pretrain(load_scene(places.path, factor=8), config)
+    papr, cloud = trained.papr.eval(), trained.cloud.detached()
+    methods = [
+        Method(name=rays, papr=papr, cloud=cloud, aware=rays == "aware")
+        for rays in ("plain", "aware")
+    ]
+    chosen = [replace(s, shots=s.shots[::_EVERY]) for s in places.select(STATES)]
+    rows = evaluate(methods, chosen, draw=render, protocols=[PROTOCOLS["standard"]])
+
+    def psnr(method: str, state: str, metric: str) -> float:
+        found = mean([r.scores[metric] for r in rows if (r.method, r.state) == (method, state)])
+        assert found is not None
+        return found
+
+    for metric in ("psnr", "foreground_psnr"):
+        still = psnr("aware", CANONICAL, metric)
+        assert still > 10
+        off = {
+            rays: max(abs(psnr(rays, state, metric) - still) for state in STATES)
+            for rays in ("aware", "plain")
+        }
+        assert off["aware"] < _BAR, off
+        assert off["plain"] > 2 * _BAR, off
