@@ -18,10 +18,10 @@ from pcore.model.config import PaprConfig
 from pcore.model.unet import Unet
 
 _CANDIDATES = 1.25
-_MOST_CANDIDATES = 128
+_MOST_CANDIDATES = 64
 """Candidates of the plain search, per neighbour and unit of the frames' condition number, and in
-all. A circle around an ellipse is larger than it by the ratio of its axes: among so many times more
-points are the nearest of the rest state, were all spread evenly. Chosen by recall: see ADR 5."""
+all (what the search on CUDA takes). A circle around an ellipse is larger by the ratio of its axes:
+among so many times more are the nearest of the rest state, were all spread evenly. See ADR 5."""
 
 
 @dataclass(frozen=True, kw_only=True)
