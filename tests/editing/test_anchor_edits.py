@@ -226,6 +226,19 @@ def test_the_point_nearest_to_the_place_is_held_itself() -> None:
         assert (moved - target).norm() < 0.01 * 0.3
 
 
+def test_a_handle_that_stays_where_it_is_changes_little_elsewhere() -> None:
+    points = bar()
+    left, right = points[points[:, 0].argmin()], points[points[:, 0].argmax()]
+    drag_right = {"near": right.tolist(), "to": (right + torch.tensor([0.0, 0.0, 0.3])).tolist()}
+    pin = {"near": left.tolist(), "to": left.tolist()}
+    alone, pinned = (
+        AnchorsEdit.model_validate({"type": "anchors", "handles": some, "count": 40, "reach": 0.6})
+        for some in ([drag_right], [drag_right, pin])
+    )
+    before, after = alone.bind(points)(points), pinned.bind(points)(points)
+    assert (before - after).norm(dim=1).max() < 0.02 * 0.3
+
+
 def test_two_handles_at_one_point_are_refused_and_two_beside_each_other_are_not() -> None:
     points = bar()
     first, second = points[0].tolist(), points[torch.cdist(points[:1], points)[0].argsort()[1]]

@@ -25,17 +25,6 @@ def test_the_seed_alone_decides() -> None:
     assert len(starts) > 1
 
 
-def test_those_given_come_first_and_the_rest_spread_around_them() -> None:
-    points = torch.randn(200, 3)
-    chosen = farthest_points(points, 12, first=[7, 3])
-    assert chosen[:2].tolist() == [7, 3]
-    for count in range(2, 12):
-        distance = torch.cdist(points, points[chosen[:count]]).amin(dim=1)
-        assert distance[chosen[count]] == pytest.approx(float(distance.max()), rel=1e-6)
-    with pytest.raises(InputError, match="whole number of at least 2, got 1"):
-        farthest_points(points, 1, first=[7, 3])
-
-
 def test_all_points_can_be_anchors() -> None:
     chosen = farthest_points(torch.randn(9, 3), 9)
     assert sorted(chosen.tolist()) == list(range(9))

@@ -159,7 +159,7 @@ class AnchorRig:
         """Whether its anchors are those that this count and seed choose from its cloud."""
         if len(self.indices) != count:
             return False
-        return torch.equal(self.indices, _chosen(_content(self.points), count, seed, ()))
+        return torch.equal(self.indices, _chosen(_content(self.points), count, seed))
 
     def at(self, points: Tensor) -> AnchorRig:
         """Return the rig after its cloud has moved to points (N, 3): each keeps its weights.
@@ -187,7 +187,7 @@ class AnchorRig:
 
 
 def rig_of(
-    points: Tensor, *, count: int = ANCHORS, seed: int = 0, first: tuple[int, ...] = ()
+    points: Tensor, *, count: int = ANCHORS, seed: int = 0, also: tuple[int, ...] = ()
 ) -> AnchorRig:
     """Choose anchors of a cloud (N, 3) and weigh its points along the cloud.
 
@@ -197,7 +197,7 @@ def rig_of(
         points: the canonical cloud, world units.
         count: number of anchors.
         seed: of the choice of the first one.
-        first: see `farthest_points`.
+        also: indices of points that take the places of the anchors of the seed nearest to them.
 
     Raises:
         EditError: fewer points than anchors, fewer than two anchors, or NaN or infinity.
@@ -205,7 +205,7 @@ def rig_of(
     if count < 2:
         raise EditError(f"anchors: expected a count of at least 2, got {count}")
     try:
-        return _rig(_content(points), count, seed, first)
+        return _rig(_content(points), count, seed, also)
     except InputError as error:
         raise EditError(str(error)) from error
 
@@ -231,13 +231,23 @@ def _points(content: bytes) -> Tensor:
 
 
 @lru_cache(maxsize=4)
-def _chosen(content: bytes, count: int, seed: int, first: tuple[int, ...]) -> Tensor:
-    return farthest_points(_points(content), count, seed=seed, first=first)
+def _chosen(content: bytes, count: int, seed: int) -> Tensor:
+    return farthest_points(_points(content), count, seed=seed)
+
+
+def _replaced(points: Tensor, chosen: Tensor, also: tuple[int, ...]) -> Tensor:
+    """Put points in the places of the anchors nearest to them, each in one of its own."""
+    anchors, free = chosen.clone(), torch.ones(len(chosen), dtype=torch.bool)
+    for row in also:
+        distance = (points[chosen] - points[row]).norm(dim=1).masked_fill(~free, torch.inf)
+        place = int(distance.argmin())
+        anchors[place], free[place] = row, False
+    return anchors
 
 
 @lru_cache(maxsize=4)
-def _rig(content: bytes, count: int, seed: int, first: tuple[int, ...]) -> AnchorRig:
+def _rig(content: bytes, count: int, seed: int, also: tuple[int, ...]) -> AnchorRig:
     points = _points(content)
-    distance = path_distance(points, _chosen(content, count, seed, first))
+    distance = path_distance(points, _replaced(points, _chosen(content, count, seed), also))
     sigma = SIGMA * anchor_spacing(distance.between)
     return rig_with(distance, distance_weigher(distance, sigma=sigma))

@@ -106,8 +106,8 @@ class AnchorsEdit(PlacedEdit):
         rig = setting.rig
         if rig is None or not rig.is_of(count=self.count, seed=self.seed):
             # Anchors of the rest state: what earlier edits do, in any frame, chooses no others.
-            first = self._nearest_points(setting.points)
-            rest = rig_of(setting.rest, count=self.count, seed=self.seed, first=first)
+            own = self._nearest_points(setting.points)
+            rest = rig_of(setting.rest, count=self.count, seed=self.seed, also=own)
             return rest.at(setting.points)
         if not torch.equal(rig.points, setting.rest.to(rig.points.dtype)):
             raise EditError(
@@ -117,10 +117,10 @@ class AnchorsEdit(PlacedEdit):
         return rig.at(setting.points)
 
     def _nearest_points(self, points: Tensor) -> tuple[int, ...]:
-        """Indices of the points (N, 3) nearest to the handles, which become anchors themselves.
+        """Indices of the points (N, 3) nearest to the handles; anchors of the seed make room.
 
-        A handle then holds the very place it names, and another sampling of the same object gets
-        anchors that lie alike around it. Numbered anchors are those of the seed alone.
+        A handle then holds the very place it names. None where handles go by numbers, which are
+        those of the anchors of the seed.
         """
         origin = torch.tensor(self.origin)
         places = [origin + torch.tensor(h.near) for h in self.handles if h.near is not None]

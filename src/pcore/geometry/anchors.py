@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor
 
@@ -15,41 +13,35 @@ ANCHORS = 128
 """How many anchors stand for a cloud (paper: M)."""
 
 
-def farthest_points(
-    points: Tensor, count: int, *, seed: int = 0, first: Sequence[int] = ()
-) -> Tensor:
+def farthest_points(points: Tensor, count: int, *, seed: int = 0) -> Tensor:
     """Farthest point sampling: each next point is the one farthest from those already chosen.
 
-    The first is drawn from the seed unless it is given. Equal distances go to the lower index, so
-    that the same points and seed give the same choice everywhere.
+    The first is drawn from the seed. Equal distances go to the lower index, so that the same
+    points and seed give the same choice everywhere.
 
     Args:
         points: (N, 3) world units.
         count: how many to choose (paper: M = 128).
         seed: of the first point.
-        first: indices of points, of different places, that are chosen before all others.
 
     Returns:
         (count,) int64 indices into the points, in the order of choice, no two of one place.
 
     Raises:
-        InputError: another shape, numbers that are not finite, fewer than `count` places, or more
-            than `count` first ones.
+        InputError: another shape, numbers that are not finite, or fewer than `count` places.
     """
-    check_count("anchors: count", count, minimum=max(1, len(first)))
+    check_count("anchors: count", count)
     places = torch.from_numpy(as_points(points))
     if len(places) < count:
         raise InputError(
             f"anchors: expected at least {count} points to choose from, got {len(places)}; "
             "ask for fewer anchors"
         )
-    if not first:
-        generator = torch.Generator().manual_seed(seed)
-        first = [int(torch.randint(len(places), (), generator=generator))]
+    generator = torch.Generator().manual_seed(seed)
     chosen = torch.empty(count, dtype=torch.int64)
-    chosen[: len(first)] = torch.tensor(first)
-    squared = torch.stack([(places - places[i]).square().sum(dim=1) for i in first]).amin(dim=0)
-    for index in range(len(first), count):
+    chosen[0] = torch.randint(len(places), (), generator=generator)
+    squared = (places - places[chosen[0]]).square().sum(dim=1)
+    for index in range(1, count):
         farthest = int(squared.argmax())
         if float(squared[farthest]) == 0.0:
             raise InputError(
