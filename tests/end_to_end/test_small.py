@@ -33,7 +33,7 @@ def photo(camera: Camera) -> Image.Image:
 
 
 def write_scene(root: Path) -> Path:
-    for split, count, elevation in (("train", 20, 0.5), ("test", 2, 0.2)):
+    for split, count, elevation in (("train", 20, 0.5), ("test", 2, 0.45)):
         (root / split).mkdir(parents=True)
         cameras = orbit_cameras(
             torch.zeros(3),
@@ -58,7 +58,7 @@ def write_scene(root: Path) -> Path:
 def test_from_photos_to_a_deformed_picture(tmp_path: Path) -> None:
     scene, run, out = write_scene(tmp_path / "ball"), tmp_path / "run", tmp_path / "pictures"
     cpu = ["--device", "cpu", "--threads", "1"]
-    train = ["train", str(scene), "-o", str(run), "--steps", "150", "--points", "300", *cpu]
+    train = ["train", str(scene), "-o", str(run), "--steps", "300", "--points", "300", *cpu]
     assert main(train) == 0
     assert main(["finetune", str(run), "--steps", "5", *cpu]) == 0
     edit = tmp_path / "large.json"

@@ -127,9 +127,18 @@ def preset(name: PretrainName) -> PretrainConfig:
 
 
 def demo_pretrain() -> PretrainConfig:
-    """Return `tiny`, shortened for the embedded sample."""
+    """Return `tiny`, shortened for the embedded sample.
+
+    So few steps are spent better on upright patches: 28.3 dB against 27.7 (ADR 9).
+    """
     return replace(
-        TINY, steps=1500, points=4000, front_weight=0.3, validate_every=375, save_every=375
+        TINY,
+        steps=1500,
+        patch=PatchConfig(side=100),
+        points=4000,
+        front_weight=0.3,
+        validate_every=375,
+        save_every=375,
     )
 
 
@@ -208,4 +217,4 @@ def skinning_preset(name: SkinningName) -> SkinningTrainConfig:
 
 def demo_finetune() -> FinetuneConfig:
     """Return the fine-tuning of `tiny`, shortened for the embedded sample."""
-    return replace(_FINETUNE["tiny"], steps=600, front_weight=0.3)
+    return replace(_FINETUNE["tiny"], steps=600, patch=PatchConfig(side=100), front_weight=0.3)
