@@ -55,6 +55,13 @@ def follow_mesh(points: Tensor, before: Tensor, after: Tensor, faces: Tensor) ->
     return PointMotion(points, torch.from_numpy(moved), torch.from_numpy(slopes))
 
 
+def middle_distance(points: Tensor, vertices: Tensor, faces: Tensor) -> float:
+    """Median distance of points (N, 3) from a mesh, world units; a thousand of them tell."""
+    some = as_points(points)[:: max(1, len(points) // 1000)]
+    found = SurfaceSearch(as_points(vertices), faces.cpu().numpy()).closest(some)
+    return float(np.median(found.distance))
+
+
 def _vertex_maps(rest: FloatArray, posed: FloatArray, faces: NDArray[np.int64]) -> FloatArray:
     old, area = _frames(rest[faces])
     new, new_area = _frames(posed[faces])
