@@ -132,8 +132,8 @@ def validate_edit(command: ValidateCommand, console: Console) -> None:
     """
     from pcore.cli.diagnosing import note
     from pcore.cli.results import counting
-    from pcore.cli.runtime import learned_rig
     from pcore.editing.animation import load_animation
+    from pcore.editing.runs import learned_rig
 
     animation = load_animation(command.edit)
     count = len(animation.at(animation.start).edits)
@@ -165,10 +165,10 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         InputError: points or pictures that cannot be read or written.
     """
     from pcore.cli.diagnosing import note, report, script_at, training_cameras
-    from pcore.cli.runtime import learned_rig
     from pcore.data.points import save_points
     from pcore.editing.diagnosis import diagnose, with_exposed
     from pcore.editing.handles import handles_of
+    from pcore.editing.runs import learned_rig
 
     _check_outputs(command)
     script = script_at(command.edit, command.time)
