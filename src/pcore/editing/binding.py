@@ -96,8 +96,9 @@ def _leap(before: Tensor, after: Tensor) -> tuple[str, ...]:
 
 def _advice(edit: Edit, hold: Region | None) -> str:
     """What to do about an edit that folds space."""
-    fades = edit.region is not None or edit.freeze or hold is not None
-    seam = "widen the falloff of the region, or " if fades else ""
+    freezes = bool(edit.freeze) or hold is not None
+    fading = ["the region"] * (edit.region is not None) + ['what "freeze" holds'] * freezes
+    seam = f"widen the falloff of {' or of '.join(fading)}, or " if fading else ""
     return f"{seam}{edit.advice}; plain rays can draw it"
 
 
