@@ -12,7 +12,7 @@ from pcore.deform.skinning import AnchorPose
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.binding import begin
-from pcore.editing.diagnosis import CALM, painted
+from pcore.editing.diagnosis import CALM, Legend, painted
 from pcore.editing.script import EditScript
 from pcore.errors import EditError
 
@@ -26,6 +26,11 @@ SHAPED = 0.02
 
 
 _LOOSE, _TORN = (0.05, 0.55, 0.55), (0.55, 0.3, 0.1)
+HANDLE_LEGEND: Legend = (
+    ("neither", CALM),
+    ("moves with no handle near", _LOOSE),
+    ("anchors disagree", _TORN),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
