@@ -158,7 +158,7 @@ def test_a_mesh_elsewhere_is_refused():
     mesh.vertices *= 100
     mesh.export("large.ply")
     text = bind_message(type="mesh", before="large.ply", after="large.ply")
-    assert "mesh: expected one that lies at the points" in text
+    assert "large.ply: expected a mesh that lies at the points, got one that half" in text
     assert 'check its units and the axis that is "up"' in text
 
 
@@ -317,6 +317,18 @@ def test_a_coarse_mesh_is_taken_and_one_beside_the_object_noted():
         made = script(type="mesh", before="coarse.ply", after="coarse.ply")
         said = "".join(made.bound(points).notes)
         assert ("is it the mesh of this object" in said) == odd
+
+
+def test_a_mesh_of_a_part_serves_an_edit_in_that_part():
+    points = torch.from_numpy(figure(turned=False).sample(500, seed=1)).float()
+    part = figure(turned=False)
+    part.vertices = part.vertices * [1, 1, 0.2] + [0, 0, 0.8]
+    part.export("part.ply")
+    edit = {"type": "mesh", "before": "part.ply", "after": "part.ply"}
+    upper = {"shape": "half_space", "normal": "z", "origin": [0, 0, 0.6], "falloff": 0}
+    assert script(**edit, region=upper).bound(points).notes == ()
+    with pytest.raises(EditError, match="expected a mesh that lies at the points"):
+        script(**edit).bind(points)
 
 
 KINDS = [

@@ -7,14 +7,13 @@ from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from pcore.deform.base import Deformation
 from pcore.deform.cage import Cage, CageBinding, CageDeform
 from pcore.deform.weighted import Weighted
 from pcore.editing.regions import Setting
-from pcore.editing.shapes import MeshPair, content_of, from_content, size_of
+from pcore.editing.shapes import MeshPair, content_of, from_content, reached, size_of
 from pcore.errors import EditError
 
 LARGE = 10.0
@@ -40,15 +39,13 @@ class CageEdit(MeshPair):
         before, _ = self.meshes()
         points = setting.points
         known = _bound(content_of(before.vertices), content_of(before.faces), content_of(points))
-        reached = torch.ones(len(points), dtype=torch.bool)
-        if isinstance(step, Weighted):
-            reached = step.weight(points) != 0
-        total, held = int(reached.sum()), int((known.inside & reached).sum())
+        acted = reached(step, points)
+        total, held = int(acted.sum()), int((known.inside & acted).sum())
         if total and not held:
             raise EditError(
                 f"{self.before}: expected a cage around the object, got one that holds none of the "
                 f"{total} points it is to move: it goes from {_corners(before.vertices)}, they "
-                f'from {_corners(points[reached])}; check its units and the axis that is "up"'
+                f'from {_corners(points[acted])}; check its units and the axis that is "up"'
             )
         said = [*super().notes(setting, step)]
         size, whole = size_of(before.vertices), size_of(points)

@@ -18,6 +18,7 @@ from pcore.data.points import read_point_file
 from pcore.deform.base import Deformation
 from pcore.deform.proxy import follow_mesh, middle_distance
 from pcore.deform.scattered import PointMotion
+from pcore.deform.weighted import Weighted
 from pcore.editing.edits import Edit
 from pcore.editing.fields import Amount, Positive, StoredFile, StoredPlaces
 from pcore.editing.regions import Setting
@@ -31,9 +32,12 @@ where both should be the same, and by position."""
 
 UNLIKE = 5.0
 """How many times larger or smaller the second shape is than the first, seldom by intent."""
+ELSEWHERE = 0.2
+"""Median distance of the points from a mesh, as a share of the object's size, that is no mistake of
+shape but of place."""
 BESIDE = 0.05
-"""Median distance of the points from a mesh, as a share of the object's size, from which on it does
-not look like the object's. Proxies of 30 vertices and convex hulls lie nearer."""
+"""The same from which on a mesh does not look like the object's. Proxies of 30 vertices and
+convex hulls lie nearer."""
 
 _MESH = "the path of a mesh (.ply, .obj or .glb)"
 _POINTS = "the path of a file of points (.npy or .ply)"
@@ -107,42 +111,39 @@ class MeshEdit(MeshPair):
 
     type: Literal["mesh"] = "mesh"
 
-    def notes(self, setting: Setting, step: Deformation) -> tuple[str, ...]:
-        """See `Edit.notes`: a mesh that does not look like the object is seldom meant."""
-        said, away = super().notes(setting, step), self._away(self.meshes()[0], setting.points)
-        if away <= BESIDE * size_of(setting.points):
-            return said
-        return (
-            *said,
-            f"half of the points are more than {away:.3g} world units away from the mesh, the "
-            f"object being {size_of(setting.points):.3g} large; is it the mesh of this object, in "
-            "its units and its place?",
-        )
-
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`."""
         before, after = self.meshes()
-        self._check_up(before, points)
         motion = follow_mesh(points, before.vertices, after.vertices, before.faces)
         return motion.eased(self.amount)
 
-    def _check_up(self, before: MeshFile, points: Tensor) -> None:
-        """Raise where the points lie clearly better at the same file with another axis upwards."""
-        away = self._away(before, points)
-        if away <= BESIDE * size_of(points):
-            return
+    def notes(self, setting: Setting, step: Deformation) -> tuple[str, ...]:
+        """See `Edit.notes`: a mesh that does not look like the object is seldom meant."""
+        said, points = super().notes(setting, step), setting.points[reached(step, setting.points)]
+        size = size_of(setting.points)
+        away = _away(_mesh(self.before, self.up), points)
+        if away <= BESIDE * size:
+            return said
         other = "z" if self.up == "y" else "y"
-        turned = self._away(_mesh(self.before, other), points)
+        turned = _away(_mesh(self.before, other), points)
         if turned < 0.5 * away:
             raise EditError(
                 f'{self.before}: expected a mesh that lies at the points, got "up": "{self.up}", '
                 f"with which half of them are more than {away:.3g} away from it, and {turned:.3g} "
                 f'with the other; give "up": "{other}"'
             )
-
-    @staticmethod
-    def _away(mesh: MeshFile, points: Tensor) -> float:
-        return _middle(content_of(mesh.vertices), content_of(mesh.faces), content_of(points))
+        if away > ELSEWHERE * size:
+            raise EditError(
+                f"{self.before}: expected a mesh that lies at the points, got one that half of "
+                f"those it is to move are more than {away:.3g} world units away from, the object "
+                f'being {size:.3g} large; check its units and the axis that is "up"'
+            )
+        return (
+            *said,
+            f"half of the points are more than {away:.3g} world units away from the mesh, the "
+            f"object being {size:.3g} large; is it the mesh of this object, in its units and its "
+            "place?",
+        )
 
 
 class DisplacementEdit(EasedEdit):
@@ -219,9 +220,23 @@ def _known_mesh(path: str, up: Literal["y", "z"], content: bytes) -> MeshFile:
     return read_mesh(path, up=up)
 
 
+def reached(step: Deformation, points: Tensor) -> Tensor:
+    """Which of the points (N, 3) an edit with its region acts on: bool (N,)."""
+    if isinstance(step, Weighted):
+        return step.weight(points) != 0
+    return torch.ones(len(points), dtype=torch.bool)
+
+
+def _away(mesh: MeshFile, points: Tensor) -> float:
+    """Median distance of points (N, 3) from a mesh; 0 without any."""
+    if not len(points):
+        return 0.0
+    return _middle(content_of(mesh.vertices), content_of(mesh.faces), content_of(points))
+
+
 @lru_cache(maxsize=4)
 def _middle(vertices: bytes, faces: bytes, points: bytes) -> float:
-    """Median distance of points from a mesh; one that is dragged is not asked again."""
+    """As `_away`; of a mesh that is dragged it is found once."""
     return middle_distance(
         from_content(points), from_content(vertices), from_content(faces, np.int64)
     )
