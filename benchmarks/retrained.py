@@ -2,7 +2,8 @@
 
     python benchmarks/retrained.py RUN OTHER SCENE EDIT [EDIT ...]
 
-RUN and OTHER were trained with different seeds, so their points lie elsewhere. Both fields are
+RUN and OTHER were trained with different seeds, so their points lie elsewhere. A run with learned
+skinning uses it, as the commands do. Both fields are
 evaluated at the vertices of the true canonical mesh; differences are in percent of the diagonal of
 its bounding box.
 """
@@ -14,9 +15,10 @@ from pathlib import Path
 
 import torch
 
+from pcore.editing.anchors import AnchorRig
+from pcore.editing.runs import points_of_run
 from pcore.editing.script import EditScript, load_edit
 from pcore.evaluation.ground_truth import load_truth
-from pcore.model.checkpoint import load_model
 
 _MOVES = 1e-3
 
@@ -30,23 +32,26 @@ def main() -> None:
     wish = parser.parse_args()
     truth = load_truth(wish.scene)
     surface = torch.from_numpy(truth.vertices(None)).float()
-    clouds = [load_model(run).cloud.positions for run in wish.runs]
+    subjects = [points_of_run(run) for run in wish.runs]
     print(
         "| edit | vertices that move | largest move | mean difference of those | 99 % | largest |"
     )
     print("|---|---|---|---|---|---|")
     for path in wish.edits:
-        row = compare(load_edit(path), clouds, surface, truth.object_size())
+        row = compare(load_edit(path), subjects, surface, truth.object_size())
         print(
             f"| {path.stem} | {' | '.join(f'{100 * value:.2f} %' for value in row)} |", flush=True
         )
 
 
 def compare(
-    script: EditScript, clouds: list[torch.Tensor], surface: torch.Tensor, size: float
+    script: EditScript,
+    subjects: list[tuple[torch.Tensor, AnchorRig | None]],
+    surface: torch.Tensor,
+    size: float,
 ) -> tuple[float, ...]:
     """Shares and lengths of the table's columns; lengths in units of the object's size."""
-    first, second = (script.bind(points)(surface) - surface for points in clouds)
+    first, second = (script.bind(points, rig=rig)(surface) - surface for points, rig in subjects)
     difference = (first - second).norm(dim=1) / size
     length = first.norm(dim=1) / size
     moves = torch.maximum(length, second.norm(dim=1) / size) > _MOVES

@@ -5,6 +5,9 @@
 A twist in many steps, each an edit of its own, against the whole twist at once: by formula, and as
 displacements of the points, whose Jacobians are fitted anew at every step. PSNR in dB over all
 pixels between the two pictures, and foreground PSNR of both against the truth of `twist60`.
+
+And edits of which many are not the same map as one: eight small drags of the point with the least x
+(a hand of the knight), and eight turns of the upper half with a seam. Without a truth.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import json
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -34,19 +38,19 @@ from pcore.model.render import render
 TRUTH, ANGLE = "twist60", 60.0
 PLANS = ((ANGLE, 12), (120.0, 24))
 """Angle in degrees, and into how many steps it is cut."""
+SMALL = 8
+"""Steps of a drag and of a turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What is twisted, by how much, and who looks."""
+    """What is twisted, where, and who looks."""
 
     saved: SavedModel
     shots: Sequence[Shot]
     axis: str
     extent: list[float]
     """Along the axis, world units. Both are those of the true twist."""
-    angle: float
-    count: int
 
 
 def main() -> None:
@@ -63,39 +67,79 @@ def main() -> None:
     state = open_states(wish.scene, factor=wish.factor).select([TRUTH])[1]
     record = json.loads((wish.scene / TRUTH / "deformation.json").read_text(encoding="utf-8"))
     extent = [record["driver_lo"], record["driver_hi"]]
+    plan = Plan(
+        saved=saved,
+        shots=state.shots[:: wish.every],
+        axis=record["axis"].lower(),
+        extent=extent,
+    )
     for angle, count in PLANS:
-        plan = Plan(
-            saved=saved,
-            shots=state.shots[:: wish.every],
-            axis=record["axis"].lower(),
-            extent=extent,
-            angle=angle,
-            count=count,
-        )
         for kind in ("twist", "displacement"):
             for aware in (True, False):
-                line = compared(plan, kind, aware=aware)
+                sessions = [_edited(plan, kind, angle, steps) for steps in (1, count)]
+                line = compared(plan, sessions, aware=aware, truth=angle == ANGLE)
                 print(f"{angle:g} degrees in {count}, {kind}, {line}", flush=True)
+    for name, steps in (("drag", drags), ("turn with a seam", turns)):
+        sessions = [_done(plan, steps(saved.cloud.positions, n)) for n in (1, SMALL)]
+        for aware in (True, False):
+            line = compared(plan, sessions, aware=aware, truth=False)
+            print(f"{name} in {SMALL}, {line}", flush=True)
 
 
-def compared(plan: Plan, kind: str, *, aware: bool) -> str:
+def compared(plan: Plan, sessions: Sequence[EditSession], *, aware: bool, truth: bool) -> str:
     """Render one edit and the sequence, and say how far they are from each other and the truth."""
     cloud, papr = plan.saved.cloud, plan.saved.papr()
-    once, often = (_edited(plan, kind, steps) for steps in (1, plan.count))
-    clouds = [deformed_cloud(cloud, s.state.deformation, aware=aware) for s in (once, often)]
+    once, often = (session.state for session in sessions)
+    clouds = [deformed_cloud(cloud, one.deformation, aware=aware) for one in (once, often)]
     pictures = [[_rgb(papr, one, shot) for shot in plan.shots] for one in clouds]
     apart = statistics.mean(psnr(a, b) for a, b in zip(*pictures, strict=True))
-    away = float((once.state.points - often.state.points).norm(dim=-1).max())
-    line = f"{'aware' if aware else 'plain'} rays: points {away:.1e} apart, pictures {apart:.2f} dB"
-    if plan.angle != ANGLE:
+    away = (once.points - often.points).norm(dim=-1) / _size(cloud.positions)
+    line = (
+        f"{'aware' if aware else 'plain'} rays: points {float(away.mean()):.1e} of the size apart, "
+        f"{float(away.max()):.1e} at most; pictures {apart:.2f} dB"
+    )
+    if not truth:
         return line
     scores = [_foreground(own, plan.shots) for own in pictures]
     return f"{line}; against the truth {scores[0]:.3f} dB at once, {scores[1]:.3f} dB in steps"
 
 
-def _edited(plan: Plan, kind: str, count: int) -> EditSession:
+def drags(points: Tensor, count: int) -> list[dict[str, Any]]:
+    """Edits that drag one point by 0.19 of the object's size, each as far as the others."""
+    start = points[points[:, 0].argmin()]
+    way = _size(points) * torch.tensor([0.04, -0.11, 0.15])
+    stops = [(start + way * k / count).tolist() for k in range(count + 1)]
+    pairs = pairwise(stops)
+    return [{"type": "anchors", "handles": [{"near": a, "to": b}]} for a, b in pairs]
+
+
+def turns(points: Tensor, count: int) -> list[dict[str, Any]]:
+    """Edits that turn the upper half by 40 degrees about z, with a seam of 0.2 of the size."""
+    middle = 0.5 * (points.amin(dim=0) + points.amax(dim=0))
+    upper = {
+        "shape": "half_space",
+        "normal": "z",
+        "origin": middle.tolist(),
+        "falloff": 0.2 * _size(points),
+    }
+    turn = {"type": "rigid", "axis": "z", "origin": middle.tolist(), "region": upper}
+    return [{**turn, "angle_deg": 40.0 / count}] * count
+
+
+def _done(plan: Plan, edits: Sequence[dict[str, Any]]) -> EditSession:
+    session = EditSession(plan.saved.cloud.positions)
+    for edit in edits:
+        session.do(edit)
+    return session
+
+
+def _size(points: Tensor) -> float:
+    return float((points.amax(dim=0) - points.amin(dim=0)).norm())
+
+
+def _edited(plan: Plan, kind: str, angle: float, count: int) -> EditSession:
     """A session in which the whole turn was done in so many edits."""
-    points, angle = plan.saved.cloud.positions, plan.angle
+    points = plan.saved.cloud.positions
     twist: dict[str, Any] = {"type": "twist", "axis": plan.axis, "extent": plan.extent}
     session, guide = EditSession(points), EditSession(points)
     with TemporaryDirectory() as folder:

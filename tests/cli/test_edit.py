@@ -71,10 +71,14 @@ def test_apply_to_a_run_in_colours(folder: Path, capsys: pytest.CaptureFixture[s
     with Image.open(picture) as image:
         half = image.width // 2
         pixels = np.asarray(image)
-    # Strain on the left, holes on the right.
-    assert (pixels[:, :half] == [214, 38, 31]).all(axis=-1).sum() > 100
-    assert not (pixels[:, half:] == [214, 38, 31]).all(axis=-1).any()
-    assert (pixels[:, half:] == 209).all(axis=-1).sum() > 100
+    # Strain on the left, holes on the right, in three views, and below them a legend.
+    points, legend = pixels[:-90], pixels[-90:]
+    for view in np.array_split(points, 3):
+        assert (view[:, :half] == [214, 38, 31]).all(axis=-1).sum() > 100
+        assert not (view[:, half:] == [214, 38, 31]).all(axis=-1).any()
+        assert (view[:, half:] == 209).all(axis=-1).sum() > 100
+    for color in ([214, 38, 31], [33, 92, 199], [191, 26, 191], [250, 189, 5], [237, 107, 13]):
+        assert (legend == color).all(axis=-1).sum() > 100
 
 
 def test_what_the_training_views_never_saw_comes_to_light(

@@ -396,3 +396,25 @@ def test_a_hand_of_the_knight_moves_alone_and_fast(cloud: torch.Tensor) -> None:
     # The bars, in time of the processor, so that other work on the machine does not count.
     assert binding < 10
     assert min(times) < 0.03
+
+
+@pytest.mark.parametrize(
+    "handle",
+    [
+        {"anchor": 1},
+        {"near": [0, 0], "to": [0, 0, 1]},
+        {"anchor": 1, "to": [0, 0, 1], "angle_deg": 3},
+        {"anchor": 1, "to": [0, 0, 1], "color": 1},
+    ],
+)
+def test_one_wrong_handle_is_one_message(handle: dict):
+    with pytest.raises(EditError, match='key "handles", number 1: ') as caught:
+        parse_edit({"version": 2, "edits": [{"type": "anchors", "handles": [handle]}]})
+    assert "a list of handles" not in str(caught.value)
+
+
+def test_a_place_beyond_all_numbers_is_said_as_it_is():
+    edit = {"type": "anchors", "handles": [{"anchor": 1, "to": [1e300, 0, 0]}]}
+    points = torch.rand(300, 3, generator=torch.Generator().manual_seed(0))
+    with pytest.raises(EditError, match=r"a finite place of anchor 1, got \[inf, 0.0, 0.0\]"):
+        parse_edit({"version": 2, "edits": [edit]}).bind(points)

@@ -169,3 +169,12 @@ def test_times_that_are_checked_hold_all_keys():
     assert made.times_to_check(4) == [0, 1, 2, 3]
     assert made.times_to_check(3) == [0, 1, 1.5, 3]
     assert animation(40).times_to_check(60) == [0]
+
+
+@pytest.mark.parametrize("kind", ["cage", "mesh", "displacement"])
+@pytest.mark.parametrize("value", ["b.ply", [0, 0, 1], [[0, 0, 1]]])
+def test_keyframes_of_a_shape_lead_to_the_amount(kind: str, value: object):
+    track = {"keyframes": [[0, value], [1, value]]}
+    edit = {"type": kind, "before": "a.ply", "after": track}
+    with pytest.raises(EditError, match=r'edit 1: key "after": .* got keyframes; .*"amount": '):
+        parse_animation({"version": 2, "edits": [edit]})

@@ -1,4 +1,4 @@
-"""The examples of the guide on edit files are valid and do something."""
+"""The examples of the guide on editing are valid and do something."""
 
 import json
 import re
@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from tests.cli.toys import write_run
 
 from pcore.editing.animation import parse_animation
+from pcore.editing.session import EditSession
+from pcore.model.checkpoint import load_model
+
+GUIDE = Path(__file__).parents[2] / "docs" / "guide"
 
 
 @pytest.fixture
@@ -29,9 +34,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> torch.Tensor:
 
 
 def test_every_example_of_the_guide_works(here: torch.Tensor):
-    text = (Path(__file__).parents[2] / "docs" / "guide" / "edit-files.md").read_text(
-        encoding="utf-8"
-    )
+    text = (GUIDE / "edit-files.md").read_text(encoding="utf-8")
     edits = [json.loads(line) for line in re.findall(r"^    (\{.*\})$", text, re.MULTILINE)]
     assert {edit["type"] for edit in edits} == {
         "twist", "bend", "taper", "stretch", "scale", "rigid",
@@ -47,3 +50,42 @@ def test_every_example_of_the_guide_works(here: torch.Tensor):
         local = ("region" in edit or edit["type"] == "anchors" for edit in content["edits"])
         if not any(local):
             assert float(way.mean()) > 0.05
+
+
+def python_of(page: str) -> list[str]:
+    """Python blocks of a page of the guide."""
+    text = (GUIDE / page).read_text(encoding="utf-8")
+    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> torch.Tensor:
+    """Points of two runs that were never trained, which the guide names, and a cage around them."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("toy-pcore", "knight"):
+        write_run(tmp_path / "runs" / name, points=400)
+    trimesh.creation.icosphere(subdivisions=2).export("cage.ply")
+    return load_model("runs/toy-pcore").cloud.positions
+
+
+def test_the_session_of_the_guide_runs(runs: torch.Tensor):
+    names: dict[str, object] = {}
+    blocks = python_of("editing.md")
+    assert len(blocks) == 2
+    for block in blocks:
+        exec(compile(block, "editing.md", "exec"), names)
+    session = names["session"]
+    assert isinstance(session, EditSession)
+    assert [edit.type for edit in session.state.script.edits] == ["twist", "cage"]
+    low = runs[:, 2] < -0.6
+    assert torch.equal(session.state.points[low], runs[low])
+    assert json.loads(Path("edit.json").read_text(encoding="utf-8"))["edits"][0]["angle_deg"] == 40
+
+
+def test_the_drag_of_the_guide_runs(runs: torch.Tensor):
+    names: dict[str, object] = {}
+    exec(compile(python_of("anchors.md")[0], "anchors.md", "exec"), names)
+    moved = names["moved"]
+    rest = load_model("runs/knight").cloud.positions
+    assert isinstance(moved, torch.Tensor)
+    assert float((moved - rest).norm(dim=-1).max()) > 0.3

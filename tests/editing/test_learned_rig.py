@@ -7,16 +7,21 @@ from typing import Any
 
 import pytest
 import torch
+from tests.cli.toys import write_run
 
+from pcore.cli.main import main
+from pcore.data.points import load_points
 from pcore.deform.anchor_distance import path_distance
 from pcore.editing.anchors import AnchorRig, rig_with
 from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.regions import Setting
+from pcore.editing.runs import learned_rig
 from pcore.editing.script import EditScript, parse_edit
 from pcore.editing.session import EditSession
 from pcore.errors import EditError
 from pcore.geometry.anchors import farthest_points
 from pcore.model.skinning import SkinningConfig, untrained_skinning
+from pcore.model.skinning_file import SKINNING_FILE, save_skinning
 
 GENERATOR = torch.Generator().manual_seed(1)
 BAR = (torch.rand(300, 3, generator=GENERATOR) * 2 - 1) * torch.tensor([1.0, 0.1, 0.1])
@@ -107,6 +112,23 @@ def test_points_of_another_run(points: torch.Tensor) -> None:
 
 
 def test_a_run_without_skinning_has_none(tmp_path: Path) -> None:
-    from pcore.cli.runtime import learned_rig
-
     assert learned_rig(tmp_path, BAR) is None
+
+
+def test_a_session_of_a_run_gives_the_points_of_the_commands(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    points = write_run(run, points=200)[1].positions
+    distance = path_distance(points, farthest_points(points, 30))
+    skinning = untrained_skinning(distance, SkinningConfig(width=8))
+    with torch.no_grad():
+        skinning.network.layers[-1].weight.copy_(torch.randn(30, 8, generator=GENERATOR))
+    save_skinning(run / SKINNING_FILE, skinning)
+    place = points[points[:, 0].argmax()]
+    drag = {"near": place.tolist(), "to": (place + torch.tensor([0, 0, 0.3])).tolist()}
+    edit = {"type": "anchors", "count": 30, "handles": [drag]}
+    found = EditSession.of_run(str(run)).do(edit).points
+    file, out = tmp_path / "edit.json", tmp_path / "moved.npy"
+    script(edit).save(file)
+    assert main(["edit", "apply", str(run), "--edit", str(file), "-o", str(out)]) == 0
+    assert torch.equal(load_points(out), found)
+    assert not torch.equal(EditSession(points).do(edit).points, found)

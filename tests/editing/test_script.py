@@ -397,3 +397,40 @@ def test_points_without_extent():
         torch.zeros(0, 3), twist
     )
     assert "edit.json: expected points (N, 3), got (4, 2)" in bind_message(torch.zeros(4, 2), twist)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('{"version": 2,\n "edits": [\n  1,\n ]\n}', 'line 3: a comma before "]", which JSON does'),
+        ('{"version": 2,\n "edits": [],\n}', 'line 2: a comma before "}", .*delete it: "edits": '),
+        ('{"version": 2\n "edits": []}', 'line 2: Expecting .,. delimiter.*: "edits": '),
+        ("", "line 1: Expecting value"),
+    ],
+)
+def test_broken_json_is_shown_with_its_line(tmp_path: Path, text: str, expected: str):
+    file = tmp_path / "edit.json"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(EditError, match=expected):
+        load_edit(file)
+
+
+SEAM: dict[str, object] = {"shape": "half_space", "origin": [0, 0, -0.2], "falloff": 0.01}
+LOW, HIGH = SEAM | {"normal": [0, 0, -1]}, SEAM | {"normal": [0, 0, 1]}
+
+
+@pytest.mark.parametrize(
+    ("whole", "edit", "expected"),
+    [
+        ({"freeze": [LOW]}, {}, 'widen the falloff of what "freeze" holds, or'),
+        ({}, {"freeze": [LOW]}, 'widen the falloff of what "freeze" holds, or'),
+        ({}, {"region": HIGH}, "widen the falloff of the region, or"),
+        ({"freeze": [LOW]}, {"region": HIGH}, 'of the region or of what "freeze" holds, or'),
+    ],
+)
+def test_a_seam_that_folds_is_named(whole: dict, edit: dict, expected: str):
+    points = torch.rand(4000, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    push = {"type": "rigid", "translation": [0, 0, -1]}
+    made = parse_edit({"version": 2, **whole, "edits": [push | edit]})
+    with pytest.raises(EditError, match=expected):
+        made.bind(points)

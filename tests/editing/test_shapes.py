@@ -158,7 +158,7 @@ def test_a_mesh_elsewhere_is_refused():
     mesh.vertices *= 100
     mesh.export("large.ply")
     text = bind_message(type="mesh", before="large.ply", after="large.ply")
-    assert "mesh: expected one that lies at the points" in text
+    assert "large.ply: expected a mesh that lies at the points, got one that half" in text
     assert 'check its units and the axis that is "up"' in text
 
 
@@ -255,6 +255,80 @@ def test_points_outside_a_cage_are_counted():
     made = script(type="cage", before="high.ply", after="high.ply", region=low)
     with pytest.raises(EditError, match="holds none of the"):
         made.bind(points)
+
+
+def notes_of(**edit) -> str:
+    return "\n".join(script(**edit).bound(cloud()).notes)
+
+
+@pytest.mark.parametrize("kind", ["cage", "mesh"])
+def test_shapes_in_different_units_are_noted(kind: str):
+    mesh = trimesh.load_mesh("after.ply", process=False)
+    for share, odd in ((4, False), (6, True), (1 / 4, False), (1 / 6, True)):
+        trimesh.Trimesh(mesh.vertices * share, mesh.faces, process=False).export("other.ply")
+        said = notes_of(type=kind, before="before.ply", after="other.ply")
+        assert ("are both files in the same units?" in said) == odd
+    assert '"before" is 3.46 large and "after" 0.577, world units' in said
+    assert notes_of(type=kind, before="before.ply", after="after.ply") == ""
+
+
+def test_displacements_in_other_units_are_noted():
+    for share in (1, 100):
+        np.save("far.npy", share * np.load("before.npy"))
+        said = notes_of(type="displacement", before="before.npy", after="far.npy")
+        assert ("are both files in the same units?" in said) == (share == 100)
+        assert ("more than 2 times the object's size" in said) == (share == 100)
+
+
+def test_a_cage_much_larger_than_the_object_is_noted():
+    mesh = trimesh.load_mesh("before.ply", process=False)
+    for share, odd in ((8, False), (12, True)):
+        trimesh.Trimesh(mesh.vertices * share, mesh.faces, process=False).export("large.ply")
+        said = notes_of(type="cage", before="large.ply", after="large.ply")
+        assert ("it should stand close around it" in said) == odd
+
+
+def figure(turned: bool) -> trimesh.Trimesh:
+    """A slab of 1 x 0.2 x 2 with z up, or as a file with y up has it."""
+    slab = trimesh.creation.box(extents=(1, 0.2, 2)).subdivide().subdivide()
+    if turned:
+        x, y, z = slab.vertices.T
+        slab.vertices = np.stack([x, z, -y], axis=1)
+    return slab
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_mesh_with_the_wrong_axis_upwards_is_refused(turned: bool):
+    figure(turned).export("slab.obj")
+    points = torch.from_numpy(figure(turned=False).sample(500, seed=1)).float()
+    right, wrong = ("y", "z") if turned else ("z", "y")
+    edit = {"type": "mesh", "before": "slab.obj", "after": "slab.obj"}
+    assert script(**edit, up=right).bound(points).notes == ()
+    with pytest.raises(EditError, match=f'got "up": "{wrong}", with which .*give "up": "{right}"'):
+        script(**edit, up=wrong).bind(points)
+
+
+def test_a_coarse_mesh_is_taken_and_one_beside_the_object_noted():
+    points = torch.from_numpy(figure(turned=False).sample(500, seed=1)).float()
+    coarse = trimesh.creation.box(extents=(1.1, 0.3, 2.1))
+    for shift, odd in ((0, False), (0.5, True)):
+        coarse.vertices += [0, shift, 0]
+        coarse.export("coarse.ply")
+        made = script(type="mesh", before="coarse.ply", after="coarse.ply")
+        said = "".join(made.bound(points).notes)
+        assert ("is it the mesh of this object" in said) == odd
+
+
+def test_a_mesh_of_a_part_serves_an_edit_in_that_part():
+    points = torch.from_numpy(figure(turned=False).sample(500, seed=1)).float()
+    part = figure(turned=False)
+    part.vertices = part.vertices * [1, 1, 0.2] + [0, 0, 0.8]
+    part.export("part.ply")
+    edit = {"type": "mesh", "before": "part.ply", "after": "part.ply"}
+    upper = {"shape": "half_space", "normal": "z", "origin": [0, 0, 0.6], "falloff": 0}
+    assert script(**edit, region=upper).bound(points).notes == ()
+    with pytest.raises(EditError, match="expected a mesh that lies at the points"):
+        script(**edit).bind(points)
 
 
 KINDS = [

@@ -61,6 +61,6 @@ def test_handles_and_notes_come_along() -> None:
     state = shape.state("drag", [shot()], CENTER)
     assert state.handles is not None
     (found,) = state.handles(cloud(1))
-    assert len(found.moves) == 200
-    assert bool(found.moves.all())
+    assert len(found.way) == 200
+    assert bool((found.way > 0.02).all())
     assert shape.notes == ()

@@ -88,6 +88,7 @@ def test_a_run_folder_stands_for_its_model(saved: tuple[Path, Papr, PointCloud])
 def test_the_header_alone_tells_what_it_is(saved: tuple[Path, Papr, PointCloud]) -> None:
     path, papr, _ = saved
     summary = describe_model(path)
+    assert describe_model(str(path)) == summary
     assert summary.points == 5
     expected = sum(p.numel() for p in papr.state_dict().values()) + 5 * (3 + 6 + 1)
     assert summary.parameters == expected

@@ -53,7 +53,7 @@ def test_a_new_run_says_what_it_is(tmp_path: Path) -> None:
         assert run.load_state() is None
         run.save_state(state(4))
         run.update(psnr=20.5)
-    again = RunFolder.open(path)
+    again = RunFolder.open(str(path))
     assert again.notes == {"status": "running", "psnr": 20.5}
     assert again.saved_step() == 4
     assert again.config["steps"] == 100

@@ -134,8 +134,8 @@ def _frames(
     """The cloud in every frame; equal times are computed once."""
     from pcore.cli.diagnosing import note
     from pcore.cli.results import counting
-    from pcore.cli.runtime import learned_rig
     from pcore.editing.apply import deformed_cloud
+    from pcore.editing.runs import learned_rig
 
     notes: list[str] = []
     rig = learned_rig(command.run_or_file, cloud.positions)

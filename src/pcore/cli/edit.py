@@ -47,7 +47,8 @@ class ApplyCommand:
     where anchors disagree."""
 
     picture: Annotated[Path | None, optional("PNG")] = None
-    """Also write a PNG of the points in all these colours side by side, seen from the side."""
+    """Also write a PNG of the points in all these colours side by side, seen from three sides, with
+    a legend."""
 
     scene: Folder = None
     """Folder of the scene whose training views tell what was seen; default: that of the run."""
@@ -132,8 +133,8 @@ def validate_edit(command: ValidateCommand, console: Console) -> None:
     """
     from pcore.cli.diagnosing import note
     from pcore.cli.results import counting
-    from pcore.cli.runtime import learned_rig
     from pcore.editing.animation import load_animation
+    from pcore.editing.runs import learned_rig
 
     animation = load_animation(command.edit)
     count = len(animation.at(animation.start).edits)
@@ -165,10 +166,11 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         InputError: points or pictures that cannot be read or written.
     """
     from pcore.cli.diagnosing import note, report, script_at, training_cameras
-    from pcore.cli.runtime import learned_rig
+    from pcore.cli.edit_picture import write_picture
     from pcore.data.points import save_points
     from pcore.editing.diagnosis import diagnose, with_exposed
     from pcore.editing.handles import handles_of
+    from pcore.editing.runs import learned_rig
 
     _check_outputs(command)
     script = script_at(command.edit, command.time)
@@ -191,7 +193,7 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         console.print(Text(line), soft_wrap=True)
     note(console, bound.notes)
     if command.picture is not None:
-        _write_picture(command.picture, moved, colors)
+        write_picture(command.picture, moved, colors)
     console.print(Text(f"written to {command.output}"), soft_wrap=True)
 
 
@@ -245,18 +247,6 @@ def lines_of(script: EditScript) -> list[str]:
         lines.append(line)
     lines += [f"frozen: {_region(region)}" for region in content.get("freeze", [])]
     return lines or ["no edit"]
-
-
-def _write_picture(path: Path, points: Tensor, colors: dict[str, Tensor]) -> None:
-    from pcore.cli.cameras import OrbitWish, orbit_of_cloud
-    from pcore.data.splat import point_picture
-    from pcore.evaluation.figures import png_bytes, sheet
-    from pcore.model.atomic import write_atomically
-
-    ((_, camera),) = orbit_of_cloud(points, OrbitWish(count=1))
-    row = [point_picture(points, paint, camera).numpy() for paint in colors.values()]
-    page = sheet(list(colors), [("points", row)], cell=max(camera.width, camera.height))
-    write_atomically(path, png_bytes(page))
 
 
 def _region(region: dict[str, Any]) -> str:

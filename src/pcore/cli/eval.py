@@ -142,7 +142,7 @@ def _edited(
 ) -> tuple[list[State], list[str]]:
     """States of the edit files, and what is odd about them."""
     from pcore.cli.diagnosing import script_at
-    from pcore.cli.runtime import learned_rig
+    from pcore.editing.runs import learned_rig
     from pcore.errors import InputError
     from pcore.evaluation.edited import EditedShape
     from pcore.evaluation.states import CANONICAL

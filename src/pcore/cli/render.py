@@ -151,8 +151,8 @@ def _edited(cloud: PointCloud, command: RenderCommand, console: Console) -> Poin
     if command.edit is None:
         return cloud
     from pcore.cli.diagnosing import note
-    from pcore.cli.runtime import learned_rig
     from pcore.editing.apply import deformed_cloud
+    from pcore.editing.runs import learned_rig
     from pcore.editing.script import load_edit
 
     rig = learned_rig(command.run_or_file, cloud.positions)

@@ -6,9 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
-    from pcore.editing.anchors import AnchorRig
     from pcore.model.checkpoint import SavedModel
     from pcore.training.output import RunFolder
 
@@ -72,25 +69,6 @@ def open_model(path: Path) -> tuple[SavedModel, RunFolder | None]:
 
     run = RunFolder.open(path) if path.is_dir() else None
     return load_model(path), run
-
-
-def learned_rig(path: Path, points: Tensor) -> AnchorRig | None:
-    """Anchors of a run with the weights that it learned; None where it learned none.
-
-    Args:
-        path: folder of the run; a bare model file has no skinning beside it.
-        points: (N, 3) of its model.
-
-    Raises:
-        CheckpointError: its skinning is damaged or belongs to other points.
-    """
-    from pcore.editing.anchors import rig_with
-    from pcore.model.skinning_file import SKINNING_FILE, load_skinning
-
-    if not (path / SKINNING_FILE).is_file():
-        return None
-    skinning = load_skinning(path, points)
-    return rig_with(skinning.paths, skinning)
 
 
 def recorded_scene(run: RunFolder | None) -> Path | None:

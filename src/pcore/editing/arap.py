@@ -82,13 +82,7 @@ class Dragger:
         self._resting: NDArray[np.bool_] = ~near
         fixed = self._resting.copy()
         fixed[list(held)] = True
-        self._fixed, self._free = np.flatnonzero(fixed), np.flatnonzero(~fixed)
-        self._system = _System(graph, self._free, self._fixed)
-
-    @property
-    def held(self) -> tuple[int, ...]:
-        """Anchors whose place is given: those of the handles, and those kept at rest."""
-        return tuple(self._fixed.tolist())
+        self._system = _System(graph, np.flatnonzero(~fixed), np.flatnonzero(fixed))
 
     def pose(self, handles: Mapping[int, Handle]) -> AnchorPose:
         """Pose all anchors for new places of the same handles.
@@ -106,7 +100,10 @@ class Dragger:
         decided = torch.from_numpy(self._resting.copy())
         for index, handle in handles.items():
             if not bool(torch.isfinite(handle.place).all()):
-                raise EditError(f"anchors: expected a finite place of anchor {index}, got NaN")
+                raise EditError(
+                    f"anchors: expected a finite place of anchor {index}, got "
+                    f"{handle.place.tolist()}"
+                )
             places[index] = handle.place.double()
             decided[index] = handle.rotation is not None
             if handle.rotation is not None:

@@ -14,6 +14,9 @@ from pcore.editing.anchors import AnchorRig
 from pcore.editing.edits import Edit
 from pcore.editing.regions import RegionEntry, Setting, bind_region, bind_union
 
+FAR = 2.0
+"""How many times its own size an edit moves a point of the object, seldom by intent."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bound:
@@ -59,8 +62,7 @@ class Bound:
             region = None if edit.region is None else bind_region(edit.region, self.setting)
             step = Weighted(step, region, bind_union(edit.freeze, self.setting))
         said = edit.notes(self.setting, step)
-        notes = [f"edit {len(self.steps) + 1} ({_kind(edit)}): {line}" for line in said]
-        longer = replace(self, steps=(*self.steps, step), notes=(*self.notes, *notes))
+        longer = replace(self, steps=(*self.steps, step))
         # What is held changes the Jacobian of every step, so the whole sequence is looked at.
         whole, places = step, self.setting.points
         if self.hold is not None:
@@ -71,13 +73,32 @@ class Bound:
             check_invertible(
                 whole, places, allow_folds=self.allow_folds, advice=_advice(edit, self.hold)
             )
-        return replace(longer, setting=self.setting.at(moved))
+        said = (*said, *_leap(self.setting.points, moved))
+        notes = [f"edit {len(longer.steps)} ({_kind(edit)}): {line}" for line in said]
+        return replace(longer, setting=self.setting.at(moved), notes=(*self.notes, *notes))
+
+
+def _leap(before: Tensor, after: Tensor) -> tuple[str, ...]:
+    """Say so when a point moves by more than makes sense in the units of the object.
+
+    Without its length, which differs from frame to frame of an animation.
+    """
+    if not len(before):
+        return ()
+    size = float((before.amax(dim=0) - before.amin(dim=0)).norm())
+    if float((after - before).norm(dim=-1).max()) <= FAR * size:
+        return ()
+    return (
+        f"it moves some of the points by more than {FAR:g} times the object's size, which is "
+        f"{size:.3g}; are its places in world units, and its amount a share of 1?",
+    )
 
 
 def _advice(edit: Edit, hold: Region | None) -> str:
     """What to do about an edit that folds space."""
-    fades = edit.region is not None or edit.freeze or hold is not None
-    seam = "widen the falloff of the region, or " if fades else ""
+    freezes = bool(edit.freeze) or hold is not None
+    fading = ["the region"] * (edit.region is not None) + ['what "freeze" holds'] * freezes
+    seam = f"widen the falloff of {' or of '.join(fading)}, or " if fading else ""
     return f"{seam}{edit.advice}; plain rays can draw it"
 
 

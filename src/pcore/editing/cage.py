@@ -7,16 +7,17 @@ from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
-import torch
-from numpy.typing import DTypeLike
 from torch import Tensor
 
 from pcore.deform.base import Deformation
 from pcore.deform.cage import Cage, CageBinding, CageDeform
 from pcore.deform.weighted import Weighted
 from pcore.editing.regions import Setting
-from pcore.editing.shapes import MeshPair
+from pcore.editing.shapes import MeshPair, content_of, from_content, reached, size_of
 from pcore.errors import EditError
+
+LARGE = 10.0
+"""How many times larger than the object a cage is, seldom by intent: it hardly acts then."""
 
 
 class CageEdit(MeshPair):
@@ -29,31 +30,36 @@ class CageEdit(MeshPair):
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`; the same cage and points are bound once, whatever shape it takes."""
         before, after = self.meshes()
-        rest = _bytes(before.vertices), _bytes(before.faces), _bytes(points)
-        whole = _deform(*rest, _bytes(after.vertices))
+        rest = content_of(before.vertices), content_of(before.faces), content_of(points)
+        whole = _deform(*rest, content_of(after.vertices))
         return whole if self.amount == 1.0 else Weighted(whole, amount=self.amount)
 
     def notes(self, setting: Setting, step: Deformation) -> tuple[str, ...]:
         """See `Edit.notes`: a cage acts on what it does not hold, but that is seldom meant."""
         before, _ = self.meshes()
         points = setting.points
-        known = _bound(_bytes(before.vertices), _bytes(before.faces), _bytes(points))
-        reached = torch.ones(len(points), dtype=torch.bool)
-        if isinstance(step, Weighted):
-            reached = step.weight(points) != 0
-        total, held = int(reached.sum()), int((known.inside & reached).sum())
+        known = _bound(content_of(before.vertices), content_of(before.faces), content_of(points))
+        acted = reached(step, points)
+        total, held = int(acted.sum()), int((known.inside & acted).sum())
         if total and not held:
             raise EditError(
                 f"{self.before}: expected a cage around the object, got one that holds none of the "
                 f"{total} points it is to move: it goes from {_corners(before.vertices)}, they "
-                f'from {_corners(points[reached])}; check its units and the axis that is "up"'
+                f'from {_corners(points[acted])}; check its units and the axis that is "up"'
             )
-        if held == total:
-            return ()
-        return (
-            f"{total - held} of {total} points lie outside the cage, where it acts ever more "
-            "weakly; make it larger, or give the edit a region",
-        )
+        said = [*super().notes(setting, step)]
+        size, whole = size_of(before.vertices), size_of(points)
+        if size > LARGE * whole:
+            said.append(
+                f"the cage is {size:.3g} large and the object {whole:.3g}, world units; it should "
+                "stand close around it: are both in the same units?"
+            )
+        if held < total:
+            said.append(
+                f"{total - held} of {total} points lie outside the cage, where it acts ever more "
+                "weakly; make it larger, or give the edit a region"
+            )
+        return tuple(said)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,8 +71,8 @@ class _BoundCage:
 # The weights of 30,000 points in a cage of 500 vertices take 60 MB, so few are kept.
 @lru_cache(maxsize=2)
 def _bound(vertices: bytes, faces: bytes, points: bytes) -> _BoundCage:
-    cage = Cage(vertices=_tensor(vertices), faces=_tensor(faces, np.int64))
-    places = _tensor(points)
+    cage = Cage(vertices=from_content(vertices), faces=from_content(faces, np.int64))
+    places = from_content(points)
     return _BoundCage(binding=cage.bind(places), inside=cage.holds(places))
 
 
@@ -74,15 +80,7 @@ def _bound(vertices: bytes, faces: bytes, points: bytes) -> _BoundCage:
 def _deform(vertices: bytes, faces: bytes, points: bytes, after: bytes) -> CageDeform:
     """Keeps its Jacobians too: they serve every amount of the same shape."""
     binding = _bound(vertices, faces, points).binding
-    return CageDeform(binding.cage, _tensor(after), binding)
-
-
-def _bytes(values: Tensor) -> bytes:
-    return values.detach().cpu().numpy().tobytes()
-
-
-def _tensor(content: bytes, kind: DTypeLike = np.float64) -> Tensor:
-    return torch.from_numpy(np.frombuffer(content, dtype=kind).reshape(-1, 3).copy())
+    return CageDeform(binding.cage, from_content(after), binding)
 
 
 def _corners(places: Tensor) -> str:

@@ -32,6 +32,20 @@ _MEETING, _EXPOSED = (0.75, 0.1, 0.75), (0.98, 0.74, 0.02)
 _FEWEST = 4
 _HOLE = (0.93, 0.42, 0.05)
 
+Legend = tuple[tuple[str, Paint], ...]
+"""What colours mean, in the order in which they are told."""
+STRAIN_LEGEND: Legend = (
+    ("calm", CALM),
+    ("stretched to twice or more", _STRETCHED),
+    ("squeezed to half or less", _SQUEEZED),
+    ("met another part", _MEETING),
+    ("came to light, seen by no training view", _EXPOSED),
+)
+HOLE_LEGEND: Legend = (
+    ("holds together", CALM),
+    (f"comes apart: counts in the hole score from a tearing of {TORN:g} on, paler below", _HOLE),
+)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Diagnosis:

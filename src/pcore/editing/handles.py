@@ -12,17 +12,25 @@ from pcore.deform.skinning import AnchorPose
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.binding import begin
-from pcore.editing.diagnosis import CALM, painted
+from pcore.editing.diagnosis import CALM, Legend, painted
 from pcore.editing.script import EditScript
 from pcore.errors import EditError
 
 TORN = 0.02
 """Share of the object's size by which anchors may disagree about a point."""
-FAR = 0.25
-"""Share of the object's size from the nearest held anchor beyond which nobody controls a point."""
+FAR = 0.15
+"""Share of the object's size from the nearest handle beyond which nobody shapes a point; below the
+reach that edits have without one of their own, which is a quarter."""
+SHAPED = 0.02
+"""Share of the object's size that a point moves at least for its shape to be somebody's matter."""
 
 
 _LOOSE, _TORN = (0.05, 0.55, 0.55), (0.55, 0.3, 0.1)
+HANDLE_LEGEND: Legend = (
+    ("neither", CALM),
+    ("moves with no handle near", _LOOSE),
+    ("anchors disagree", _TORN),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,14 +40,15 @@ class HandleDiagnosis:
     Attributes:
         disagreement: (N,) how far apart the anchors of a point put it, as a share of the object's
             size: sqrt(sum_k w_k |R_k p + t_k - p'|^2) / size with p' = sum_k w_k (R_k p + t_k).
-        distance: (N,) path length from the strongest anchor of a point to the nearest anchor that
-            is held, by a handle or at rest because it is out of reach; as a share of the size.
-        moves: (N,) bool; the edit moves the point.
+        distance: (N,) path length from the strongest anchor of a point to the nearest handle, as a
+            share of the size. A handle that stays where it is counts; an anchor that rests because
+            it is out of reach does not: nobody put it there.
+        way: (N,) how far the edit moves the point, as a share of the size.
     """
 
     disagreement: Tensor
     distance: Tensor
-    moves: Tensor
+    way: Tensor
 
     @property
     def torn(self) -> Tensor:
@@ -49,7 +58,7 @@ class HandleDiagnosis:
     @property
     def loose(self) -> Tensor:
         """(N,) bool; moves though no handle is near: more handles are needed, or less reach."""
-        return self.moves & (self.distance > FAR)
+        return (self.way > SHAPED) & (self.distance > FAR)
 
     def numbers(self) -> dict[str, float]:
         """All of it as figures for a report."""
@@ -82,20 +91,20 @@ def handle_numbers(found: Iterable[HandleDiagnosis]) -> dict[str, float]:
     return {name: max(row[name] for row in rows) for name in (rows[0] if rows else ())}
 
 
-def diagnose_handles(rig: AnchorRig, pose: AnchorPose, held: Iterable[int]) -> HandleDiagnosis:
+def diagnose_handles(rig: AnchorRig, pose: AnchorPose, handles: Iterable[int]) -> HandleDiagnosis:
     """Tell where anchors are too sparse and handles too far away for a pose.
 
     Args:
         rig: the cloud with its anchors.
         pose: where the anchors are.
-        held: anchors whose place is given: those with a handle, and those kept at rest.
+        handles: anchors whose place is given, by a handle or by a motion that is known.
 
     Raises:
-        EditError: no anchor is held.
+        EditError: there is none.
     """
-    fixed = sorted({*held})
-    if not fixed:
-        raise EditError("handles: expected at least one anchor that is held, got none")
+    held = sorted({*handles})
+    if not held:
+        raise EditError("handles: expected at least one anchor with a handle, got none")
     points = rig.points.double()
     anchors, weights = rig.weights.anchors, rig.weights.values.detach().double()
     turns, rest = pose.rotations.double()[anchors], pose.rest.double()[anchors]
@@ -104,14 +113,13 @@ def diagnose_handles(rig: AnchorRig, pose: AnchorPose, held: Iterable[int]) -> H
     meant = (weights.unsqueeze(-1) * wishes).sum(dim=1, keepdim=True)
     spread = (weights * (wishes - meant).square().sum(dim=-1)).sum(dim=1).sqrt()
     strongest = anchors.gather(1, weights.argmax(dim=1, keepdim=True)).squeeze(1)
-    away = rig.graph.between[:, fixed].double().amin(dim=1)
+    away = rig.graph.between[:, held].double().amin(dim=1)
     way = (meant.squeeze(1) - points).norm(dim=1)
     size = max(rig.size, torch.finfo(torch.float32).tiny)
     return HandleDiagnosis(
         disagreement=spread / size,
         distance=away[strongest] / size,
-        # Rounding of the blend is no motion.
-        moves=way > 1e-6 * size,
+        way=way / size,
     )
 
 
@@ -139,6 +147,6 @@ def handles_of(
             own = edit.rig(bound.setting)
             dragger, handles = edit.dragger(own)
             pose = dragger.pose(handles)
-            found[number] = diagnose_handles(own, pose, dragger.held)
+            found[number] = diagnose_handles(own, pose, handles)
         bound = bound.then(edit)
     return found

@@ -18,6 +18,7 @@ EASINGS: dict[str, Callable[[float], float]] = {
 }
 """From the share of the time between two keys to the share of the way between their values."""
 
+_SHAPES = ("before", "after")
 _FORM = '{"keyframes": [[time, value], ...], "easing": "smooth"}'
 
 
@@ -57,6 +58,11 @@ def _replaced(value: Any, change: Callable[[dict[str, Any]], Any]) -> Any:
             return change(items)
         result: dict[str, Any] = {}
         for key, item in items.items():
+            if key in _SHAPES and is_animated(item):
+                raise EditError(
+                    f'key "{key}": expected a shape that stands still, got keyframes; animate how '
+                    'much of the edit there is: "amount": {"keyframes": [[0, 0], [1, 1]]}'
+                )
             try:
                 result[key] = _replaced(item, change)
             except EditError as error:

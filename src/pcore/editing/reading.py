@@ -38,10 +38,31 @@ def read_edit_file(path: Path) -> Any:
         return json.loads(text, object_pairs_hook=_without_duplicates)
     except EditError as error:
         raise EditError(f"{path}: {error}") from error
+    except json.JSONDecodeError as error:
+        raise EditError(
+            f"{path}: expected an edit file in JSON, got invalid JSON: {_broken(error)}"
+        ) from error
     except (ValueError, RecursionError) as error:
         raise EditError(
             f"{path}: expected an edit file in JSON, got invalid JSON: {error}"
         ) from error
+
+
+def _broken(error: json.JSONDecodeError) -> str:
+    """What is wrong with the text, with the line that it is wrong in."""
+    text, at = error.doc, error.pos
+    # Whether the parser stops at a comma too many or at the bracket behind it depends on Python.
+    comma = at if text[at : at + 1] == "," else len(text[:at].rstrip()) - 1
+    after = text[comma + 1 :].lstrip()[:1]
+    if comma >= 0 and text[comma] == "," and after and after in "]}":
+        at, what = comma, f'a comma before "{after}", which JSON does not allow; delete it'
+    else:
+        what = f"{error.msg} (column {error.colno})"
+    lines = text.splitlines()
+    number = text[:at].count("\n")
+    line = lines[number].strip() if number < len(lines) else ""
+    shortened = line if len(line) <= 60 else line[:57] + "..."
+    return f"line {number + 1}: {what}: {shortened}"
 
 
 def write_edit_file(path: Path | str, text: str) -> None:
@@ -88,11 +109,14 @@ def parse_entry(
     try:
         entry = kind.model_validate(known, context={"folder": folder})
     except ValidationError as error:
-        for detail in error.errors():
-            said.append(
-                _within(kind, raw, detail["loc"], detail)
-                or _problem(kind, raw, name, allowed, _first(detail["loc"]), _why(detail))
-            )
+        details = error.errors()
+        inner = [_within(kind, raw, detail["loc"], detail) for detail in details]
+        # Where one thing in a list is wrong, nothing is gained by calling the list wrong as well.
+        told = {_first(one["loc"]) for one, text in zip(details, inner, strict=True) if text}
+        for detail, text in zip(details, inner, strict=True):
+            key = _first(detail["loc"])
+            if text or key not in told:
+                said.append(text or _problem(kind, raw, name, allowed, key, _why(detail)))
         # A list of three wrong numbers is one mistake.
         raise EditError("; ".join(dict.fromkeys(said))) from error
     if said:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 import torch
+from numpy.typing import DTypeLike
 from pydantic import Field
 from torch import Tensor
 
 from pcore.data.meshes import MeshFile, read_mesh
 from pcore.data.points import read_point_file
 from pcore.deform.base import Deformation
-from pcore.deform.proxy import follow_mesh
+from pcore.deform.proxy import follow_mesh, middle_distance
 from pcore.deform.scattered import PointMotion
+from pcore.deform.weighted import Weighted
 from pcore.editing.edits import Edit
 from pcore.editing.fields import Amount, Positive, StoredFile, StoredPlaces
+from pcore.editing.regions import Setting
 from pcore.errors import EditError
 from pcore.geometry.neighbours import nearest
 
@@ -24,6 +29,15 @@ SAME = 1e-4
 NEAR = 0.02
 """How far a point may be from the one it is matched with, as a share of the object's size: by id,
 where both should be the same, and by position."""
+
+UNLIKE = 5.0
+"""How many times larger or smaller the second shape is than the first, seldom by intent."""
+ELSEWHERE = 0.2
+"""Median distance of the points from a mesh, as a share of the object's size, that is no mistake of
+shape but of place."""
+BESIDE = 0.05
+"""The same from which on a mesh does not look like the object's. Proxies of 30 vertices and
+convex hulls lie nearer."""
 
 _MESH = "the path of a mesh (.ply, .obj or .glb)"
 _POINTS = "the path of a file of points (.npy or .ply)"
@@ -35,6 +49,22 @@ class EasedEdit(Edit):
     advice: ClassVar[str] = 'turn the object instead of mirroring it, or lower "amount"'
 
     amount: Amount = 1.0
+
+    @abstractmethod
+    def shapes(self) -> tuple[Tensor, Tensor]:
+        """Places (V, 3) of the same things before and after, world units; errors as `bind`."""
+
+    def notes(self, setting: Setting, step: Deformation) -> tuple[str, ...]:
+        """See `Edit.notes`: shapes of very different sizes are seldom in the same units."""
+        first, second = (size_of(places) for places in self.shapes())
+        said = super().notes(setting, step)
+        if max(first, second) <= UNLIKE * min(first, second):
+            return said
+        return (
+            *said,
+            f'"before" is {first:.3g} large and "after" {second:.3g}, world units; are both files '
+            "in the same units?",
+        )
 
 
 class MeshPair(EasedEdit):
@@ -70,6 +100,11 @@ class MeshPair(EasedEdit):
             )
         return before, after
 
+    def shapes(self) -> tuple[Tensor, Tensor]:
+        """See `EasedEdit.shapes`."""
+        before, after = self.meshes()
+        return before.vertices, after.vertices
+
 
 class MeshEdit(MeshPair):
     """The points follow a mesh that lies at them."""
@@ -82,6 +117,34 @@ class MeshEdit(MeshPair):
         motion = follow_mesh(points, before.vertices, after.vertices, before.faces)
         return motion.eased(self.amount)
 
+    def notes(self, setting: Setting, step: Deformation) -> tuple[str, ...]:
+        """See `Edit.notes`: a mesh that does not look like the object is seldom meant."""
+        said, points = super().notes(setting, step), setting.points[reached(step, setting.points)]
+        size = size_of(setting.points)
+        away = _away(_mesh(self.before, self.up), points)
+        if away <= BESIDE * size:
+            return said
+        other = "z" if self.up == "y" else "y"
+        turned = _away(_mesh(self.before, other), points)
+        if turned < 0.5 * away:
+            raise EditError(
+                f'{self.before}: expected a mesh that lies at the points, got "up": "{self.up}", '
+                f"with which half of them are more than {away:.3g} away from it, and {turned:.3g} "
+                f'with the other; give "up": "{other}"'
+            )
+        if away > ELSEWHERE * size:
+            raise EditError(
+                f"{self.before}: expected a mesh that lies at the points, got one that half of "
+                f"those it is to move are more than {away:.3g} world units away from, the object "
+                f'being {size:.3g} large; check its units and the axis that is "up"'
+            )
+        return (
+            *said,
+            f"half of the points are more than {away:.3g} world units away from the mesh, the "
+            f"object being {size:.3g} large; is it the mesh of this object, in its units and its "
+            "place?",
+        )
+
 
 class DisplacementEdit(EasedEdit):
     """The points go where a file says, and space between them along with them."""
@@ -92,8 +155,8 @@ class DisplacementEdit(EasedEdit):
     match: Annotated[Literal["id", "position"], Field(description='"id" or "position"')] = "id"
     tolerance: Positive | None = Field(default=None, description="a length above 0, world units")
 
-    def bind(self, points: Tensor) -> Deformation:
-        """See `Edit.bind`."""
+    def shapes(self) -> tuple[Tensor, Tensor]:
+        """See `EasedEdit.shapes`."""
         before = read_point_file(self.before).positions.double()
         after = read_point_file(self.after).positions.double()
         if len(before) != len(after):
@@ -101,6 +164,11 @@ class DisplacementEdit(EasedEdit):
                 f"{self.after}: expected a new place for each of the {len(before)} points of "
                 f"{self.before}, got {len(after)}"
             )
+        return before, after
+
+    def bind(self, points: Tensor) -> Deformation:
+        """See `Edit.bind`."""
+        before, after = self.shapes()
         if self.match == "id":
             self._check_ids(points, before)
             return PointMotion(points, after).eased(self.amount)
@@ -114,7 +182,7 @@ class DisplacementEdit(EasedEdit):
                 f"{self.before}: expected the {len(points)} points that arrive at this edit, got "
                 f'{len(before)}; a file of another model needs "match": "position"'
             )
-        limit = SAME * _size(points) if self.tolerance is None else self.tolerance
+        limit = SAME * size_of(points) if self.tolerance is None else self.tolerance
         away = (points - before).norm(dim=-1)
         if bool((away > limit).any()):
             first = int((away > limit).nonzero()[0])
@@ -127,7 +195,7 @@ class DisplacementEdit(EasedEdit):
             )
 
     def _check_places(self, points: Tensor, before: Tensor) -> None:
-        limit = NEAR * _size(points) if self.tolerance is None else self.tolerance
+        limit = NEAR * size_of(points) if self.tolerance is None else self.tolerance
         away, _ = _distance(points, before)
         lost = away > limit
         if bool(lost.any()):
@@ -152,7 +220,40 @@ def _known_mesh(path: str, up: Literal["y", "z"], content: bytes) -> MeshFile:
     return read_mesh(path, up=up)
 
 
-def _size(points: Tensor) -> float:
+def reached(step: Deformation, points: Tensor) -> Tensor:
+    """Which of the points (N, 3) an edit with its region acts on: bool (N,)."""
+    if isinstance(step, Weighted):
+        return step.weight(points) != 0
+    return torch.ones(len(points), dtype=torch.bool)
+
+
+def _away(mesh: MeshFile, points: Tensor) -> float:
+    """Median distance of points (N, 3) from a mesh; 0 without any."""
+    if not len(points):
+        return 0.0
+    return _middle(content_of(mesh.vertices), content_of(mesh.faces), content_of(points))
+
+
+@lru_cache(maxsize=4)
+def _middle(vertices: bytes, faces: bytes, points: bytes) -> float:
+    """As `_away`; of a mesh that is dragged it is found once."""
+    return middle_distance(
+        from_content(points), from_content(vertices), from_content(faces, np.int64)
+    )
+
+
+def content_of(values: Tensor) -> bytes:
+    """Numbers of a tensor, as a key by what it holds."""
+    return values.detach().cpu().numpy().tobytes()
+
+
+def from_content(content: bytes, kind: DTypeLike = np.float64) -> Tensor:
+    """Return the rows of three that `content_of` was given."""
+    return torch.from_numpy(np.frombuffer(content, dtype=kind).reshape(-1, 3).copy())
+
+
+def size_of(points: Tensor) -> float:
+    """Diagonal of the bounding box of points (N, 3)."""
     return float((points.amax(dim=0) - points.amin(dim=0)).norm())
 
 

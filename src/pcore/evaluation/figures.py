@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,8 @@ Pixels = NDArray[np.uint8]
 Range = tuple[float, float]
 
 _INK, _PAPER = (32, 33, 36), (255, 255, 255)
+_LETTER = 15
+"""Height of the letters of a legend, pixels."""
 
 
 def color_pixels(rgb: Array) -> Pixels:
@@ -107,6 +109,40 @@ def sheet(
                 scaled = Image.fromarray(picture).resize((width, height), Image.Resampling.BICUBIC)
                 page.paste(scaled, (line + i * (width + gap), top))
     return np.asarray(page, dtype=np.uint8)
+
+
+def with_legend(
+    page: Pixels, lines: Mapping[str, Sequence[tuple[str, tuple[float, float, float]]]]
+) -> Pixels:
+    """Write under a page what its colours mean.
+
+    Args:
+        page: the pictures.
+        lines: title of a column -> what each of its colours (sRGB, 0 to 1) means.
+    """
+    font: Any = ImageFont.load_default(size=_LETTER)
+    width, line = page.shape[1], 2 * _LETTER
+    placed: list[tuple[float, int, str, str, tuple[float, float, float]]] = []
+    row = 0
+    for title, colors in lines.items():
+        x, row = float(_LETTER), row + 1
+        for number, (words, color) in enumerate(colors):
+            own = f"{title}:  " if number == 0 else ""
+            length = float(font.getlength(own)) + line + float(font.getlength(words))
+            if x > _LETTER and x + length > width:
+                x, row = float(_LETTER), row + 1
+            placed.append((x, row - 1, own, words, color))
+            x += length + _LETTER
+    strip = Image.new("RGB", (width, line * row), _PAPER)
+    draw = ImageDraw.Draw(strip)
+    for x, at, own, words, color in placed:
+        middle = (at + 0.5) * line
+        draw.text((x, middle), own, fill=_INK, font=font, anchor="lm")
+        left = x + float(font.getlength(own))
+        corners = (left, middle - _LETTER / 2, left + _LETTER, middle + _LETTER / 2)
+        draw.rectangle(corners, fill=tuple(round(255 * part) for part in color))
+        draw.text((left + 1.5 * _LETTER, middle), words, fill=_INK, font=font, anchor="lm")
+    return np.concatenate([page, np.asarray(strip, dtype=np.uint8)])
 
 
 def png_bytes(pixels: Pixels) -> bytes:

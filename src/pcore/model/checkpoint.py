@@ -97,7 +97,7 @@ def save_model(
     write_atomically(path, save(plain, metadata=header))
 
 
-def load_model(path: Path) -> SavedModel:
+def load_model(path: Path | str) -> SavedModel:
     """Read a model file.
 
     Args:
@@ -124,7 +124,7 @@ def load_model(path: Path) -> SavedModel:
     )
 
 
-def describe_model(path: Path) -> ModelSummary:
+def describe_model(path: Path | str) -> ModelSummary:
     """Read what a model file (or its run folder) says about itself, fast.
 
     Raises:
@@ -149,7 +149,8 @@ def _form(tensor: Tensor) -> _Form:
 _DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch.int64: "I64"}
 
 
-def _model_path(path: Path) -> Path:
+def _model_path(given: Path | str) -> Path:
+    path = Path(given)
     path = path / MODEL_FILE if path.is_dir() else path
     if not path.is_file():
         raise CheckpointError(

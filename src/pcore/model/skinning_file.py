@@ -56,7 +56,7 @@ def save_skinning(path: Path, skinning: Skinning) -> None:
     write_atomically(path, save(plain, metadata=header))
 
 
-def load_skinning(path: Path, points: Tensor) -> Skinning:
+def load_skinning(path: Path | str, points: Tensor) -> Skinning:
     """Read a skinning file and measure the paths over its cloud again (seconds).
 
     Args:
@@ -66,7 +66,7 @@ def load_skinning(path: Path, points: Tensor) -> Skinning:
     Raises:
         CheckpointError: missing, damaged, not ours, of another version, or fitted to other points.
     """
-    path = path / SKINNING_FILE if path.is_dir() else path
+    path = _skinning_path(path)
     config, tensors = _read(path)
     _check_finite(path, tensors)
     indices = _anchors(path, tensors, points)
@@ -82,15 +82,20 @@ def load_skinning(path: Path, points: Tensor) -> Skinning:
     return Skinning(network=network.eval(), paths=path_distance(points.detach().cpu(), indices))
 
 
-def describe_skinning(path: Path) -> SkinningSummary:
+def describe_skinning(path: Path | str) -> SkinningSummary:
     """Read what a skinning file (or its run folder) says about itself.
 
     Raises:
         CheckpointError: missing, damaged, not ours or of another version.
     """
-    path = path / SKINNING_FILE if path.is_dir() else path
+    path = _skinning_path(path)
     config, tensors = _read(path)
     return SkinningSummary(config=config, anchors=len(tensors.get("anchors", ())))
+
+
+def _skinning_path(given: Path | str) -> Path:
+    path = Path(given)
+    return path / SKINNING_FILE if path.is_dir() else path
 
 
 def _read(path: Path) -> tuple[SkinningConfig, dict[str, Tensor]]:

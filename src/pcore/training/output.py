@@ -101,9 +101,9 @@ class RunFolder(Closing):
         return run
 
     @classmethod
-    def open(cls, path: Path) -> RunFolder:
+    def open(cls, path: Path | str) -> RunFolder:
         """Return the run in `path` for reading; raises CheckpointError when there is none."""
-        return cls(path, read_manifest(path), None)
+        return cls(Path(path), read_manifest(Path(path)), None)
 
     @property
     def model(self) -> Path:
