@@ -107,7 +107,10 @@ def test_tiny_fits_two_cores() -> None:
 
 
 def test_the_demo_is_tiny_and_shorter() -> None:
-    assert demo_pretrain().model == preset("tiny").model
+    # The demo's few steps do better without what keeps `tiny` from learning views by heart.
+    assert demo_pretrain().model == replace(preset("tiny").model, frequencies=6)
+    assert not demo_pretrain().patch.turned
+    assert not demo_finetune().patch.turned
     assert demo_pretrain().steps < preset("tiny").steps
     assert demo_finetune().steps < finetune_preset("tiny").steps
 
