@@ -31,6 +31,7 @@ from pcore.editing.session import EditSession
 from pcore.evaluation.image_metrics import psnr
 from pcore.evaluation.protocol import STANDARD, measure
 from pcore.evaluation.states import Shot, open_states
+from pcore.geometry.extent import size_of
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.checkpoint import SavedModel, load_model
 from pcore.model.render import render
@@ -93,7 +94,7 @@ def compared(plan: Plan, sessions: Sequence[EditSession], *, aware: bool, truth:
     clouds = [deformed_cloud(cloud, one.deformation, aware=aware) for one in (once, often)]
     pictures = [[_rgb(papr, one, shot) for shot in plan.shots] for one in clouds]
     apart = statistics.mean(psnr(a, b) for a, b in zip(*pictures, strict=True))
-    away = (once.points - often.points).norm(dim=-1) / _size(cloud.positions)
+    away = (once.points - often.points).norm(dim=-1) / size_of(cloud.positions)
     line = (
         f"{'aware' if aware else 'plain'} rays: points {float(away.mean()):.1e} of the size apart, "
         f"{float(away.max()):.1e} at most; pictures {apart:.2f} dB"
@@ -107,7 +108,7 @@ def compared(plan: Plan, sessions: Sequence[EditSession], *, aware: bool, truth:
 def drags(points: Tensor, count: int) -> list[dict[str, Any]]:
     """Edits that drag one point by 0.19 of the object's size, each as far as the others."""
     start = points[points[:, 0].argmin()]
-    way = _size(points) * torch.tensor([0.04, -0.11, 0.15])
+    way = size_of(points) * torch.tensor([0.04, -0.11, 0.15])
     stops = [(start + way * k / count).tolist() for k in range(count + 1)]
     pairs = pairwise(stops)
     return [{"type": "anchors", "handles": [{"near": a, "to": b}]} for a, b in pairs]
@@ -120,7 +121,7 @@ def turns(points: Tensor, count: int) -> list[dict[str, Any]]:
         "shape": "half_space",
         "normal": "z",
         "origin": middle.tolist(),
-        "falloff": 0.2 * _size(points),
+        "falloff": 0.2 * size_of(points),
     }
     turn = {"type": "rigid", "axis": "z", "origin": middle.tolist(), "region": upper}
     return [{**turn, "angle_deg": 40.0 / count}] * count
@@ -131,10 +132,6 @@ def _done(plan: Plan, edits: Sequence[dict[str, Any]]) -> EditSession:
     for edit in edits:
         session.do(edit)
     return session
-
-
-def _size(points: Tensor) -> float:
-    return float((points.amax(dim=0) - points.amin(dim=0)).norm())
 
 
 def _edited(plan: Plan, kind: str, angle: float, count: int) -> EditSession:

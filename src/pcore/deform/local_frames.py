@@ -12,6 +12,7 @@ from torch import Tensor
 from pcore.deform.base import SINGULAR, Deformation, uprightness
 from pcore.deform.checks import check_invertible
 from pcore.errors import EditError
+from pcore.geometry.extent import size_of
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.rotation import nearest_rotation
 
@@ -99,8 +100,8 @@ def fitted_maps(rest: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
     all went to one place have maps that are zero.
     """
     before, after = rest.detach().cpu().double(), moved.detach().cpu().double()
-    if not _size(before) > 0 or not _size(after) > 0:
-        unit = torch.eye(3, dtype=torch.float64) * float(not _size(before) > 0)
+    if not size_of(before) > 0 or not size_of(after) > 0:
+        unit = torch.eye(3, dtype=torch.float64) * float(not size_of(before) > 0)
         return unit.repeat(len(before), 1, 1), torch.zeros(len(before), dtype=torch.bool)
     linear, similar = _fit(before, after)
     bad = ~(uprightness(linear) > SINGULAR)
@@ -120,7 +121,7 @@ def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
     # The middle neighbour's change of length is a scale that torn-off neighbours cannot sway.
     ratio = torch.where(length > tiny, image.norm(dim=-1) / length.clamp_min(tiny), torch.nan)
     scale = ratio.nanmedian(dim=-1).values.nan_to_num(nan=1.0)
-    scale = scale.clamp_min(_COLLAPSED * _size(after) / _size(before))
+    scale = scale.clamp_min(_COLLAPSED * size_of(after) / size_of(before))
     length = length.clamp_min(tiny)
     trust, unit = torch.ones_like(near), torch.eye(3, dtype=before.dtype)
     linear = similar = torch.empty(0)
@@ -137,11 +138,6 @@ def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
         miss = (image - offset @ linear.mT).norm(dim=-1) / (scale[:, None] * length)
         trust = (1 + (miss / tolerance).square()).pow(-2)
     return linear, similar
-
-
-def _size(points: Tensor) -> float:
-    """Diagonal of the bounding box."""
-    return float((points.amax(dim=0) - points.amin(dim=0)).norm())
 
 
 def _check(rest: Tensor, moved: Tensor) -> None:
@@ -161,7 +157,7 @@ def _check(rest: Tensor, moved: Tensor) -> None:
                 f"local frames: expected finite {name} points, got NaN or infinity in {bad} of "
                 f"{len(points)}"
             )
-        if not _size(points) > 0:
+        if not size_of(points) > 0:
             raise EditError(
                 f"local frames: expected {name} points that extend in space, got all "
                 f"{len(points)} in one place"

@@ -18,8 +18,10 @@ from pcore.deform.anchor_distance import (
     path_distance,
 )
 from pcore.deform.skinning import AnchorPose, SkinnedDeformation, SkinningWeights, Weigher
+from pcore.editing.contents import content_of, from_content
 from pcore.errors import EditError, InputError
 from pcore.geometry.anchors import ANCHORS, farthest_points
+from pcore.geometry.extent import size_of
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.rotation import procrustes
 
@@ -153,13 +155,13 @@ class AnchorRig:
     @property
     def size(self) -> float:
         """Diagonal of the bounding box of the cloud, world units."""
-        return float((self.points.amax(dim=0) - self.points.amin(dim=0)).norm())
+        return size_of(self.points)
 
     def is_of(self, *, count: int, seed: int) -> bool:
         """Whether its anchors are those that this count and seed choose from its cloud."""
         if len(self.indices) != count:
             return False
-        return torch.equal(self.indices, _chosen(_content(self.points), count, seed))
+        return torch.equal(self.indices, _chosen(content_of(self.points.double()), count, seed))
 
     def at(self, points: Tensor) -> AnchorRig:
         """Return the rig after its cloud has moved to points (N, 3): each keeps its weights.
@@ -205,7 +207,7 @@ def rig_of(
     if count < 2:
         raise EditError(f"anchors: expected a count of at least 2, got {count}")
     try:
-        return _rig(_content(points), count, seed, also)
+        return _rig(content_of(points.double()), count, seed, also)
     except InputError as error:
         raise EditError(str(error)) from error
 
@@ -221,18 +223,9 @@ def rig_with(distance: PathDistance, weigher: Weigher) -> AnchorRig:
     )
 
 
-def _content(points: Tensor) -> bytes:
-    return points.detach().cpu().double().numpy().tobytes()
-
-
-def _points(content: bytes) -> Tensor:
-    places = np.frombuffer(content, dtype=np.float64).reshape(-1, 3).copy()
-    return torch.from_numpy(places).float()
-
-
 @lru_cache(maxsize=4)
 def _chosen(content: bytes, count: int, seed: int) -> Tensor:
-    return farthest_points(_points(content), count, seed=seed)
+    return farthest_points(from_content(content).float(), count, seed=seed)
 
 
 def _replaced(points: Tensor, chosen: Tensor, also: tuple[int, ...]) -> Tensor:
@@ -247,7 +240,7 @@ def _replaced(points: Tensor, chosen: Tensor, also: tuple[int, ...]) -> Tensor:
 
 @lru_cache(maxsize=4)
 def _rig(content: bytes, count: int, seed: int, also: tuple[int, ...]) -> AnchorRig:
-    points = _points(content)
+    points = from_content(content).float()
     distance = path_distance(points, _replaced(points, _chosen(content, count, seed), also))
     sigma = SIGMA * anchor_spacing(distance.between)
     return rig_with(distance, distance_weigher(distance, sigma=sigma))

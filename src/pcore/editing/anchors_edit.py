@@ -18,7 +18,6 @@ from pcore.editing.fields import AXIS, Amount, Angle, Axis, Number, Triple
 from pcore.editing.regions import NEAR, Setting
 from pcore.errors import EditError
 from pcore.geometry.anchors import ANCHORS
-from pcore.geometry.neighbours import nearest
 
 _REACH = 0.25
 _TRIPLE = "three finite numbers [x, y, z]"
@@ -126,8 +125,9 @@ class AnchorsEdit(PlacedEdit):
         places = [origin + torch.tensor(h.near) for h in self.handles if h.near is not None]
         if len(places) < len(self.handles) or len(places) > self.count:
             return ()
-        rows = nearest(points, torch.stack(places).to(points), 1)[0][:, 0]
-        return tuple(dict.fromkeys(rows.tolist()))
+        # Every drag asks, for few handles: a search tree of all points would cost more.
+        rows = [int((points - place).square().sum(dim=1).argmin()) for place in places]
+        return tuple(dict.fromkeys(rows))
 
     def bind_to(self, rig: AnchorRig) -> Deformation:
         """Pose a rig that is known already, such as one with learned weights.

@@ -13,6 +13,7 @@ from pcore.deform.weighted import Held, Weighted
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.edits import Edit
 from pcore.editing.regions import RegionEntry, Setting, bind_region, bind_union
+from pcore.geometry.extent import size_of
 
 FAR = 2.0
 """How many times its own size an edit moves a point of the object, seldom by intent."""
@@ -85,7 +86,7 @@ def _leap(before: Tensor, after: Tensor) -> tuple[str, ...]:
     """
     if not len(before):
         return ()
-    size = float((before.amax(dim=0) - before.amin(dim=0)).norm())
+    size = size_of(before)
     if float((after - before).norm(dim=-1).max()) <= FAR * size:
         return ()
     return (

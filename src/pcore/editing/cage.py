@@ -12,9 +12,11 @@ from torch import Tensor
 from pcore.deform.base import Deformation
 from pcore.deform.cage import Cage, CageBinding, CageDeform
 from pcore.deform.weighted import Weighted
+from pcore.editing.contents import content_of, from_content
 from pcore.editing.regions import Setting
-from pcore.editing.shapes import MeshPair, content_of, from_content, reached, size_of
+from pcore.editing.shapes import MeshPair, reached
 from pcore.errors import EditError
+from pcore.geometry.extent import size_of
 
 LARGE = 10.0
 """How many times larger than the object a cage is, seldom by intent: it hardly acts then."""

@@ -14,6 +14,7 @@ from torch import Tensor
 from pcore.deform.local_frames import fitted_maps
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
+from pcore.geometry.extent import size_of
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.visibility import cloud_spacing, seen_by
 
@@ -148,7 +149,7 @@ def diagnose(before: Tensor, after: Tensor) -> Diagnosis:
     rest, moved = before.detach().cpu().double(), after.detach().cpu().double()
     index, near = nearest(rest, rest, NEIGHBOURS + 1)
     offset = moved[index] - moved.unsqueeze(1)
-    now, size = offset.norm(dim=-1), float((rest.amax(dim=0) - rest.amin(dim=0)).norm())
+    now, size = offset.norm(dim=-1), size_of(rest)
     # Points in one place have no distance that could grow.
     tiny = 1e-9 * size + torch.finfo(torch.float64).tiny
     strain = _growth(now, near, tiny)

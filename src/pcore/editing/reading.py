@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from pcore.editing.regions import REGION, REGION_SHAPES, RegionEntry
 from pcore.errors import EditError
+from pcore.model.atomic import write_atomically
 
 Entry = TypeVar("Entry", bound=BaseModel)
 
@@ -74,12 +75,9 @@ def write_edit_file(path: Path | str, text: str) -> None:
     path = Path(path)
     if not path.parent.is_dir():
         raise EditError(f"{path}: expected an existing folder to write to, got {path.parent}")
-    partial = path.with_name(f".{path.name}.partial")
     try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
+        write_atomically(path, text.encode())
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise EditError(
             f"{path}: cannot write the edit file ({error.strerror}); "
             "expected a place that can be written to"

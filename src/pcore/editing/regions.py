@@ -20,6 +20,7 @@ from pcore.deform.region import Box, HalfSpace, Region, Sphere, Union
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.fields import Axis, Length, StoredFile, Triple
 from pcore.errors import EditError
+from pcore.geometry.extent import size_of
 from pcore.geometry.neighbours import nearest, neighbour_graph
 
 FALLOFF = 0.05
@@ -53,7 +54,7 @@ class Setting:
     @cached_property
     def size(self) -> float:
         """Diagonal of the bounding box of the points at rest, world units."""
-        return float((self.rest.amax(dim=0) - self.rest.amin(dim=0)).norm())
+        return size_of(self.rest)
 
     def at(self, points: Tensor) -> Setting:
         """Return the setting of the next edit, where the points (N, 3) are by now."""

@@ -9,7 +9,6 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import torch
-from numpy.typing import DTypeLike
 from pydantic import Field
 from torch import Tensor
 
@@ -19,10 +18,12 @@ from pcore.deform.base import Deformation
 from pcore.deform.proxy import follow_mesh, middle_distance
 from pcore.deform.scattered import PointMotion
 from pcore.deform.weighted import Weighted
+from pcore.editing.contents import content_of, from_content
 from pcore.editing.edits import Edit
 from pcore.editing.fields import Amount, Positive, StoredFile, StoredPlaces
 from pcore.editing.regions import Setting
 from pcore.errors import EditError
+from pcore.geometry.extent import size_of
 from pcore.geometry.neighbours import nearest
 
 SAME = 1e-4
@@ -240,21 +241,6 @@ def _middle(vertices: bytes, faces: bytes, points: bytes) -> float:
     return middle_distance(
         from_content(points), from_content(vertices), from_content(faces, np.int64)
     )
-
-
-def content_of(values: Tensor) -> bytes:
-    """Numbers of a tensor, as a key by what it holds."""
-    return values.detach().cpu().numpy().tobytes()
-
-
-def from_content(content: bytes, kind: DTypeLike = np.float64) -> Tensor:
-    """Return the rows of three that `content_of` was given."""
-    return torch.from_numpy(np.frombuffer(content, dtype=kind).reshape(-1, 3).copy())
-
-
-def size_of(points: Tensor) -> float:
-    """Diagonal of the bounding box of points (N, 3)."""
-    return float((points.amax(dim=0) - points.amin(dim=0)).norm())
 
 
 def _distance(points: Tensor, others: Tensor) -> tuple[Tensor, Tensor]:
