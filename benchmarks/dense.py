@@ -71,12 +71,17 @@ def attend(papr: Papr, cloud: PointCloud, rays: RayBundle, pairs: int) -> tuple[
     to_point = points - rays.origins.unsqueeze(1)
     guarded = d / (d.square().sum(dim=-1, keepdim=True) + LENGTH_GUARD)
     along = (to_point * d).sum(dim=-1, keepdim=True) * guarded
+    octaves = config.octaves
     gamma_p, gamma_h, gamma_t = (
-        encode(config.coord_scale * x, config.frequencies)
-        for x in (points.detach(), along, to_point - along)
+        encode(config.coord_scale * x, number)
+        for x, number in (
+            (points.detach(), octaves.point),
+            (along, octaves.along),
+            (to_point - along, octaves.across),
+        )
     )
     keys = attention.w_key(attention.key(torch.cat([gamma_p, gamma_h, gamma_t], dim=-1)))
-    queries = attention.query(encode(rays.directions, config.frequencies))
+    queries = attention.query(encode(rays.directions, octaves.direction))
     queries = attention.w_query(queries).unsqueeze(-1) / math.sqrt(config.key.size)
     scores = F.relu((keys @ queries).squeeze(-1)) * cloud.influence[near]
     constant = scores.new_full((len(scores), 1), config.background_score)

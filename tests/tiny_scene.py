@@ -13,7 +13,7 @@ from pcore.evaluation.ground_truth import mesh_depth
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.papr import Papr
 from pcore.model.provenance import provenance_of
 from pcore.model.render import Picture
@@ -22,7 +22,7 @@ from pcore.training.output import RunFolder
 SIZE, ANGLE = 24, 0.7
 CONFIG = PaprConfig(
     neighbours=4,
-    frequencies=2,
+    octaves=Octaves.all(2),
     feature_size=4,
     key=MlpConfig(layers=2, width=8, size=8),
     query=MlpConfig(layers=2, width=8, size=8),

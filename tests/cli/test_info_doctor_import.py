@@ -11,7 +11,7 @@ from pcore.cli.main import main
 from pcore.geometry.point_cloud import PointCloud
 from pcore.kernels import backends
 from pcore.model.checkpoint import load_model
-from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.official import to_official_state
 from pcore.model.papr import Papr
 from pcore.model.provenance import provenance_of
@@ -19,7 +19,7 @@ from pcore.training.output import RunFolder
 
 CONFIG = PaprConfig(
     neighbours=3,
-    frequencies=2,
+    octaves=Octaves.all(2),
     feature_size=5,
     key=MlpConfig(layers=2, width=8, size=8),
     query=MlpConfig(layers=2, width=8, size=8),

@@ -12,14 +12,14 @@ from PIL import Image
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.papr import Papr
 from pcore.model.provenance import provenance_of
 from pcore.training.output import RunFolder
 
 CONFIG = PaprConfig(
     neighbours=3,
-    frequencies=2,
+    octaves=Octaves.all(2),
     feature_size=5,
     key=MlpConfig(layers=2, width=8, size=8),
     query=MlpConfig(layers=2, width=8, size=8),

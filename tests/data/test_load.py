@@ -253,7 +253,7 @@ def test_real_nerf_synthetic(shared_data: Path, name: str) -> None:
     view = loaded.split("test")[7]
     assert view.rgba().shape == (100, 100, 4)
     assert view.camera.fx == pytest.approx(138.8889, abs=1e-3)
-    assert loaded.camera_distance == pytest.approx(4.0311, abs=1e-3)
+    assert loaded.radius == pytest.approx(1.365, abs=1e-3)
     assert 0.05 < float(view.alpha().mean()) < 0.5
 
 
@@ -364,7 +364,7 @@ def test_training_views_do_not_need_the_test_views(scene: Path, harm: str) -> No
     loaded = load_scene(scene)
     assert loaded.splits == ("train", "test")
     assert len(loaded.split("train")) == 3
-    assert loaded.camera_distance > 0
+    assert loaded.radius > 0
     with pytest.raises(SceneError, match=r"transforms_test\.json|r_1\.png"):
         loaded.split("test")
 

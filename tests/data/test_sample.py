@@ -48,7 +48,7 @@ def test_is_a_scene_with_states(sample: Path) -> None:
     loaded = load_scene(sample)
     assert loaded.states == STATES
     assert [len(loaded.split(s)) for s in ("train", "test")] == [6, 3]
-    assert loaded.camera_distance == pytest.approx(4.0, abs=1e-4)
+    assert loaded.radius == pytest.approx(4 * np.sin(np.arctan(0.36)), abs=1e-3)
     for name in STATES:
         views = load_state(sample, name).split("test")
         assert len(views) == 3

@@ -8,13 +8,13 @@ from dataclasses import replace
 from typing import Any
 
 from pcore.cli.main import main
-from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.training import presets
 from pcore.training.config import GrowConfig, PatchConfig, PruneConfig
 
 MODEL = PaprConfig(
     neighbours=4,
-    frequencies=2,
+    octaves=Octaves.all(2),
     feature_size=4,
     key=MlpConfig(layers=2, width=8, size=8),
     query=MlpConfig(layers=2, width=8, size=8),

@@ -15,8 +15,8 @@ from pcore.kernels.functional import Attention, AttentionRules, proximity_attent
 from pcore.kernels.networks import Layers, standardise
 
 LEAVES = ("positions", "features", "influence", "queries", "constants")
-RULES = AttentionRules(scale=2.0, frequencies=4, background_score=0.5, cutoff=1.0)
-BLOCK = 3 * 9
+RULES = AttentionRules(scale=2.0, frequencies=(3, 1, 4), background_score=0.5, cutoff=1.0)
+OWN, WAVES = 3 * (1 + 2 * 3), 3 * (1 + 2 * 1) + 3 * (1 + 2 * 4)
 TOLERANCE = 1e-5
 
 
@@ -59,8 +59,8 @@ def scene(
         "neighbours": torch.randint(0, points, (rays, k)),
         "queries": torch.randn(rays, 7) * 0.5,
         "constants": torch.randn(rays) * 0.5,
-        "key": network(3 * BLOCK, 3, width, 7, **form),
-        "value": network(2 * BLOCK + feature, 3, width, 4, **form),
+        "key": network(OWN + WAVES, 3, width, 7, **form),
+        "value": network(WAVES + feature, 3, width, 4, **form),
     }
 
 
@@ -215,7 +215,7 @@ def test_a_threshold_leaves_out_small_weights(name: str, monkeypatch: pytest.Mon
         functional.encode_pairs(
             *(inputs[key] for key in ("positions", "origins", "directions", "neighbours")),
             scale=RULES.scale,
-            frequencies=RULES.frequencies,
+            frequencies=RULES.frequencies[1:],
         )[0],
         inputs["features"],
         inputs["neighbours"],
@@ -300,7 +300,7 @@ def test_nothing_is_kept_without_gradient_and_what_is_kept_is_bounded(
     with torch.autograd.graph.saved_tensors_hooks(pack, lambda tensor: tensor):
         proximity_attention(**inputs, rules=RULES)
     # Twice what may be kept, and what grows with the pairs but not with the networks' width.
-    table = 4 * 400 * 8 * (2 * BLOCK + 10)
+    table = 4 * 400 * 8 * (WAVES + 10)
     assert sum(saved) < 2 * 200_000 + 3 * table
 
 

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from pcore.kernels import cpu, functional, reference
 
-SCALE, FREQUENCIES = 10.0, 6
-VECTOR = 3 * (1 + 2 * FREQUENCIES)
+SCALE, FREQUENCIES = 10.0, (4, 6)
+SIZES = tuple(3 * (1 + 2 * octaves) for octaves in FREQUENCIES)
 
 
 def scene(rays: int, points: int, k: int) -> dict[str, Tensor]:
@@ -27,7 +27,7 @@ def scene(rays: int, points: int, k: int) -> dict[str, Tensor]:
 @pytest.mark.parametrize("shape", [(5, 123, 3), (1, 1, 1), (70, 40, 20), (0, 4, 2)])
 def test_backends_agree_in_values_and_gradients(shape: tuple[int, int, int]) -> None:
     inputs = scene(*shape)
-    upstream = torch.randn(shape[0] * shape[2], 2 * VECTOR)
+    upstream = torch.randn(shape[0] * shape[2], sum(SIZES))
     results: list[list[Tensor]] = []
     for module in (reference, cpu):
         positions = inputs["positions"].clone().requires_grad_()
@@ -54,12 +54,15 @@ def test_rows_are_the_formulas() -> None:
     h = torch.dot(p - o, d) * d
     t = (p - o) - h
     row = waves[ray * 2 + slot]
-    for block, vector in enumerate((h, t)):
+    start = 0
+    for vector, octaves in zip((h, t), FREQUENCIES, strict=True):
         for axis in range(3):
-            start = block * VECTOR + axis * 13
             x = 2.0 * float(vector[axis])
-            waves = [f(2**o * x) for o in range(6) for f in (math.sin, math.cos)]
-            assert row[start : start + 13].tolist() == pytest.approx([x, *waves], abs=1e-3)
+            expected = [x, *(f(2**o * x) for o in range(octaves) for f in (math.sin, math.cos))]
+            found = row[start : start + len(expected)]
+            assert found.tolist() == pytest.approx(expected, abs=1e-3)
+            start += len(expected)
+    assert start == len(row)
     assert float(squared[ray, slot]) == pytest.approx(float(t.square().sum()), rel=1e-4)
 
 
@@ -71,7 +74,7 @@ def test_numeric_gradients_of_the_reference() -> None:
 
     def trainable(positions: Tensor) -> Tensor:
         moved = inputs | {"positions": positions}
-        return reference.encode_pairs(**moved, scale=1.0, frequencies=2)[0]
+        return reference.encode_pairs(**moved, scale=1.0, frequencies=(0, 2))[0]
 
     assert torch.autograd.gradcheck(trainable, [inputs["positions"].requires_grad_()])
 

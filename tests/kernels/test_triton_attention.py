@@ -57,10 +57,10 @@ assert float(out.background.min()) == 1 and float(out.features.abs().max()) == 0
 assert all(float(one.abs().max()) == 0 for one in gradients)
 
 # Networks of all depths: an odd and an even number of layers before the last one.
-from test_attention import BLOCK, network
+from test_attention import OWN, WAVES, network
 for layers in (2, 3, 4, 5):
-    inputs["key"] = network(3 * BLOCK, layers, 20, 7)
-    inputs["value"] = network(2 * BLOCK + 5, layers, 20, 4, skip=layers - 1)
+    inputs["key"] = network(OWN + WAVES, layers, 20, 7)
+    inputs["value"] = network(WAVES + 5, layers, 20, 4, skip=layers - 1)
     compare(attend(inputs, RULES), attend(double(inputs), RULES))
 
 # With a threshold the value network sees the pairs that are kept and no others.
@@ -104,16 +104,21 @@ from pcore.kernels import triton_attention, triton_pairs
 from pcore.kernels.networks import EPSILON
 from pcore.kernels.triton_networks import launch_options, shape_of
 from pcore.model.attention import ProximityAttention
+from pcore.model.encoding import encoded_size
 from pcore.training.presets import preset
 
 capability, name, kind = int(sys.argv[1]), sys.argv[2], sys.argv[3]
 config = preset(name).model
 attention = ProximityAttention(config)
 dtype = getattr(torch, {"fp32": "float32", "bf16": "bfloat16"}[kind])
-half = 3 * (1 + 2 * config.frequencies)
-shape_of_keys = shape_of(attention.key.mlp.stack(), half, 2 * half, dtype)
+own, along, across = (
+    encoded_size(3, octaves)
+    for octaves in (config.octaves.point, config.octaves.along, config.octaves.across)
+)
+waves = along + across
+shape_of_keys = shape_of(attention.key.mlp.stack(), own, waves, dtype)
 hidden = triton_attention.all_but_last(attention.value.stack())
-shape_of_values = shape_of(hidden, 2 * half, config.feature_size, dtype, config.neighbours)
+shape_of_values = shape_of(hidden, waves, config.feature_size, dtype, config.neighbours)
 kernels = [
     (triton_pairs.pair_scores, {
         "own": "*fp32", "waves": "*fp32", "points": "*i64", "answering": "*u1",

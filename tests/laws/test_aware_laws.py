@@ -19,7 +19,7 @@ from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels.reference import encode
-from pcore.model.config import MlpConfig, PaprConfig, ReferenceOrigin
+from pcore.model.config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
 from pcore.model.papr import Papr, Rendering
 from pcore.model.render import render
 
@@ -27,7 +27,7 @@ CONFIG = PaprConfig(
     neighbours=5,
     # Low octaves only: phases of float32 positions are exact enough to see 1e-4.
     coord_scale=2.0,
-    frequencies=4,
+    octaves=Octaves.all(4),
     feature_size=8,
     key=MlpConfig(layers=3, width=24, size=24),
     query=MlpConfig(layers=3, width=24, size=24),
@@ -155,7 +155,7 @@ def test_the_query_sees_the_mean_direction_of_the_neighbours() -> None:
     papr.attention.query.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
     with torch.no_grad():
         papr.attend(cloud.moved(places, LocalFrames(rest=places, to_rest=turns)), rays.flat())
-    expected = encode(rays.flat().directions, CONFIG.frequencies)
+    expected = encode(rays.flat().directions, CONFIG.octaves.direction)
     torch.testing.assert_close(seen[0], expected, rtol=0, atol=1e-6)
 
 

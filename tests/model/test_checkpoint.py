@@ -14,13 +14,13 @@ from pcore.errors import CheckpointError
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model import atomic
 from pcore.model.checkpoint import describe_model, load_model, save_model
-from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.papr import Papr
 from pcore.model.provenance import pcore_version, provenance_of
 
 CONFIG = PaprConfig(
     neighbours=4,
-    frequencies=2,
+    octaves=Octaves.all(2),
     feature_size=6,
     key=MlpConfig(layers=2, width=8, size=8),
     query=MlpConfig(layers=2, width=8, size=8),
@@ -140,20 +140,27 @@ def test_safetensors_of_somebody_else(tmp_path: Path) -> None:
 
 
 def test_a_newer_version(saved: tuple[Path, Papr, PointCloud]) -> None:
-    rewrite(saved[0], header={"version": "3"})
+    rewrite(saved[0], header={"version": "4"})
     message = error_of(saved[0])
-    assert "version '3'" in message
-    assert "reads versions 1 and 2" in message
+    assert "version '4'" in message
+    assert "reads versions 1, 2 and 3" in message
 
 
-def test_version_1_had_rays_from_the_camera(saved: tuple[Path, Papr, PointCloud]) -> None:
+def test_versions_1_and_2_had_fewer_settings(saved: tuple[Path, Papr, PointCloud]) -> None:
     with safe_open(saved[0], framework="pt") as file:
         config = json.loads(file.metadata()["config"])
     del config["reference"]
+    del config["octaves"]
+    config["frequencies"] = 2
     rewrite(saved[0], header={"version": "1", "config": json.dumps(config)})
-    assert load_model(saved[0]).config.reference is None
+    assert load_model(saved[0]).config == CONFIG
     rewrite(saved[0], header={"version": "2"})
     assert "config: missing key 'reference'" in error_of(saved[0])
+    config["reference"] = None
+    rewrite(saved[0], header={"config": json.dumps(config)})
+    assert load_model(saved[0]).config == CONFIG, "version 2 had one number of octaves"
+    rewrite(saved[0], header={"version": "3"})
+    assert "config: missing key 'octaves'" in error_of(saved[0])
 
 
 def test_a_changed_configuration(saved: tuple[Path, Papr, PointCloud]) -> None:

@@ -13,7 +13,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model import passes
 from pcore.model import render as render_module
-from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.papr import Papr
 from pcore.model.passes import RenderCancelledError
 from pcore.model.render import (
@@ -30,7 +30,7 @@ def config(**changes: object) -> PaprConfig:
     values: dict[str, object] = {
         "neighbours": 4,
         "feature_size": 6,
-        "frequencies": 3,
+        "octaves": Octaves(point=3, along=1, across=2, direction=0),
         "key": MlpConfig(layers=2, width=16, size=16),
         "query": MlpConfig(layers=2, width=16, size=16),
         "value": MlpConfig(layers=2, width=16, size=8),

@@ -8,6 +8,7 @@ from typing import get_args
 import pytest
 
 from pcore.errors import InputError
+from pcore.model.config import Octaves
 from pcore.model.records import from_dict, to_dict
 from pcore.training.config import FinetuneConfig, PresetName, PretrainConfig
 from pcore.training.presets import demo_finetune, demo_pretrain, finetune_preset, preset
@@ -29,7 +30,7 @@ def test_an_unknown_name(make: object) -> None:
 
 def test_paper_is_the_model_of_the_original() -> None:
     model = preset("paper").model
-    assert (model.neighbours, model.coord_scale, model.frequencies) == (20, 10.0, 6)
+    assert (model.neighbours, model.coord_scale, model.octaves) == (20, 10.0, Octaves.all(6))
     assert (model.feature_size, model.background_score, model.cutoff) == (64, 5.0, None)
     shapes = [(net.layers, net.width, net.size) for net in (model.key, model.query, model.value)]
     assert shapes == [(5, 256, 256), (5, 256, 256), (8, 256, 32)]
@@ -107,10 +108,9 @@ def test_tiny_fits_two_cores() -> None:
 
 
 def test_the_demo_is_tiny_and_shorter() -> None:
-    # The demo's few steps do better without what keeps `tiny` from learning views by heart.
-    assert demo_pretrain().model == replace(preset("tiny").model, frequencies=6)
-    assert not demo_pretrain().patch.turned
-    assert not demo_finetune().patch.turned
+    assert demo_pretrain().model == preset("tiny").model
+    assert demo_pretrain().patch == preset("tiny").patch
+    assert demo_finetune().patch == finetune_preset("tiny").patch
     assert demo_pretrain().steps < preset("tiny").steps
     assert demo_finetune().steps < finetune_preset("tiny").steps
 

@@ -15,7 +15,7 @@ from pcore.data.load import load_scene
 from pcore.data.points import save_points
 from pcore.data.scene import Scene, hold_out
 from pcore.errors import InputError, SceneError, TrainingError
-from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.training import pretrain as module
 from pcore.training.config import GrowConfig, PatchConfig, PretrainConfig, PruneConfig, Rates
 from pcore.training.events import PopulationReport, StepReport, ValidationReport
@@ -29,7 +29,7 @@ FROZEN = replace(pretrain_config(), steps=1)
 """One step, after which points stand almost where they started."""
 LEARNER = PaprConfig(
     neighbours=6,
-    frequencies=3,
+    octaves=Octaves.all(3),
     feature_size=8,
     key=MlpConfig(layers=2, width=16, size=16),
     query=MlpConfig(layers=2, width=16, size=16),

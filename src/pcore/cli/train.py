@@ -47,8 +47,8 @@ class TrainCommand:
     """Points at the start; default: those of the preset."""
 
     origin: Annotated[Literal["camera", "reference"] | None, optional("{camera,reference}")] = None
-    """Where rays begin for the networks: camera (the original) or reference (the mean camera
-    distance, whatever camera renders); default: that of the preset."""
+    """Where rays begin for the networks: camera (the original) or reference (close
+    before the object, whatever camera renders); default: that of the preset."""
 
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of every random draw."""

@@ -117,25 +117,19 @@ class Scene:
         """(3,) the point closest to the viewing axes (least squares), world units."""
         return _closest_to_axes(self._cameras, self.root)
 
-    @cached_property
-    def camera_distance(self) -> float:
-        """Mean distance of the camera centres to `center`, world units."""
-        centers = torch.stack([camera.center for camera in self._cameras])
-        return float((centers - self.center).norm(dim=1).mean())
-
     @property
     def lower(self) -> Tensor:
         """(3,) lower corner of the object's region, world units."""
-        return self.center - self._half_size
+        return self.center - self.radius
 
     @property
     def upper(self) -> Tensor:
         """(3,) upper corner of the object's region, world units."""
-        return self.center + self._half_size
+        return self.center + self.radius
 
     @cached_property
-    def _half_size(self) -> float:
-        """Radius of the largest sphere about `center` that every view sees whole.
+    def radius(self) -> float:
+        """Radius of the largest sphere about `center` that every view sees whole, world units.
 
         The region is the cube around that sphere: its inner part is in every field of view, and
         an object that fills the images without being cut off fits in.

@@ -102,7 +102,7 @@ def encode_pairs(
     neighbours: Tensor,
     *,
     scale: float,
-    frequencies: int,
+    frequencies: tuple[int, int],
 ) -> tuple[Tensor, Tensor]:
     """Encode what every ray-point pair is like; see `functional.encode_pairs`."""
     waves, squared = _EncodePairs.apply(
@@ -120,11 +120,11 @@ class _EncodePairs(torch.autograd.Function):
         directions: Tensor,
         neighbours: Tensor,
         scale: float,
-        frequencies: int,
+        frequencies: tuple[int, int],
     ) -> tuple[Tensor, Tensor]:
         use_torch_threads()
         rays, k = neighbours.shape
-        waves = torch.empty(rays * k, 6 * (1 + 2 * frequencies))
+        waves = torch.empty(rays * k, 6 * (1 + sum(frequencies)))
         squared = torch.empty(rays, k)
         directions = per_pair(directions).contiguous()
         neighbours = neighbours.contiguous()
@@ -134,7 +134,7 @@ class _EncodePairs(torch.autograd.Function):
             directions.numpy(),
             neighbours.numpy(),
             np.float32(scale),
-            frequencies,
+            *frequencies,
             waves.numpy(),
             squared.numpy(),
         )
@@ -154,7 +154,7 @@ class _EncodePairs(torch.autograd.Function):
             directions.numpy(),
             neighbours.shape[1],
             np.float32(ctx.scale),
-            ctx.frequencies,
+            *ctx.frequencies,
             to_position.numpy(),
         )
         positions = torch.zeros(ctx.points, 3).index_add_(0, neighbours.flatten(), to_position)
@@ -188,12 +188,13 @@ def _encode_forward(
     directions: np.ndarray,
     neighbours: np.ndarray,
     scale: np.float32,
-    frequencies: int,
+    octaves_along: int,
+    octaves_across: int,
     waves: np.ndarray,
     squared: np.ndarray,
 ) -> None:
     rays, k = neighbours.shape
-    block = 1 + 2 * frequencies
+    of_h, of_t = 1 + 2 * octaves_along, 1 + 2 * octaves_across
     shared = directions.shape[1] == 1
     for ray in prange(rays):
         for slot in range(k):
@@ -211,8 +212,8 @@ def _encode_forward(
                 h = along * direction[axis]
                 t = positions[point, axis] - origin[axis] - h
                 total += t * t
-                _encode_scalar(scale * h, frequencies, row, axis * block)
-                _encode_scalar(scale * t, frequencies, row, (3 + axis) * block)
+                _encode_scalar(scale * h, octaves_along, row, axis * of_h)
+                _encode_scalar(scale * t, octaves_across, row, 3 * of_h + axis * of_t)
             squared[ray, slot] = total
 
 
@@ -235,10 +236,11 @@ def _encode_backward(
     directions: np.ndarray,
     k: int,
     scale: np.float32,
-    frequencies: int,
+    octaves_along: int,
+    octaves_across: int,
     to_position: np.ndarray,
 ) -> None:
-    block = 1 + 2 * frequencies
+    of_h, of_t = 1 + 2 * octaves_along, 1 + 2 * octaves_across
     shared = directions.shape[1] == 1
     for pair in prange(waves.shape[0]):
         direction = directions[pair // k, 0 if shared else pair % k]
@@ -247,8 +249,8 @@ def _encode_backward(
         # dL/dp = dL/dt + d <d, dL/dh - dL/dt>.
         difference = np.float32(0.0)
         for axis in range(3):
-            to_h = _decode_gradient(gradient, row, axis * block, frequencies)
-            to_t = _decode_gradient(gradient, row, (3 + axis) * block, frequencies)
+            to_h = _decode_gradient(gradient, row, axis * of_h, octaves_along)
+            to_t = _decode_gradient(gradient, row, 3 * of_h + axis * of_t, octaves_across)
             to_position[pair, axis] = to_t
             difference += direction[axis] * (to_h - to_t)
         difference /= _guarded_length(direction)

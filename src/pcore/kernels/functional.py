@@ -59,7 +59,7 @@ def encode_pairs(
     neighbours: Tensor,
     *,
     scale: float,
-    frequencies: int,
+    frequencies: tuple[int, int],
 ) -> tuple[Tensor, Tensor]:
     """Encode where the points lie beside their rays.
 
@@ -72,11 +72,11 @@ def encode_pairs(
         directions: unit directions of the same shape; not differentiated.
         neighbours: (R, k) indices into the points.
         scale: factor on positions before they are encoded.
-        frequencies: octaves L of the encoding.
+        frequencies: octaves L of the encodings of h and of t.
 
     Returns:
-        The rows (R k, 6 (1 + 2 L)), differentiable in positions, and the squared distances |t|^2
-        (R, k), without gradient.
+        The rows (R k, 3 (1 + 2 L_h) + 3 (1 + 2 L_t)), differentiable in positions, and the squared
+        distances |t|^2 (R, k), without gradient.
     """
     work = cpu if takes_cpu(positions) else reference
     return work.encode_pairs(
@@ -95,7 +95,7 @@ class AttentionRules:
 
     Attributes:
         scale: factor on positions before they are encoded.
-        frequencies: octaves of the encoding.
+        frequencies: octaves of gamma(p), gamma(h) and gamma(t).
         background_score: constant score of the background.
         cutoff: points farther than this from a ray get no attention; None lets all answer.
         threshold: values of points with less than this weight are left out, and the weights of
@@ -103,7 +103,7 @@ class AttentionRules:
     """
 
     scale: float
-    frequencies: int
+    frequencies: tuple[int, int, int]
     background_score: float
     cutoff: float | None = None
     threshold: float = 0.0
@@ -170,11 +170,11 @@ def proximity_attention(
         directions,
         neighbours,
         scale=rules.scale,
-        frequencies=rules.frequencies,
+        frequencies=rules.frequencies[1:],
     )
     answering = squared <= (math.inf if rules.cutoff is None else rules.cutoff**2)
     work = _attention(of_attention(positions, key, value, neighbours.shape[1]))
-    own = reference.encode(rules.scale * positions.detach(), rules.frequencies)
+    own = reference.encode(rules.scale * positions.detach(), rules.frequencies[0])
     scores = work.attention_scores(waves, own, neighbours, answering, queries, key)
     scores = F.relu(scores + constants.unsqueeze(-1))
     scores = scores * influence.index_select(0, neighbours.flatten()).view(neighbours.shape)

@@ -41,7 +41,7 @@ def encode_pairs(
     neighbours: Tensor,
     *,
     scale: float,
-    frequencies: int,
+    frequencies: tuple[int, int],
 ) -> tuple[Tensor, Tensor]:
     """Encode what every ray-point pair is like; see `functional.encode_pairs`."""
     origins, directions = per_pair(origins), per_pair(directions)
@@ -49,7 +49,8 @@ def encode_pairs(
     guarded = directions / (directions.square().sum(dim=-1, keepdim=True) + LENGTH_GUARD)
     along = (from_origin * directions).sum(dim=-1, keepdim=True) * guarded
     off = from_origin - along
-    waves = torch.cat([encode(scale * x, frequencies) for x in (along, off)], dim=-1)
+    pairs = zip((along, off), frequencies, strict=True)
+    waves = torch.cat([encode(scale * x, octaves) for x, octaves in pairs], dim=-1)
     return waves.flatten(0, 1), off.detach().square().sum(dim=-1)
 
 
@@ -66,7 +67,7 @@ def encode(x: Tensor, frequencies: int) -> Tensor:
 
     Args:
         x: (..., C).
-        frequencies: number of octaves L.
+        frequencies: number of octaves L; 0 leaves the input alone.
 
     Returns:
         (..., C (1 + 2 L)).

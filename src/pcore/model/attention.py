@@ -91,10 +91,14 @@ class ProximityAttention(nn.Module):
     def __init__(self, config: PaprConfig) -> None:
         super().__init__()
         self.config = config
-        vector = encoded_size(3, config.frequencies)
-        self.key = NormalisedMlp(3 * vector, config.key, config.negative_slope)
-        self.query = NormalisedMlp(vector, config.query, config.negative_slope)
-        self.value = Mlp(2 * vector + config.feature_size, config.value, config.negative_slope)
+        octaves, slope = config.octaves, config.negative_slope
+        point, along, across, direction = (
+            encoded_size(3, number)
+            for number in (octaves.point, octaves.along, octaves.across, octaves.direction)
+        )
+        self.key = NormalisedMlp(point + along + across, config.key, slope)
+        self.query = NormalisedMlp(direction, config.query, slope)
+        self.value = Mlp(along + across + config.feature_size, config.value, slope)
         self.w_key = nn.Linear(config.key.size, config.key.size)
         self.w_query = nn.Linear(config.query.size, config.query.size)
 
@@ -120,7 +124,7 @@ class ProximityAttention(nn.Module):
             The attended features, opacity and surface points.
         """
         queries, constants = self._queries(_of_query(seen.directions))
-        inside = self.key.innorm
+        inside, octaves = self.key.innorm, self.config.octaves
         attention = proximity_attention(
             cloud.positions if cloud.frames is None else cloud.frames.rest,
             cloud.features,
@@ -134,7 +138,7 @@ class ProximityAttention(nn.Module):
             value=self.value.stack(),
             rules=AttentionRules(
                 scale=self.config.coord_scale,
-                frequencies=self.config.frequencies,
+                frequencies=(octaves.point, octaves.along, octaves.across),
                 background_score=self.config.background_score,
                 cutoff=self.config.cutoff,
                 threshold=threshold,
@@ -164,7 +168,7 @@ class ProximityAttention(nn.Module):
         are folded into the query, once per ray instead of once per pair.
         """
         outside = self.key.outnorm
-        query = self.query(encode(directions, self.config.frequencies))
+        query = self.query(encode(directions, self.config.octaves.direction))
         query = self.w_query(query) / math.sqrt(self.config.key.size)
         folded = query @ self.w_key.weight
         constants = query @ self.w_key.bias + folded @ outside.offset

@@ -23,8 +23,8 @@ from pcore.model.records import from_dict, to_dict
 
 MODEL_FILE = "model.safetensors"
 _FORMAT = "pcore-model"
-_VERSION = 2
-_READ = ("1", str(_VERSION))
+_VERSION = 3
+_READ = ("1", "2", str(_VERSION))
 _CLOUD = ("positions", "features", "influence")
 
 
@@ -198,11 +198,15 @@ def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
     if header.get("version") not in _READ:
         raise CheckpointError(
             f"{path} has version {header.get('version')!r} of the model format: this pcore "
-            f"({pcore_version()}) reads versions {' and '.join(_READ)}; use the pcore that wrote it"
+            f"({pcore_version()}) reads versions {', '.join(_READ[:-1])} and {_READ[-1]}; use the "
+            "pcore that wrote it"
         )
     settings = _json(path, header, "config")
     if header["version"] == "1":
         settings["reference"] = None  # Version 1 knew rays from the camera only.
+    if header["version"] in {"1", "2"} and "frequencies" in settings:
+        number = settings.pop("frequencies")  # One number for all, before version 3.
+        settings["octaves"] = dict.fromkeys(("point", "along", "across", "direction"), number)
     config = from_dict(PaprConfig, settings, where=f"{path}: config")
     provenance = from_dict(
         Provenance, _json(path, header, "provenance"), where=f"{path}: provenance"

@@ -34,6 +34,37 @@ class MlpConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Octaves:
+    """Octaves of the positional encodings of what a ray and a point are to each other.
+
+    The original has one number L for all of them. Waves shorter than what photos can tell apart
+    only help to learn them by heart (ADR 9).
+    """
+
+    point: int = 6
+    """Of the point's position; sets one point apart from another, never one view."""
+    along: int = 6
+    """Of the part h of its offset along the ray. That is the view's direction, times the depth from
+    the ray's origin: its waves tell views apart. 0 leaves the part alone."""
+    across: int = 6
+    """Of the part t across the ray; the shortest wave should not be shorter than two pixels."""
+    direction: int = 6
+    """Of the ray's direction."""
+
+    def __post_init__(self) -> None:
+        if min(self.point, self.along, self.across, self.direction) < 0:
+            raise InputError(
+                "PAPR: expected octaves of at least 0, got "
+                f"{self.point}, {self.along}, {self.across}, {self.direction}"
+            )
+
+    @classmethod
+    def all(cls, number: int) -> Octaves:
+        """Return the same number for all, as in the original."""
+        return cls(point=number, along=number, across=number, direction=number)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ReferenceOrigin:
     """Where every ray begins, whatever the camera: at a distance before the middle of the scene."""
 
@@ -59,8 +90,8 @@ class PaprConfig:
     """Points that a ray attends to (k)."""
     coord_scale: float = 10.0
     """Positions are multiplied by this before they are encoded."""
-    frequencies: int = 6
-    """Octaves of the positional encoding (L)."""
+    octaves: Octaves = field(default_factory=Octaves)
+    """Octaves of the positional encodings."""
     feature_size: int = 64
     """Length of a point's feature vector mu."""
     key: MlpConfig = field(default_factory=lambda: MlpConfig(layers=5))
@@ -85,10 +116,10 @@ class PaprConfig:
     distance does not matter. None (the original) lets rays begin at the camera."""
 
     def __post_init__(self) -> None:
-        if self.neighbours < 1 or self.frequencies < 1 or self.feature_size < 1:
+        if self.neighbours < 1 or self.feature_size < 1:
             raise InputError(
-                "PAPR: expected neighbours, frequencies and feature_size of at least 1, got "
-                f"{self.neighbours}, {self.frequencies}, {self.feature_size}"
+                "PAPR: expected neighbours and feature_size of at least 1, got "
+                f"{self.neighbours} and {self.feature_size}"
             )
         if self.key.size != self.query.size:
             raise InputError(

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pcore.errors import CheckpointError, InputError
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.encoding import encoded_size
 from pcore.model.official_config import OfficialSettings, read_settings
 from pcore.model.official_file import read_tensors
@@ -124,8 +124,13 @@ def to_official_state(papr: Papr, cloud: PointCloud) -> dict[str, Tensor]:
     files; the cut-off has no counterpart there.
 
     Raises:
-        InputError: the model uses a cut-off.
+        InputError: the model uses a cut-off, or encodes with several numbers of octaves.
     """
+    octaves = papr.config.octaves
+    if octaves != Octaves.all(octaves.point):
+        raise InputError(
+            f"official checkpoint: expected one number of octaves for all encodings, got {octaves}"
+        )
     if papr.config.cutoff is not None:
         raise InputError(
             "official checkpoint: expected a model without a cut-off, got cutoff = "
@@ -156,7 +161,7 @@ def _config(tensors: Mapping[str, Tensor], settings: OfficialSettings, where: st
         return PaprConfig(
             neighbours=_select_k(tensors, where),
             coord_scale=settings.coord_scale,
-            frequencies=frequencies,
+            octaves=Octaves.all(frequencies),
             feature_size=feature_size,
             key=_mlp(tensors, "k", 3 * vector, where),
             query=_mlp(tensors, "q", vector, where),

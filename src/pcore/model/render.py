@@ -159,9 +159,11 @@ def _rays_at_once(papr: Papr) -> int:
 
 def rays_within(config: PaprConfig, memory: int) -> int:
     """Rays whose attention fits `memory` bytes (an estimate on the safe side); at least 256."""
-    vector = encoded_size(3, config.frequencies)
+    octaves = config.octaves
+    point, offset = octaves.point, (octaves.along, octaves.across)
+    encoded = encoded_size(3, point) + 2 * sum(encoded_size(3, number) for number in offset)
     widest = max(config.key.width, config.value.width, config.key.size)
-    per_pair = 5 * vector + config.feature_size + 4 * widest
+    per_pair = encoded + config.feature_size + 4 * widest
     return max(256, memory // (4 * config.neighbours * per_pair))
 
 

@@ -99,8 +99,9 @@ class PretrainConfig:
     model: PaprConfig = field(default_factory=PaprConfig)
     """Architecture."""
     origin: Origin = "camera"
-    """Where rays begin for the networks: "camera" (the original), or "reference": at the mean
-    distance of the training cameras before the middle of the scene, whatever camera renders."""
+    """Where rays begin for the networks: "camera" (the original), or "reference": at the
+    radius of the object's region before its middle, whatever camera renders. So near, the part of a
+    point's offset along the ray changes with depth as much as with the view's direction."""
     steps: int = 250_000
     """Optimiser steps."""
     patch: PatchConfig = field(default_factory=PatchConfig)

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
-from pcore.model.config import MlpConfig, PaprConfig
+from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.skinning import SkinningConfig
 from pcore.training.config import (
     FinetuneConfig,
@@ -37,10 +37,10 @@ _SMALL_RATES = Rates(
 )
 
 
-def _small_model(*, neighbours: int, frequencies: int, width: int, unet: int) -> PaprConfig:
+def _small_model(*, neighbours: int, across: int, width: int, unet: int) -> PaprConfig:
     return PaprConfig(
         neighbours=neighbours,
-        frequencies=frequencies,
+        octaves=Octaves(along=0, across=across, direction=1),
         feature_size=width // 2,
         key=MlpConfig(layers=3, width=width, size=width),
         query=MlpConfig(layers=3, width=width, size=width),
@@ -74,11 +74,10 @@ PAPER_LEGO = replace(
 """The original's configuration for its scene `lego`."""
 
 FAST = PretrainConfig(
-    model=_small_model(neighbours=12, frequencies=6, width=128, unet=48),
+    model=_small_model(neighbours=12, across=6, width=128, unet=48),
     origin="reference",
     rates=_SMALL_RATES,
     steps=20_000,
-    patch=PatchConfig(turned=True),
     points=20_000,
     influence_start=1.0,
     feature_spread=0.5,
@@ -91,11 +90,11 @@ FAST = PretrainConfig(
 """For one GPU; asks for no weights."""
 
 TINY = PretrainConfig(
-    model=_small_model(neighbours=8, frequencies=4, width=64, unet=24),
+    model=_small_model(neighbours=8, across=4, width=64, unet=24),
     origin="reference",
     rates=_SMALL_RATES,
     steps=4500,
-    patch=PatchConfig(side=100, turned=True),
+    patch=PatchConfig(side=100),
     points=6000,
     influence_start=1.0,
     feature_spread=0.5,
@@ -127,16 +126,10 @@ def preset(name: PretrainName) -> PretrainConfig:
 
 
 def demo_pretrain() -> PretrainConfig:
-    """Return `tiny`, shortened for the embedded sample.
-
-    So few steps are spent better on upright patches, and its photos are not learned by heart
-    (ADR 9).
-    """
+    """Return `tiny`, shortened for the embedded sample."""
     return replace(
         TINY,
-        model=replace(TINY.model, frequencies=6),
         steps=1500,
-        patch=PatchConfig(side=100),
         points=4000,
         front_weight=0.3,
         validate_every=375,
@@ -155,7 +148,7 @@ def _scaled(rates: Rates, factor: float) -> Rates:
 _SMALL_FINETUNE = FinetuneConfig(
     steps=1200,
     rates=_scaled(_SMALL_RATES, 0.5),
-    patch=PatchConfig(side=100, turned=True),
+    patch=PatchConfig(side=100),
     alternate=True,
     geometry_weight=0.1,
     texture_target="photo",
@@ -168,9 +161,7 @@ _SMALL_FINETUNE = FinetuneConfig(
 )
 _FINETUNE: dict[PresetName, FinetuneConfig] = {
     "tiny": _SMALL_FINETUNE,
-    "fast": replace(
-        _SMALL_FINETUNE, steps=1000, patch=PatchConfig(turned=True), mixed_precision=True
-    ),
+    "fast": replace(_SMALL_FINETUNE, steps=1000, patch=PatchConfig(), mixed_precision=True),
     "paper": FinetuneConfig(
         rates=_scaled(_PAPER_RATES, 1.0),
         largest_loss=0.5,
@@ -219,4 +210,4 @@ def skinning_preset(name: SkinningName) -> SkinningTrainConfig:
 
 def demo_finetune() -> FinetuneConfig:
     """Return the fine-tuning of `tiny`, shortened for the embedded sample."""
-    return replace(_FINETUNE["tiny"], steps=600, patch=PatchConfig(side=100), front_weight=0.3)
+    return replace(_FINETUNE["tiny"], steps=600, front_weight=0.3)

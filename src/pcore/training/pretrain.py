@@ -133,7 +133,7 @@ def _model_config(config: PretrainConfig, scene: Scene) -> PaprConfig:
     reference = None
     if config.origin == "reference":
         x, y, z = scene.center.tolist()
-        reference = ReferenceOrigin(center=(x, y, z), distance=scene.camera_distance)
+        reference = ReferenceOrigin(center=(x, y, z), distance=scene.radius)
     return dataclasses.replace(config.model, background=color, reference=reference)
 
 
