@@ -15,7 +15,7 @@ from torch.nn import functional as F
 
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.kernels.reference import LENGTH_GUARD, encode
+from pcore.kernels.reference import LENGTH_GUARD, encode, scaling
 from pcore.model.papr import Papr
 
 PAIRS = 2**18
@@ -73,7 +73,7 @@ def attend(papr: Papr, cloud: PointCloud, rays: RayBundle, pairs: int) -> tuple[
     along = (to_point * d).sum(dim=-1, keepdim=True) * guarded
     octaves = config.octaves
     gamma_p, gamma_h, gamma_t = (
-        encode(config.coord_scale * x, number)
+        encode(scaling(config.coord_scale, number) * x, number)
         for x, number in (
             (points.detach(), octaves.point),
             (along, octaves.along),

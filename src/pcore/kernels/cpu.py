@@ -12,7 +12,7 @@ from numba import prange
 from torch import Tensor
 
 from pcore.kernels.numba_bridge import as_float32, use_torch_threads
-from pcore.kernels.reference import LENGTH_GUARD, SHORTEST, per_pair
+from pcore.kernels.reference import LENGTH_GUARD, SHORTEST, per_pair, scaling
 from pcore.kernels.sorted_keys import PLACE, key_of, sift
 
 
@@ -133,7 +133,7 @@ class _EncodePairs(torch.autograd.Function):
             as_float32(per_pair(origins)),
             directions.numpy(),
             neighbours.numpy(),
-            np.float32(scale),
+            *_scales(scale, frequencies),
             *frequencies,
             waves.numpy(),
             squared.numpy(),
@@ -153,12 +153,17 @@ class _EncodePairs(torch.autograd.Function):
             waves.numpy(),
             directions.numpy(),
             neighbours.shape[1],
-            np.float32(ctx.scale),
+            *_scales(ctx.scale, ctx.frequencies),
             *ctx.frequencies,
             to_position.numpy(),
         )
         positions = torch.zeros(ctx.points, 3).index_add_(0, neighbours.flatten(), to_position)
         return positions, None, None, None, None, None
+
+
+def _scales(scale: float, frequencies: tuple[int, int]) -> tuple[np.float32, np.float32]:
+    along, across = (np.float32(scaling(scale, number)) for number in frequencies)
+    return along, across
 
 
 @numba.njit(cache=True)
@@ -187,7 +192,8 @@ def _encode_forward(
     origins: np.ndarray,
     directions: np.ndarray,
     neighbours: np.ndarray,
-    scale: np.float32,
+    scale_along: np.float32,
+    scale_across: np.float32,
     octaves_along: int,
     octaves_across: int,
     waves: np.ndarray,
@@ -212,8 +218,8 @@ def _encode_forward(
                 h = along * direction[axis]
                 t = positions[point, axis] - origin[axis] - h
                 total += t * t
-                _encode_scalar(scale * h, octaves_along, row, axis * of_h)
-                _encode_scalar(scale * t, octaves_across, row, 3 * of_h + axis * of_t)
+                _encode_scalar(scale_along * h, octaves_along, row, axis * of_h)
+                _encode_scalar(scale_across * t, octaves_across, row, 3 * of_h + axis * of_t)
             squared[ray, slot] = total
 
 
@@ -235,7 +241,8 @@ def _encode_backward(
     waves: np.ndarray,
     directions: np.ndarray,
     k: int,
-    scale: np.float32,
+    scale_along: np.float32,
+    scale_across: np.float32,
     octaves_along: int,
     octaves_across: int,
     to_position: np.ndarray,
@@ -249,11 +256,11 @@ def _encode_backward(
         # dL/dp = dL/dt + d <d, dL/dh - dL/dt>.
         difference = np.float32(0.0)
         for axis in range(3):
-            to_h = _decode_gradient(gradient, row, axis * of_h, octaves_along)
-            to_t = _decode_gradient(gradient, row, 3 * of_h + axis * of_t, octaves_across)
+            to_h = scale_along * _decode_gradient(gradient, row, axis * of_h, octaves_along)
+            at_t = 3 * of_h + axis * of_t
+            to_t = scale_across * _decode_gradient(gradient, row, at_t, octaves_across)
             to_position[pair, axis] = to_t
             difference += direction[axis] * (to_h - to_t)
         difference /= _guarded_length(direction)
         for axis in range(3):
-            along = direction[axis] * difference
-            to_position[pair, axis] = scale * (to_position[pair, axis] + along)
+            to_position[pair, axis] += direction[axis] * difference

@@ -64,7 +64,7 @@ def encode_pairs(
     """Encode where the points lie beside their rays.
 
     With h the part of (point - origin) along the ray and t the rest (paper, Preliminaries), a row
-    is [gamma(scale h), gamma(scale t)].
+    is [gamma(scale h), gamma(scale t)]; a part of 0 octaves stays as it is, in world units.
 
     Args:
         positions: (N, 3).
@@ -174,7 +174,8 @@ def proximity_attention(
     )
     answering = squared <= (math.inf if rules.cutoff is None else rules.cutoff**2)
     work = _attention(of_attention(positions, key, value, neighbours.shape[1]))
-    own = reference.encode(rules.scale * positions.detach(), rules.frequencies[0])
+    scale = reference.scaling(rules.scale, rules.frequencies[0])
+    own = reference.encode(scale * positions.detach(), rules.frequencies[0])
     scores = work.attention_scores(waves, own, neighbours, answering, queries, key)
     scores = F.relu(scores + constants.unsqueeze(-1))
     scores = scores * influence.index_select(0, neighbours.flatten()).view(neighbours.shape)

@@ -50,13 +50,18 @@ def encode_pairs(
     along = (from_origin * directions).sum(dim=-1, keepdim=True) * guarded
     off = from_origin - along
     pairs = zip((along, off), frequencies, strict=True)
-    waves = torch.cat([encode(scale * x, octaves) for x, octaves in pairs], dim=-1)
+    waves = torch.cat([encode(scaling(scale, n) * x, n) for x, n in pairs], dim=-1)
     return waves.flatten(0, 1), off.detach().square().sum(dim=-1)
 
 
 def per_pair(vectors: Tensor) -> Tensor:
     """Vectors (R, 1, 3) or (R, k, 3) of rays given once per row, (R, 3), or once per pair."""
     return vectors.unsqueeze(1) if vectors.ndim == 2 else vectors
+
+
+def scaling(scale: float, frequencies: int) -> float:
+    """Factor on what is encoded: 1 without waves, whose lengths are all that it is for."""
+    return scale if frequencies > 0 else 1.0
 
 
 def encode(x: Tensor, frequencies: int) -> Tensor:

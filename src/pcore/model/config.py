@@ -38,14 +38,14 @@ class Octaves:
     """Octaves of the positional encodings of what a ray and a point are to each other.
 
     The original has one number L for all of them. Waves shorter than what photos can tell apart
-    only help to learn them by heart (ADR 9).
+    only help to learn them by heart (ADR 9). With 0 octaves a part stays as it is, in world units.
     """
 
     point: int = 6
     """Of the point's position; sets one point apart from another, never one view."""
     along: int = 6
     """Of the part h of its offset along the ray. That is the view's direction, times the depth from
-    the ray's origin: its waves tell views apart. 0 leaves the part alone."""
+    the ray's origin: its waves tell views apart."""
     across: int = 6
     """Of the part t across the ray; the shortest wave should not be shorter than two pixels."""
     direction: int = 6
