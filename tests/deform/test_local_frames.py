@@ -88,6 +88,21 @@ def test_a_part_that_leaves_keeps_its_own_frame() -> None:
     assert float(wrong[~seam].quantile(0.95)) < 0.05
 
 
+def test_parts_torn_apart_are_drawn_out_nowhere() -> None:
+    """Two halves of a sphere leave one another: no frame at the seam spans the gap between them."""
+    rest = sphere(4000)
+    gone = rigid("z", math.radians(50), (0.0, 0.0, 0.0), (0.3, 0.0, 0.2))
+    part = rest[:, 0] > 0
+    frames = estimated_frames(rest, torch.where(part[:, None], gone(rest), rest))
+    still = torch.eye(3, dtype=torch.float64)
+    wrong = torch.where(
+        part, errors(frames, gone), torch.linalg.matrix_norm(frames.to_rest.double() - still)
+    )[rest[:, 0].abs() < 0.05]
+    assert len(wrong) > 50
+    assert float(wrong.mean()) < 0.05
+    assert float(frames.stretch.max()) < 2.5
+
+
 @pytest.mark.parametrize("rest", [sphere(2000), torch.rand(500, 3)], ids=["surface", "solid"])
 def test_a_mirrored_object_is_refused(rest: Tensor) -> None:
     with pytest.raises(EditError, match="the move mirrors the object"):

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from scipy.spatial import KDTree
 from torch import Tensor
+from torch.nn import functional as F
 
 from pcore.deform.base import SINGULAR, Deformation, uprightness
 from pcore.deform.checks import check_invertible
@@ -19,6 +20,12 @@ from pcore.geometry.rotation import nearest_rotation
 _NEIGHBOURS = 16
 _RIDGE = 0.03
 _TOLERANCES = (0.4, 0.3, 0.3, 0.2, 0.2, 0.2)
+_COMMON = 0.4
+"""Which of the changes of length within a neighbourhood, in order, is taken for its scale. Of two
+parts torn apart, however large each, almost half of the pairs lie within one of them."""
+_LONGEST = 2.5
+"""No linear map lengthens anything by more than this times that scale: it is 2.5 for points that
+fill space and 1.7 on a sheet. A fit that does so followed neighbours that were torn away."""
 _FEWEST = 4
 _FLATTEST = 0.05
 """A cloud that extends so much less in one direction than in another is a sheet."""
@@ -74,7 +81,8 @@ def estimated_frames(rest: Tensor, moved: Tensor) -> LocalFrames:
     Around every point the linear map that takes its neighbours' offsets to where they are now, by
     least squares, pulled towards a similarity (neighbours lie on a surface and say little across
     it). Neighbours that went elsewhere, on another part that only touched, lose their say by
-    iterative reweighting. The pull also keeps the frame of a flattened neighbourhood
+    iterative reweighting, and what is left of their pull is cut off: a point between parts that come
+    apart would be drawn as a spike. The pull also keeps the frame of a flattened neighbourhood
     from being singular. Where the fit turns space inside out it is replaced by the similarity, and
     listed in `mended`. A part that is mirrored, or folded over,
     looks like one that was turned: only a mirror of the whole is found out.
@@ -118,12 +126,11 @@ def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
     length = offset.norm(dim=-1)
     # A neighbour in the same place says nothing.
     near = torch.where(length > tiny, 1.0 / length.clamp_min(tiny), tiny)
-    # The middle neighbour's change of length is a scale that torn-off neighbours cannot sway.
-    ratio = torch.where(length > tiny, image.norm(dim=-1) / length.clamp_min(tiny), torch.nan)
-    scale = ratio.nanmedian(dim=-1).values.nan_to_num(nan=1.0)
+    scale = _scale(offset, image, tiny)
     scale = scale.clamp_min(_COLLAPSED * size_of(after) / size_of(before))
-    length = length.clamp_min(tiny)
-    trust, unit = torch.ones_like(near), torch.eye(3, dtype=before.dtype)
+    length, unit = length.clamp_min(tiny), torch.eye(3, dtype=before.dtype)
+    # A neighbour that is much farther away than the scale says begins with little say.
+    trust = (1 + (image.norm(dim=-1) / (scale[:, None] * length) - 1).square()).pow(-2)
     linear = similar = torch.empty(0)
     for tolerance in _TOLERANCES:
         weight = near * trust
@@ -137,7 +144,27 @@ def _fit(before: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
         linear = torch.linalg.solve(spread + ridge * unit, cross + ridge * similar, left=False)
         miss = (image - offset @ linear.mT).norm(dim=-1) / (scale[:, None] * length)
         trust = (1 + (miss / tolerance).square()).pow(-2)
-    return linear, similar
+    return _shortened(linear, _LONGEST * scale), similar
+
+
+def _scale(offset: Tensor, image: Tensor, tiny: float) -> Tensor:
+    """By what factor (N,) lengths within neighbourhoods (N, k, 3) change; torn ones do not sway it.
+
+    Lengths between all pairs of a point's neighbours, and to itself.
+    """
+    before, after = (F.pad(points, (0, 0, 0, 1)) for points in (offset, image))
+    ratios: list[Tensor] = []
+    for shift in range(1, before.shape[1] // 2 + 1):
+        length = (before - before.roll(shift, dims=1)).norm(dim=-1)
+        moved = (after - after.roll(shift, dims=1)).norm(dim=-1)
+        ratios.append(torch.where(length > tiny, moved / length.clamp_min(tiny), torch.nan))
+    return torch.cat(ratios, dim=1).nanquantile(_COMMON, dim=1).nan_to_num(nan=1.0)
+
+
+def _shortened(linear: Tensor, most: Tensor) -> Tensor:
+    """The nearest maps (N, 3, 3) that lengthen nothing by more than (N,) factors."""
+    left, sizes, right = torch.linalg.svd(linear)
+    return left * torch.minimum(sizes, most[:, None])[:, None, :] @ right
 
 
 def _check(rest: Tensor, moved: Tensor) -> None:
