@@ -81,11 +81,11 @@ def estimated_frames(rest: Tensor, moved: Tensor) -> LocalFrames:
     Around every point the linear map that takes its neighbours' offsets to where they are now, by
     least squares, pulled towards a similarity (neighbours lie on a surface and say little across
     it). Neighbours that went elsewhere, on another part that only touched, lose their say by
-    iterative reweighting, and what is left of their pull is cut off: a point between parts that come
-    apart would be drawn as a spike. The pull also keeps the frame of a flattened neighbourhood
+    iterative reweighting, and what is left of their pull is cut off: a point between parts that
+    come apart would be drawn as a spike. The pull also keeps the frame of a flattened neighbourhood
     from being singular. Where the fit turns space inside out it is replaced by the similarity, and
-    listed in `mended`. A part that is mirrored, or folded over,
-    looks like one that was turned: only a mirror of the whole is found out.
+    listed in `mended`. A part that is mirrored, or folded over, looks like one that was turned:
+    only a mirror of the whole is found out.
 
     Args:
         rest: (N, 3) canonical points, world units.
