@@ -140,35 +140,3 @@ def test_a_gpu_gets_patches_from_pinned_memory_without_waiting(
         patched.setattr(Tensor, "to", to)
         draw_patch(candidates, PatchConfig(side=8), "white", generator, torch.device("cuda"))
     assert waited == [False] * 5
-
-
-def test_turned_patches_are_crops_in_all_eight_ways_with_their_own_rays() -> None:
-    candidates = views()
-    config = PatchConfig(side=8, turned=True)
-    corners: set[tuple[int, ...]] = set()
-    for seed in range(100):
-        patch = draw_patch(candidates, config, "black", torch.Generator().manual_seed(seed), CPU)
-        view = view_of(patch, candidates)
-        pixels = pixels_of(patch, view)
-        rows, columns = pixels.unbind(dim=-1)
-        assert torch.equal(patch.rgb, view.rgb(torch.zeros(3))[rows, columns])
-        assert patch.alpha is not None
-        assert torch.equal(patch.alpha, view.alpha()[rows, columns])
-        # A crop is 8 x 8 neighbouring pixels; a step along its rows and one along its columns.
-        assert int(rows.max() - rows.min()) == int(columns.max() - columns.min()) == 7
-        steps = torch.cat([pixels[1, 0] - pixels[0, 0], pixels[0, 1] - pixels[0, 0]])
-        corners.add(tuple(steps.tolist()))
-    assert len(corners) == 8
-
-
-def view_of(patch: Patch, candidates: list[FakeView]) -> FakeView:
-    """The view whose camera the rays of a patch come from."""
-    (found,) = [v for v in candidates if torch.equal(v.camera.center, patch.rays.origins[0, 0])]
-    return found
-
-
-def pixels_of(patch: Patch, view: FakeView) -> Tensor:
-    """Row and column (H, W, 2) in the view of every ray of a patch."""
-    known = view.camera.rays().directions
-    same = (patch.rays.directions[:, :, None, None] == known).all(dim=-1)
-    return torch.nonzero(same)[:, 2:].reshape(*patch.rays.shape, 2)

@@ -49,9 +49,6 @@ class PatchConfig:
     """Side of a square patch in pixels; images smaller than it are taken whole."""
     views: int = 1
     """Patches per step, each of a random training view."""
-    turned: bool = False
-    """Turn and mirror every patch at random, rays and photo alike (eight ways): the renderer
-    network then learns no direction of the picture by heart."""
 
     def __post_init__(self) -> None:
         if self.side < 4 or self.views < 1:

@@ -15,7 +15,6 @@ from pcore.training.config import Background, PatchConfig
 
 _TRIES = 20
 _LEAST_COVERAGE = 0.02
-_WAYS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,25 +60,14 @@ def draw_patch(
     crop = rgba[top : top + height, left : left + width]
     color = background_color(background, generator)
     rays = camera.rays(top, left, height, width)
-    way = _draw(_WAYS, generator) if config.turned else 0
-
-    def placed(image: Tensor) -> Tensor:
-        return _sent(_turned(image, way), device)
-
     return Patch(
-        rays=RayBundle(origins=placed(rays.origins), directions=placed(rays.directions)),
-        rgb=placed(composite(crop, color)),
-        alpha=placed(crop[..., 3]) if view.has_alpha else None,
+        rays=RayBundle(
+            origins=_sent(rays.origins, device), directions=_sent(rays.directions, device)
+        ),
+        rgb=_sent(composite(crop, color), device),
+        alpha=_sent(crop[..., 3], device) if view.has_alpha else None,
         background=_sent(color, device),
     )
-
-
-def _turned(image: Tensor, way: int) -> Tensor:
-    """One of the eight ways to lay an image (H, W, ...) on the grid; way 0 leaves it as it is."""
-    quarters, mirrored = way % 4, way >= 4
-    if mirrored:
-        image = image.transpose(0, 1)
-    return image.rot90(quarters, (0, 1)).contiguous() if way else image
 
 
 def _sent(tensor: Tensor, device: torch.device) -> Tensor:
