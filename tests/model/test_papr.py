@@ -260,7 +260,7 @@ def test_points_beyond_the_cutoff_get_no_weight() -> None:
     [
         (
             {"neighbours": 0},
-            "expected neighbours and feature_size of at least 1, got 0 and 64",
+            "expected neighbours and feature_size of at least 1, got 0 and 6",
         ),
         ({"cutoff": -1.0}, r"expected a positive coord_scale and cutoff, got 10.0 and -1.0"),
         (

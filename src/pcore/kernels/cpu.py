@@ -154,7 +154,8 @@ class _EncodePairs(torch.autograd.Function):
             directions.numpy(),
             neighbours.shape[1],
             *_scales(ctx.scale, ctx.frequencies),
-            *ctx.frequencies,
+            ctx.frequencies[0],
+            ctx.frequencies[1],
             to_position.numpy(),
         )
         positions = torch.zeros(ctx.points, 3).index_add_(0, neighbours.flatten(), to_position)
