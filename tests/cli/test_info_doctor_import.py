@@ -9,9 +9,10 @@ import yaml
 from pcore.cli import doctor
 from pcore.cli.main import main
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
 from pcore.kernels import backends
 from pcore.model.checkpoint import load_model
-from pcore.model.config import MlpConfig, Octaves, PaprConfig
+from pcore.model.config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
 from pcore.model.official import to_official_state
 from pcore.model.papr import Papr
 from pcore.model.provenance import provenance_of
@@ -201,6 +202,26 @@ def test_an_import_that_fails_makes_no_run(
     assert main(args) == 2
     assert "model.pth" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_an_import_may_slide_all_origins(tmp_path: Path, cloud: PointCloud) -> None:
+    """With a reference a ray that begins farther back sees the same; without it does not."""
+    _, args = write_official(tmp_path, cloud)
+    assert main(args) == 0
+    far = ["--reference-distance", "3", "--reference-center", "0", "0", "0.5"]
+    assert main([*args[:-1], str(tmp_path / "slid"), *far]) == 0
+    slid = load_model(tmp_path / "slid")
+    assert slid.config.reference == ReferenceOrigin(center=(0.0, 0.0, 0.5), distance=3.0)
+    ray = torch.nn.functional.normalize(torch.tensor([[0.1, -0.2, -1.0]]), dim=-1)
+    for run, same in (("slid", True), ("run", False)):
+        saved = load_model(tmp_path / run)
+        near, away = (
+            saved.papr()
+            .attend(saved.cloud, RayBundle(origins=-distance * ray, directions=ray))[0]
+            .features.detach()
+            for distance in (3.0, 6.0)
+        )
+        assert torch.allclose(near, away, atol=1e-4) == same
 
 
 def test_a_reference_center_needs_its_distance(

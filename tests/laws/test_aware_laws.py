@@ -27,7 +27,8 @@ CONFIG = PaprConfig(
     neighbours=5,
     # Low octaves only: phases of float32 positions are exact enough to see 1e-4.
     coord_scale=2.0,
-    octaves=Octaves.all(4),
+    # As `tiny` encodes: the part along the ray stays in world units.
+    octaves=Octaves(point=4, along=0, across=4, direction=1),
     feature_size=8,
     key=MlpConfig(layers=3, width=24, size=24),
     query=MlpConfig(layers=3, width=24, size=24),

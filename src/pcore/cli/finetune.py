@@ -1,4 +1,4 @@
-"""`pcore finetune RUN`: make a pre-trained run ready to be deformed (P-CORE)."""
+"""`pcore finetune RUN`: teach a pre-trained run consistent surfaces (P-CORE)."""
 
 from __future__ import annotations
 

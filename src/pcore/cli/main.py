@@ -46,7 +46,12 @@ class Verb:
 VERBS: tuple[Verb, ...] = (
     Verb("demo", "pcore.cli.demo", "DemoCommand", "the whole story on a sample, with a report"),
     Verb("train", "pcore.cli.train", "TrainCommand", "learn a scene from its photos"),
-    Verb("finetune", "pcore.cli.finetune", "FinetuneCommand", "make a run ready to be deformed"),
+    Verb(
+        "finetune",
+        "pcore.cli.finetune",
+        "FinetuneCommand",
+        "teach a run consistent surfaces (P-CORE)",
+    ),
     Verb("render", "pcore.cli.render", "RenderCommand", "take pictures of a run, also deformed"),
     Verb("animate", "pcore.cli.animate", "AnimateCommand", "film a run under keyframes"),
     Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),
