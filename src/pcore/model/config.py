@@ -47,7 +47,8 @@ class Octaves:
     """Of the part h of its offset along the ray. That is the view's direction, times the depth from
     the ray's origin: its waves tell views apart."""
     across: int = 6
-    """Of the part t across the ray; waves much shorter than two pixels tell pixels of photos apart, not surfaces."""
+    """Of the part t across the ray; waves much shorter than two pixels tell pixels of photos apart,
+    not surfaces."""
     direction: int = 6
     """Of the ray's direction."""
 
