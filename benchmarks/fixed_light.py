@@ -14,19 +14,18 @@ shape takes part, so the figures are what a renderer could reach with such a lig
 
 from __future__ import annotations
 
-import argparse
-import math
 import statistics
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
+from error_parts import wish_of_states
 from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.data.images import composite
 from pcore.data.load import load_scene
 from pcore.data.scene import View
+from pcore.evaluation.image_metrics import psnr
 from pcore.evaluation.runner import Method, carry
 from pcore.evaluation.states import open_states
 from pcore.geometry.point_cloud import PointCloud
@@ -64,15 +63,7 @@ class Surface:
 
 def main() -> None:
     """Print PSNR of the object by state, with the light baked in and standing still."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("run", type=Path)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--factor", type=int, default=2)
-    parser.add_argument("--every", type=int, default=4)
-    parser.add_argument("--states", nargs="+", default=["all"])
-    wish = parser.parse_args()
+    wish = wish_of_states(__doc__, every=4)
     torch.set_flush_denormal(True)
     saved = load_model(wish.run)
     papr, cloud = saved.papr(), saved.cloud
@@ -184,8 +175,7 @@ def lit_anew(out: Rendering, gains: Tensor) -> Tensor:
 
 def object_psnr(rgb: Tensor, truth: Tensor) -> float:
     """PSNR in dB over the pixels whose true alpha is above one half, on white."""
-    off = (rgb.clamp(0, 1) - composite(truth, torch.ones(3))).square().mean(dim=-1)
-    return -10 * math.log10(float(off[truth[..., 3] > 0.5].mean()))
+    return psnr(rgb.clamp(0, 1), composite(truth, torch.ones(3)), truth[..., 3] > 0.5)
 
 
 if __name__ == "__main__":
