@@ -140,13 +140,13 @@ def test_safetensors_of_somebody_else(tmp_path: Path) -> None:
 
 
 def test_a_newer_version(saved: tuple[Path, Papr, PointCloud]) -> None:
-    rewrite(saved[0], header={"version": "4"})
+    rewrite(saved[0], header={"version": "5"})
     message = error_of(saved[0])
-    assert "version '4'" in message
-    assert "reads versions 1, 2 and 3" in message
+    assert "version '5'" in message
+    assert "reads versions 1, 2, 3 and 4" in message
 
 
-def test_versions_1_and_2_had_fewer_settings(saved: tuple[Path, Papr, PointCloud]) -> None:
+def test_older_versions_had_fewer_settings(saved: tuple[Path, Papr, PointCloud]) -> None:
     with safe_open(saved[0], framework="pt") as file:
         config = json.loads(file.metadata()["config"])
     del config["reference"]
@@ -161,6 +161,12 @@ def test_versions_1_and_2_had_fewer_settings(saved: tuple[Path, Papr, PointCloud
     assert load_model(saved[0]).config == CONFIG, "version 2 had one number of octaves"
     rewrite(saved[0], header={"version": "3"})
     assert "config: missing key 'octaves'" in error_of(saved[0])
+    config["octaves"] = dict.fromkeys(("point", "along", "across", "direction"), 2)
+    del config["samples"], config["frequencies"]
+    rewrite(saved[0], header={"config": json.dumps(config)})
+    assert load_model(saved[0]).config.samples == 1, "version 3 had one ray per pixel"
+    rewrite(saved[0], header={"version": "4"})
+    assert "config: missing key 'samples'" in error_of(saved[0])
 
 
 def test_a_changed_configuration(saved: tuple[Path, Papr, PointCloud]) -> None:

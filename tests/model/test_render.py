@@ -10,6 +10,7 @@ import torch
 
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
+from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model import passes
 from pcore.model import render as render_module
@@ -80,6 +81,63 @@ def test_tiles_equal_the_whole_picture(
     torch.testing.assert_close(got.alpha, whole.alpha, atol=1e-6, rtol=0)
     torch.testing.assert_close(got.surface, whole.surface, atol=1e-6, rtol=0)
     torch.testing.assert_close(got.depth, 2.5 - whole.surface[..., 2], atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("samples", [4, 9])
+@pytest.mark.parametrize(
+    ("size", "tile", "max_rays"), [((37, 53), 16, 100), ((30, 31), 4, 7), ((40, 40), 256, None)]
+)
+def test_several_rays_per_pixel_are_averaged_before_the_unet(
+    cloud: PointCloud, samples: int, size: tuple[int, int], tile: int, max_rays: int | None
+) -> None:
+    """Whatever the tiles and chunks; the rays are those of a picture so many times as large."""
+    papr, cam = Papr(config()).eval(), camera(*size)
+    side = math.isqrt(samples)
+    large = cam.resized(side * size[0], side * size[1])
+    with torch.no_grad():
+        each = papr(cloud, large.rays())
+        features = torch.nn.functional.avg_pool2d(each.features.permute(2, 0, 1), side)
+        alpha = torch.nn.functional.avg_pool2d(each.alpha.unsqueeze(0), side)[0]
+        expected = papr.shade(features.permute(1, 2, 0), alpha)
+    got = render(papr, cloud, cam, tile=tile, max_rays=max_rays, samples=samples)
+    torch.testing.assert_close(got.rgb, expected, atol=1e-5, rtol=0)
+    torch.testing.assert_close(got.alpha, alpha, atol=1e-6, rtol=0)
+    asked = Papr(config(samples=samples)).eval()
+    asked.load_state_dict(papr.state_dict())
+    by_model = render(asked, cloud, cam, tile=tile, max_rays=max_rays)
+    assert torch.equal(by_model.rgb, got.rgb), "the model's own number"
+    one = render(asked, cloud, cam, samples=1)
+    assert torch.equal(one.rgb, render(papr, cloud, cam).rgb)
+    assert not torch.allclose(one.rgb, got.rgb, atol=1e-3)
+
+
+def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(cloud: PointCloud) -> None:
+    """The one of the middle distance; rays that meet nothing are left out."""
+    papr, cam = Papr(config(cutoff=0.1)).eval(), camera(24, 24)
+    got = render(papr, cloud, cam, samples=4)
+    with torch.no_grad():
+        each = papr(cloud, cam.rays(places=grid_places(4)))
+    met = each.weights.sum(dim=-1) > 0
+    distance = (each.surface - cam.center).norm(dim=-1)
+    counts = set[int]()
+    for row, column in torch.cartesian_prod(torch.arange(24), torch.arange(24)).tolist():
+        seen = distance[row, column][met[row, column]].sort().values
+        counts.add(len(seen))
+        found = got.surface[row, column]
+        if len(seen) == 0:
+            assert found.isnan().all()
+            continue
+        expected = seen[(len(seen) - 1) // 2]
+        assert float((found - cam.center).norm() - expected) == pytest.approx(0, abs=1e-5)
+    assert counts == {0, 1, 2, 3, 4}
+
+
+@pytest.mark.parametrize("samples", [0, -1, 2, 3, 8])
+def test_rays_per_pixel_make_a_square(cloud: PointCloud, samples: int) -> None:
+    with pytest.raises(InputError, match=r"rays per pixel that make a square grid"):
+        render(Papr(config()), cloud, camera(8, 8), samples=samples)
+    with pytest.raises(InputError, match=r"rays per pixel that make a square grid"):
+        config(samples=samples)
 
 
 @pytest.mark.parametrize(
@@ -176,6 +234,7 @@ def test_chunks_are_larger_on_a_gpu(cloud: PointCloud) -> None:
             camera(8, 8),
             None,
             8,
+            1,
         )
         for parameters in (Papr(config()).parameters, lambda: iter([on_gpu]))
     ]

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
+from pcore.geometry.pixel_samples import drawn_places
 from pcore.training import patches
 from pcore.training.config import PatchConfig
 from pcore.training.patches import Patch, draw_patch
@@ -140,3 +141,43 @@ def test_a_gpu_gets_patches_from_pinned_memory_without_waiting(
         patched.setattr(Tensor, "to", to)
         draw_patch(candidates, PatchConfig(side=8), "white", generator, torch.device("cuda"))
     assert waited == [False] * 5
+
+
+@pytest.mark.parametrize("samples", [2, 3, 4])
+def test_rays_of_a_pixel_cover_it(samples: int) -> None:
+    """Each in a column and a row of its own; over many pixels evenly, and anew with every draw."""
+    generator = torch.Generator().manual_seed(0)
+    places = drawn_places(60, 70, samples, generator)
+    assert places.shape == (60, 70, samples, 2)
+    cells = (places * samples).long()
+    for axis in (0, 1):
+        assert torch.equal(
+            cells[..., axis].sort(dim=-1).values, torch.arange(samples).expand(60, 70, samples)
+        )
+    assert torch.allclose(places.mean(dim=(0, 1, 2)), torch.tensor(0.5), atol=0.01)
+    together = (places[..., 0] - 0.5) * (places[..., 1] - 0.5)
+    assert abs(float(together.mean())) < 2e-3, "no diagonal is preferred"
+    assert not torch.equal(places, drawn_places(60, 70, samples, generator))
+
+
+def test_rays_of_a_patch_stay_in_their_pixels() -> None:
+    candidates = views()
+    generator = torch.Generator().manual_seed(3)
+    patch = draw_patch(candidates, PatchConfig(side=8, samples=3), "white", generator, CPU)  # pyright: ignore
+    assert patch.rays.shape == (8, 8, 3)
+    for view in candidates:
+        if not torch.equal(view.camera.center, patch.rays.origins[0, 0, 0]):
+            continue
+        camera = view.camera
+        local = patch.rays.directions @ camera.world_from_camera[:3, :3]
+        column = camera.cx - camera.fx * local[..., 0] / local[..., 2]
+        row = camera.cy + camera.fy * local[..., 1] / local[..., 2]
+        corner = column[0, 0, 0].floor(), row[0, 0, 0].floor()
+        expected = torch.arange(8).unsqueeze(-1).expand(8, 3).float()
+        assert torch.equal((column - corner[0]).floor(), expected.expand(8, 8, 3))
+        assert torch.equal((row - corner[1]).floor(), expected.unsqueeze(1).expand(8, 8, 3))
+        top, left = int(corner[1]), int(corner[0])
+        white = view.rgb(torch.ones(3))[top : top + 8, left : left + 8]
+        assert torch.equal(patch.rgb, white)
+        return
+    raise AssertionError("the rays are those of no view")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,7 +13,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from pcore.cli.options import Count, Folder, Number, optional
+from pcore.cli.options import Count, Folder, Number, Samples, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from pcore.editing.animation import Animation
     from pcore.geometry.camera import Camera
     from pcore.geometry.point_cloud import PointCloud
-    from pcore.model.papr import Papr
+    from pcore.model.render import Picture
     from pcore.training.output import RunFolder
 
 
@@ -66,6 +68,9 @@ class AnimateCommand:
     rays: Literal["aware", "plain"] = "aware"
     """How deformed points are seen: aware of the deformation, or plain as in the paper."""
 
+    samples: Samples = None
+    """Rays per pixel: 1, 4, 9, ...; default: those of the model."""
+
     overwrite: bool = False
     """Write points into a folder that holds files already."""
 
@@ -95,6 +100,7 @@ def animate(command: AnimateCommand, console: Console) -> None:
     from pcore.cli.runtime import open_model, pick_device, prepare_torch
     from pcore.data.video import require_video
     from pcore.editing.animation import load_animation
+    from pcore.model.render import render
 
     _check(command)
     if command.output is not None:
@@ -110,7 +116,8 @@ def animate(command: AnimateCommand, console: Console) -> None:
         console.print(Text(f"{len(moved)} files of points in {command.points}"), soft_wrap=True)
     if command.output is not None:
         cameras = _cameras(command, run, saved.cloud, moved)
-        _film(command.output, command.fps, saved.papr().to(device), moved, cameras, console)
+        take = partial(render, saved.papr().to(device), samples=command.samples)
+        _film(command.output, command.fps, take, moved, cameras, console)
         console.print(Text(f"{len(moved)} frames in {command.output}"), soft_wrap=True)
 
 
@@ -195,18 +202,17 @@ def _cameras(
 def _film(
     output: Path,
     fps: int,
-    papr: Papr,
+    take: Callable[[PointCloud, Camera], Picture],
     moved: list[PointCloud],
     cameras: list[Camera],
     console: Console,
 ) -> None:
     from pcore.cli.results import counting
     from pcore.data.video import VideoWriter
-    from pcore.model.render import render
 
     with ExitStack() as stack:
         video = stack.enter_context(VideoWriter(output, fps=fps))
         tell = stack.enter_context(counting(console, "frames"))
         for number, (cloud, camera) in enumerate(zip(moved, cameras, strict=True), start=1):
-            video.add(render(papr, cloud, camera).rgb)
+            video.add(take(cloud, camera).rgb)
             tell(number, len(moved))

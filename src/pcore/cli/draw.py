@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from pcore.data.video import VideoWriter
     from pcore.geometry.camera import Camera
     from pcore.geometry.point_cloud import PointCloud
-    from pcore.model.papr import Papr
     from pcore.model.render import Picture
 
 FPS = 30
@@ -41,16 +40,22 @@ class Wanted:
 
 
 def draw(
-    papr: Papr,
+    take: Callable[..., Picture],
     cloud: PointCloud,
     views: Named,
     output: Path,
     wanted: Wanted,
     console: Console,
-    *,
-    threshold: float,
 ) -> list[Path]:
-    """Render views, with the threshold of `render`, and write them into the folder `output`.
+    """Render views of a cloud and write them into the folder `output`.
+
+    Args:
+        take: makes the picture of a camera and tells `progress`, as `render` does.
+        cloud: what is rendered; its extent sets the shades of depth.
+        views: cameras by name.
+        output: folder that is there.
+        wanted: which files.
+        console: where the bar goes.
 
     Returns:
         The files, videos first.
@@ -59,7 +64,6 @@ def draw(
         KeyboardInterrupt: Ctrl-C; its message says what is complete.
     """
     from pcore.data.pictures import depth_range
-    from pcore.model.render import render
 
     shades = depth_range(cloud.positions, [camera for _, camera in views])
     files: list[Path] = []
@@ -68,13 +72,7 @@ def draw(
             films = _Films(output, stack)
             tell = stack.enter_context(_bar(console, len(views)))
             for index, (name, camera) in enumerate(views):
-                picture = render(
-                    papr,
-                    cloud,
-                    camera,
-                    threshold=threshold,
-                    progress=lambda p, i=index: tell(i + p),
-                )
+                picture = take(camera, progress=lambda p, i=index: tell(i + p))
                 layers = _layers(picture, camera, wanted, shades)
                 if wanted.video:
                     films.add(layers)

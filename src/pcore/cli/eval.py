@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,7 +12,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from pcore.cli.options import Count, Folder, Number, Output
+from pcore.cli.options import Count, Folder, Number, Output, Samples
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
@@ -60,6 +61,9 @@ class EvalCommand:
 
     protocol: Literal["papr", "standard", "both"] = "both"
     """How images are compared: as the original PAPR does, as everybody else does, or both."""
+
+    samples: Samples = None
+    """Rays per pixel: 1, 4, 9, ...; default: those of each model."""
 
     output: Output = None
     """Folder for the results; default: RUN/eval."""
@@ -120,7 +124,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         rows = evaluate(
             methods,
             states,
-            draw=render,
+            draw=partial(render, samples=command.samples),
             protocols=list(chosen),
             perceptual=perceptual,
             progress=tell,
@@ -131,6 +135,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         "baseline": None if base is None else relative(base.path, output),
         "scene": relative(places.path, output),
         "factor": places.factor,
+        "samples": command.samples or run.papr.config.samples,
     }
     left_out = [places.left_out] if places.left_out else []
     notes = [*left_out, *odd, *_mended(rows, methods, states)]

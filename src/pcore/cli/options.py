@@ -24,6 +24,9 @@ PresetName = Literal["tiny", "fast", "paper"]
 Count = Annotated[int | None, optional("N")]
 """A whole number that may be left out."""
 
+Samples = Annotated[int | None, optional("N")]
+"""Rays per pixel; may be left out."""
+
 Number = Annotated[float | None, optional("X")]
 """A number that may be left out."""
 

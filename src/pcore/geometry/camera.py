@@ -91,19 +91,36 @@ class Camera:
         return replace(self, world_from_camera=world_from_camera)
 
     def rays(
-        self, top: int = 0, left: int = 0, height: int | None = None, width: int | None = None
+        self,
+        top: int = 0,
+        left: int = 0,
+        height: int | None = None,
+        width: int | None = None,
+        *,
+        places: Tensor | None = None,
     ) -> RayBundle:
-        """Rays through the pixel centres of a rectangle, the whole image by default.
+        """Rays through the pixels of a rectangle, the whole image by default.
+
+        Args:
+            top: first row.
+            left: first column.
+            height: rows; None takes all down to the image's end.
+            width: columns; None takes all to the image's end.
+            places: (S, 2) or (height, width, S, 2) column and row within a pixel, 0 to 1, of S rays
+                per pixel (`pixel_samples`); None sends one through every pixel's centre.
 
         Returns:
-            (height, width) rays with unit directions, world units.
+            (height, width) rays with unit directions, world units; (height, width, S) with places.
         """
         pose = self.world_from_camera
         columns = torch.arange(left, left + width if width else self.width, dtype=torch.float32)
         rows = torch.arange(top, top + height if height else self.height, dtype=torch.float32)
-        x = (columns + 0.5 - self.cx) / self.fx
-        y = -(rows + 0.5 - self.cy) / self.fy
-        grid_y, grid_x = torch.meshgrid(y, x, indexing="ij")
+        row, column = torch.meshgrid(rows, columns, indexing="ij")
+        if places is None:
+            row, column = row + 0.5, column + 0.5
+        else:
+            row, column = row[..., None] + places[..., 1], column[..., None] + places[..., 0]
+        grid_x, grid_y = (column - self.cx) / self.fx, -(row - self.cy) / self.fy
         in_camera = torch.stack([grid_x, grid_y, -torch.ones_like(grid_x)], dim=-1)
         directions = in_camera @ pose[:3, :3].T
         directions = directions / directions.norm(dim=-1, keepdim=True)

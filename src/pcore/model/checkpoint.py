@@ -23,8 +23,8 @@ from pcore.model.records import from_dict, to_dict
 
 MODEL_FILE = "model.safetensors"
 _FORMAT = "pcore-model"
-_VERSION = 3
-_READ = ("1", "2", str(_VERSION))
+_VERSION = 4
+_READ = ("1", "2", "3", str(_VERSION))
 _CLOUD = ("positions", "features", "influence")
 
 
@@ -207,6 +207,8 @@ def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
     if header["version"] in {"1", "2"} and "frequencies" in settings:
         number = settings.pop("frequencies")  # One number for all, before version 3.
         settings["octaves"] = dict.fromkeys(("point", "along", "across", "direction"), number)
+    if header["version"] in {"1", "2", "3"}:
+        settings["samples"] = 1  # Pictures had one ray per pixel, before version 4.
     config = from_dict(PaprConfig, settings, where=f"{path}: config")
     provenance = from_dict(
         Provenance, _json(path, header, "provenance"), where=f"{path}: provenance"

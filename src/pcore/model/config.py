@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from pcore.errors import InputError
+from pcore.geometry.pixel_samples import check_samples
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +116,9 @@ class PaprConfig:
     reference: ReferenceOrigin | None = None
     """Slide the origins of all rays to this distance before they are seen, so that the camera's
     distance does not matter. None (the original) lets rays begin at the camera."""
+    samples: int = 1
+    """Rays per pixel of a picture, on a square grid (1, 4, 9, ...): the renderer network sees the
+    mean of their features. 1 (the original) is the ray through the pixel's centre."""
 
     def __post_init__(self) -> None:
         if self.neighbours < 1 or self.feature_size < 1:
@@ -122,6 +126,7 @@ class PaprConfig:
                 "PAPR: expected neighbours and feature_size of at least 1, got "
                 f"{self.neighbours} and {self.feature_size}"
             )
+        check_samples("PAPR", self.samples)
         if self.key.size != self.query.size:
             raise InputError(
                 "PAPR: expected key and query embeddings of one size, got "

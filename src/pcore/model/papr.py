@@ -26,16 +26,17 @@ among so many times more are the nearest of the rest state, were all spread even
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """What PAPR says about an (H, W) bundle of rays.
+    """What PAPR says about the rays of (H, W) pixels; R is (H, W), or (H, W, S) with S per pixel.
 
     Attributes:
         rgb: (H, W, 3) colours over the background, not clamped.
-        alpha: (H, W) opacity, 1 - attention of the background.
-        surface: (H, W, 3) predicted surface points, world units.
-        weights: (H, W, k) weights of the neighbours, zero where none is within the cut-off.
-        neighbours: (H, W, k) indices into the cloud.
-        features: (H, W, C) input of the renderer network.
-        behind: (H, W) weighted mean squared distance of the points behind the first of them.
+        alpha: (H, W) opacity, 1 - attention of the background; mean of the pixel's rays.
+        surface: (*R, 3) predicted surface points, world units.
+        weights: (*R, k) weights of the neighbours, zero where none is within the cut-off.
+        neighbours: (*R, k) indices into the cloud.
+        features: (H, W, C) input of the renderer network, mean of the pixel's rays.
+        behind: (H, W) weighted mean squared distance of the points behind the first of them; mean
+            of the pixel's rays.
     """
 
     rgb: Tensor
@@ -59,28 +60,28 @@ class Papr(nn.Module):
     def forward(
         self, cloud: PointCloud, rays: RayBundle, background: Tensor | None = None
     ) -> Rendering:
-        """Render an (H, W) bundle of rays.
+        """Render the rays of (H, W) pixels.
 
         Args:
             cloud: the points, canonical or deformed.
-            rays: (H, W) rays, world units.
+            rays: (H, W) rays, or (H, W, S) with S of them per pixel, world units.
             background: (3,) colour behind the object; None takes the configured one.
 
         Returns:
             The rendering, differentiable in the cloud and the networks.
         """
-        height, width = rays.shape
+        shape = rays.shape
         attended, neighbours = self.attend(cloud, rays.flat())
-        alpha = 1 - attended.background
-        features = attended.features.reshape(height, width, -1)
+        features = per_pixel(attended.features.reshape(*shape, -1))
+        alpha = per_pixel((1 - attended.background).reshape(*shape, 1)).squeeze(-1)
         return Rendering(
-            rgb=self.shade(features, alpha.reshape(height, width), background),
-            alpha=alpha.reshape(height, width),
-            surface=attended.surface.reshape(height, width, 3),
-            weights=attended.weights.reshape(height, width, -1),
-            neighbours=neighbours.reshape(height, width, -1),
+            rgb=self.shade(features, alpha, background),
+            alpha=alpha,
+            surface=attended.surface.reshape(*shape, 3),
+            weights=attended.weights.reshape(*shape, -1),
+            neighbours=neighbours.reshape(*shape, -1),
             features=features,
-            behind=attended.behind.reshape(height, width),
+            behind=per_pixel(attended.behind.reshape(*shape, 1)).squeeze(-1),
         )
 
     def attend(
@@ -131,6 +132,11 @@ class Papr(nn.Module):
             background = _constant(self.config.background, colours)
         opacity = alpha.unsqueeze(-1)
         return colours * opacity + background * (1 - opacity)
+
+
+def per_pixel(values: Tensor) -> Tensor:
+    """Mean over the rays of a pixel: (H, W, C) from (H, W, S, C), or from itself."""
+    return values if values.dim() == 3 else values.mean(dim=2)
 
 
 def _constant(values: tuple[float, ...], like: Tensor) -> Tensor:

@@ -147,20 +147,31 @@ def attend(
     wanted: Tensor,
     threshold: float,
 ) -> None:
-    """Fill the wanted pixels, given by their numbers, with what (R,) rays of the picture meet."""
-    device = canvas.alpha.device
-    attended, _ = papr.attend(
-        cloud,
-        RayBundle(
-            origins=rays.origins[wanted].to(device), directions=rays.directions[wanted].to(device)
-        ),
-        threshold,
-    )
+    """Fill M wanted pixels, given by their numbers, with what their rays meet, (M, S) of them."""
+    device, shape = canvas.alpha.device, rays.shape
+    flat = rays.flat()
+    sent = RayBundle(origins=flat.origins.to(device), directions=flat.directions.to(device))
+    attended, _ = papr.attend(cloud, sent, threshold)
     rows, width, channels = canvas.features.shape
-    canvas.features.view(-1, channels)[(wanted % (rows * width)).to(device)] = attended.features
-    canvas.alpha.view(-1)[wanted.to(device)] = 1 - attended.background
+    places = (wanted % (rows * width)).to(device)
+    features = attended.features.reshape(*shape, channels).mean(dim=1)
+    canvas.features.view(-1, channels)[places] = features
+    canvas.alpha.view(-1)[wanted.to(device)] = 1 - attended.background.reshape(shape).mean(dim=1)
     none = attended.weights.sum(dim=-1, keepdim=True) == 0
-    canvas.surface.view(-1, 3)[wanted] = attended.surface.masked_fill(none, math.nan).cpu()
+    surface = attended.surface.masked_fill(none, math.nan).cpu().reshape(*shape, 3)
+    canvas.surface.view(-1, 3)[wanted] = _middle_surface(surface, rays.origins)
+
+
+def _middle_surface(surface: Tensor, origins: Tensor) -> Tensor:
+    """Of the surface points (M, S, 3) of a pixel the one of the middle distance, (M, 3).
+
+    A mean would lie between front and back where a pixel shows an edge. NaN are left out where
+    there are others.
+    """
+    distance = (surface - origins).norm(dim=-1).nan_to_num(nan=math.inf)
+    met = torch.isfinite(distance).sum(dim=1, keepdim=True)
+    middle = distance.argsort(dim=1).gather(1, (met - 1).clamp_min(0) // 2)
+    return surface.take_along_dim(middle.unsqueeze(-1), dim=1).squeeze(1)
 
 
 def shade(canvas: Canvas, papr: Papr, window: Window) -> None:

@@ -20,7 +20,7 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
 from pcore.model.passes import Canvas, Picture, Steps, attend, rows_in_use, shade, windows
-from pcore.model.render import TILE, check_request, paint
+from pcore.model.render import TILE, check_request, paint, places_of
 from pcore.model.unet import ALIGNMENT
 
 STRIDES = (8, 4)
@@ -37,6 +37,7 @@ def render_progressively(
     max_rays: int | None = None,
     tile: int = TILE,
     threshold: float = 0.0,
+    samples: int | None = None,
     cancel: Callable[[], bool] | None = None,
 ) -> Iterator[Picture]:
     """Yield ever better pictures of the camera's size; the last one is what `render` returns.
@@ -54,13 +55,15 @@ def render_progressively(
         max_rays: as for `render`.
         tile: as for `render`.
         threshold: as for `render`.
+        samples: as for `render`; the coarse pictures have one ray per pixel.
         cancel: asked between chunks; True ends the work.
 
     Raises:
         InputError: as `render`, and for strides that are no multiples of the next.
         RenderCancelledError: `cancel` said so.
     """
-    chunk = check_request(papr, cloud, camera, max_rays, tile)
+    places = places_of(papr, samples)
+    chunk = check_request(papr, cloud, camera, max_rays, tile, len(places))
     _check_strides(strides)
     steps, cloud = Steps(1, cancel, None), cloud.to(next(papr.parameters()).device)
     shown: Picture | None = None
@@ -69,7 +72,7 @@ def render_progressively(
         yield shown
     rows_held = rows_in_use(camera.width, tile, chunk)
     canvas = Canvas.blank(papr, (camera.height, camera.width), rows_held)
-    for rows in paint(canvas, papr, cloud, camera, chunk, tile, threshold, steps):
+    for rows in paint(canvas, papr, cloud, camera, places, chunk, tile, threshold, steps):
         if shown is not None and rows < camera.height:
             shown = _with_rows(shown, canvas.picture(camera), rows)
             yield shown
@@ -105,9 +108,10 @@ def _coarse(
         if min(height, width) < ALIGNMENT:
             continue
         canvas = Canvas.blank(papr, (height, width))
+        flat = grid.flat()
         for wanted in _take_over(canvas, before, stride).split(chunk):
             steps.check()
-            attend(canvas, papr, cloud, grid.flat(), wanted, threshold)
+            attend(canvas, papr, cloud, flat[wanted.unsqueeze(-1)], wanted, threshold)
         for window in windows((height, width), tile):
             steps.check()
             shade(canvas, papr, window)

@@ -14,7 +14,9 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
+from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
 from pcore.model.config import PaprConfig
 from pcore.model.encoding import encoded_size
 from pcore.model.papr import Papr
@@ -52,10 +54,14 @@ def render(
     max_rays: int | None = None,
     tile: int = TILE,
     threshold: float = 0.0,
+    samples: int | None = None,
     cancel: Callable[[], bool] | None = None,
     progress: Progress | None = None,
 ) -> Picture:
-    """Render what a camera sees; equal to `papr(cloud, camera.rays())` for any chunk and tile.
+    """Render what a camera sees; equal to one forward pass over all rays for any chunk and tile.
+
+    With several rays per pixel the surface point is that of the ray whose distance is the middle
+    one (the nearer of two).
 
     Args:
         papr: the networks, on any device; the work is done there.
@@ -66,28 +72,45 @@ def render(
         tile: side of the UNet's tiles in pixels, a multiple of 4.
         threshold: points with less than this weight on a ray add nothing to its colour; 0 is
             exact, `FAST_THRESHOLD` is what `pcore render --fast` takes.
+        samples: rays per pixel, a square number; None takes the model's (`PaprConfig.samples`).
         cancel: asked between chunks; True ends the work.
         progress: told between chunks which share of the work is done, in (0, 1].
 
     Raises:
-        InputError: an image, tile or chunk that is too small, an empty cloud, or one with NaN or
-            infinity in its positions or frames, or frames that fold space.
+        InputError: an image, tile or chunk that is too small, rays per pixel that make no square,
+            an empty cloud, or one with NaN or infinity in its positions or frames, or frames that
+            fold space.
         RenderCancelledError: `cancel` said so.
     """
-    chunk = check_request(papr, cloud, camera, max_rays, tile)
+    places = places_of(papr, samples)
+    chunk = check_request(papr, cloud, camera, max_rays, tile, len(places))
     size = (camera.height, camera.width)
     total = math.ceil(camera.height * camera.width / chunk) + len(list(windows(size, tile)))
     canvas = Canvas.blank(papr, size, rows_in_use(camera.width, tile, chunk))
     steps = Steps(total, cancel, progress)
-    for _ in paint(canvas, papr, cloud, camera, chunk, tile, threshold, steps):
+    for _ in paint(canvas, papr, cloud, camera, places, chunk, tile, threshold, steps):
         pass
     return canvas.picture(camera)
 
 
+def places_of(papr: Papr, samples: int | None) -> Tensor:
+    """Where in a pixel its rays go, (S, 2); None asks the model how many there are.
+
+    Raises:
+        InputError: S is no square number.
+    """
+    return grid_places(papr.config.samples if samples is None else samples)
+
+
 def check_request(
-    papr: Papr, cloud: PointCloud, camera: Camera, max_rays: int | None, tile: int
+    papr: Papr,
+    cloud: PointCloud,
+    camera: Camera,
+    max_rays: int | None,
+    tile: int,
+    samples: int,
 ) -> int:
-    """Raise InputError where `render` would; return the number of rays of a chunk."""
+    """Raise InputError where `render` would; return the number of pixels of a chunk."""
     if camera.height < ALIGNMENT or camera.width < ALIGNMENT:
         raise InputError(
             f"render: expected an image of at least {ALIGNMENT} x {ALIGNMENT} pixels, "
@@ -97,7 +120,8 @@ def check_request(
     if tile % ALIGNMENT:
         raise InputError(f"render: expected a tile that is a multiple of {ALIGNMENT}, got {tile}")
     _check_cloud(cloud)
-    return check_count("render: max_rays", max_rays or _rays_at_once(papr))
+    rays = check_count("render: max_rays", max_rays or _rays_at_once(papr))
+    return max(1, rays // samples)
 
 
 def paint(
@@ -105,17 +129,18 @@ def paint(
     papr: Papr,
     cloud: PointCloud,
     camera: Camera,
+    places: Tensor,
     chunk: int,
     tile: int,
     threshold: float,
     steps: Steps,
 ) -> Iterator[int]:
     """Fill a canvas from above; yield the number of its complete rows with every row of tiles."""
-    rays, cloud = camera.rays().flat(), cloud.to(canvas.alpha.device)
+    cloud = cloud.to(canvas.alpha.device)
     waiting = deque(windows((camera.height, camera.width), tile))
-    for wanted in torch.arange(len(rays.origins)).split(chunk):
+    for wanted in torch.arange(camera.height * camera.width).split(chunk):
         steps.check()
-        attend(canvas, papr, cloud, rays, wanted, threshold)
+        attend(canvas, papr, cloud, _rays_of(camera, wanted, places), wanted, threshold)
         steps.done()
         while waiting and waiting[0].seen[0].stop * camera.width <= wanted[-1] + 1:
             steps.check()
@@ -124,6 +149,18 @@ def paint(
             steps.done()
             if window.kept[1].stop == camera.width:
                 yield window.kept[0].stop
+
+
+def _rays_of(camera: Camera, wanted: Tensor, places: Tensor) -> RayBundle:
+    """Rays (M, S) of M consecutive pixels, given by their numbers."""
+    first, last = int(wanted[0]) // camera.width, int(wanted[-1]) // camera.width
+    rows = camera.rays(top=first, height=last + 1 - first, places=places)
+    start = int(wanted[0]) - first * camera.width
+    part = slice(start, start + len(wanted))
+    shape = (-1, len(places), 3)
+    return RayBundle(
+        origins=rows.origins.reshape(shape)[part], directions=rows.directions.reshape(shape)[part]
+    )
 
 
 def _check_cloud(cloud: PointCloud) -> None:

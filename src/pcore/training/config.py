@@ -49,12 +49,14 @@ class PatchConfig:
     """Side of a square patch in pixels; images smaller than it are taken whole."""
     views: int = 1
     """Patches per step, each of a random training view."""
+    samples: int = 1
+    """Rays per pixel, drawn anew in every step. 1 (the original) is the one through its centre."""
 
     def __post_init__(self) -> None:
-        if self.side < 4 or self.views < 1:
+        if self.side < 4 or self.views < 1 or self.samples < 1:
             raise InputError(
-                f"patches: expected a side of at least 4 pixels and at least 1 view, got "
-                f"{self.side} and {self.views}"
+                "patches: expected a side of at least 4 pixels, at least 1 view and at least 1 ray "
+                f"per pixel, got {self.side}, {self.views} and {self.samples}"
             )
 
 

@@ -17,10 +17,12 @@ from pcore.model.papr import Rendering
 class Canonical:
     """What the canonical state says about a patch; all without gradient.
 
+    R is the shape of the rays: (H, W), or (H, W, S) with S per pixel.
+
     Attributes:
-        surface: (H, W, 3) surface points s.
-        foreground: (H, W) whether a ray meets the object.
-        ends: (H, W, 3) where on each ray it ends: beside s for the foreground, beside the nearest
+        surface: (*R, 3) surface points s.
+        foreground: (*R) whether the ray's pixel shows the object.
+        ends: (*R, 3) where on each ray it ends: beside s for the foreground, beside the nearest
             point for the background.
         rgb: (H, W, 3) the rendering, or the photo, that the deformed rendering should repeat.
     """
@@ -41,6 +43,8 @@ def canonical_of(
     """
     surface = rendering.surface.detach()
     foreground = rendering.alpha.detach() > foreground_alpha
+    if rays.shape != foreground.shape:
+        foreground = foreground.unsqueeze(-1).expand(rays.shape)
     nearest = cloud.positions.detach()[rendering.neighbours[..., 0]]
     target = torch.where(foreground.unsqueeze(-1), surface, nearest)
     along = ((target - rays.origins) * rays.directions).sum(dim=-1, keepdim=True)
@@ -68,7 +72,7 @@ def rays_and_points_rays(
     """Rays from deformed origins near the surface to the deformed ends ("Rays-and-points mode").
 
     Args:
-        rays: (H, W) canonical rays.
+        rays: (H, W) or (H, W, S) canonical rays.
         canonical: where they end.
         deformation: the field D.
         origin_distance: how far before the end the origin is put, as a fraction of the distance
@@ -117,9 +121,9 @@ def consistency(
     """Compare the deformed rendering with what the deformation makes of the canonical one.
 
     Args:
-        rendering: (H, W) of the deformed cloud D(P) along deformed rays.
+        rendering: of the deformed cloud D(P) along deformed rays.
         canonical: what the canonical state says.
-        target: (H, W, 3) where the deformation takes the canonical surface points.
+        target: (*R, 3) where the deformation takes the canonical surface points.
         unit: length in which L_geo is measured, world units.
         background_rays: whether rays of the background enter L_tex.
 
@@ -132,6 +136,7 @@ def consistency(
     met = foreground & (rendering.weights.detach().sum(dim=-1) > 0)
     geometry = (offset / unit).square().sum(dim=-1)[met].sum() / foreground.sum().clamp_min(1)
     difference = (rendering.rgb - canonical.rgb).square().mean(dim=-1)
-    chosen = torch.ones_like(foreground) if background_rays else foreground
+    pixels = foreground if foreground.dim() == 2 else foreground[..., 0]
+    chosen = torch.ones_like(pixels) if background_rays else pixels
     texture = (difference * chosen).sum() / difference.numel()
     return Consistency(geometry=geometry, texture=texture)

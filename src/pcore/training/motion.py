@@ -31,7 +31,7 @@ class MovedScene:
 
     Attributes:
         cloud: the deformed points.
-        surface: (H, W, 3) where the canonical surface points of a patch go: the target of L_geo.
+        surface: (*R, 3) where the canonical surface points of a patch go: the target of L_geo.
         terms: losses of the motion itself, weighted, by name.
     """
 

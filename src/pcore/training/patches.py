@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pcore.data.images import background_color, composite
 from pcore.data.scene import View
+from pcore.geometry.pixel_samples import drawn_places
 from pcore.geometry.rays import RayBundle
 from pcore.training.config import Background, PatchConfig
 
@@ -22,7 +23,7 @@ class Patch:
     """A square of one view.
 
     Attributes:
-        rays: (H, W) rays, world units.
+        rays: (H, W) rays, or (H, W, S) with S of them per pixel, world units.
         rgb: (H, W, 3) photo over the background.
         alpha: (H, W) coverage, None for photos without an alpha channel.
         background: (3,) colour behind the object.
@@ -59,7 +60,10 @@ def draw_patch(
             break
     crop = rgba[top : top + height, left : left + width]
     color = background_color(background, generator)
-    rays = camera.rays(top, left, height, width)
+    places = None
+    if config.samples > 1:
+        places = drawn_places(height, width, config.samples, generator)
+    rays = camera.rays(top, left, height, width, places=places)
     return Patch(
         rays=RayBundle(
             origins=_sent(rays.origins, device), directions=_sent(rays.directions, device)

@@ -47,6 +47,7 @@ def _small_model(*, neighbours: int, across: int, width: int, unet: int) -> Papr
         value=MlpConfig(layers=4, width=width, size=32),
         unet_channels=(unet, 2 * unet, 4 * unet),
         cutoff=0.12,
+        samples=4,
     )
 
 
@@ -78,6 +79,7 @@ FAST = PretrainConfig(
     origin="reference",
     rates=_SMALL_RATES,
     steps=20_000,
+    patch=PatchConfig(samples=2),
     points=20_000,
     influence_start=1.0,
     feature_spread=0.5,
@@ -93,8 +95,8 @@ TINY = PretrainConfig(
     model=_small_model(neighbours=8, across=4, width=64, unet=24),
     origin="reference",
     rates=_SMALL_RATES,
-    steps=4500,
-    patch=PatchConfig(side=100),
+    steps=3500,
+    patch=PatchConfig(side=100, samples=2),
     points=6000,
     influence_start=1.0,
     feature_spread=0.5,
@@ -148,7 +150,7 @@ def _scaled(rates: Rates, factor: float) -> Rates:
 _SMALL_FINETUNE = FinetuneConfig(
     steps=1200,
     rates=_scaled(_SMALL_RATES, 0.5),
-    patch=PatchConfig(side=100),
+    patch=PatchConfig(side=100, samples=2),
     alternate=True,
     geometry_weight=0.1,
     texture_target="photo",
@@ -161,7 +163,9 @@ _SMALL_FINETUNE = FinetuneConfig(
 )
 _FINETUNE: dict[PresetName, FinetuneConfig] = {
     "tiny": _SMALL_FINETUNE,
-    "fast": replace(_SMALL_FINETUNE, steps=1000, patch=PatchConfig(), mixed_precision=True),
+    "fast": replace(
+        _SMALL_FINETUNE, steps=1000, patch=PatchConfig(samples=2), mixed_precision=True
+    ),
     "paper": FinetuneConfig(
         rates=_scaled(_PAPER_RATES, 1.0),
         largest_loss=0.5,
