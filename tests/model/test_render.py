@@ -132,6 +132,45 @@ def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(cloud: PointCloud) ->
     assert counts == {0, 1, 2, 3, 4}
 
 
+@pytest.mark.parametrize("samples", [1, 4])
+def test_gains_scale_the_object_and_not_the_background(cloud: PointCloud, samples: int) -> None:
+    papr, cam = Papr(config(background=(0.2, 0.5, 1.0))).eval(), camera(37, 30)
+    plain = render(papr, cloud, cam, tile=16, max_rays=100, samples=samples)
+    behind = (1 - plain.alpha).unsqueeze(-1) * torch.tensor([0.2, 0.5, 1.0])
+    twice = render(papr, cloud.lit(torch.full((60,), 2.0)), cam, tile=16, samples=samples)
+    torch.testing.assert_close(twice.rgb - behind, 2 * (plain.rgb - behind), atol=1e-5, rtol=1e-5)
+    for name in ("alpha", "surface", "depth"):
+        assert torch.equal(getattr(twice, name), getattr(plain, name)), name
+    ones = render(papr, cloud.lit(torch.ones(60)), cam, tile=16, max_rays=100, samples=samples)
+    torch.testing.assert_close(ones.rgb, plain.rgb, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_a_ray_has_the_gain_of_the_points_it_attends_to(cloud: PointCloud, samples: int) -> None:
+    """Rays of a pixel count by their opacity; rays that meet nothing do not darken its edge."""
+    papr, cam = Papr(config(cutoff=0.1)).eval(), camera(24, 24)
+    lit = cloud.lit(torch.rand(60) + 0.5)
+    with torch.no_grad():
+        out = papr(cloud, cam.rays(places=grid_places(samples)))
+        each = papr(cloud, cam.resized(24 * math.isqrt(samples), 24 * math.isqrt(samples)).rays())
+    assert lit.gains is not None
+    of_rays = (out.weights * lit.gains[out.neighbours]).sum(dim=-1)
+    opacity = torch.nn.functional.pixel_unshuffle(each.alpha[None], math.isqrt(samples))
+    opacity = opacity.permute(1, 2, 0)
+    gain = (of_rays * opacity).sum(dim=-1) / opacity.sum(dim=-1).clamp_min(1e-6)
+    expected = papr.shade(out.features, out.alpha, gain=gain)
+    got = render(papr, lit, cam, samples=samples, tile=8)
+    torch.testing.assert_close(got.rgb, expected.detach(), atol=1e-5, rtol=0)
+    assert not torch.allclose(got.rgb, out.rgb, atol=1e-2)
+
+
+def test_gains_that_are_not_finite_are_refused(cloud: PointCloud) -> None:
+    gains = torch.ones(60)
+    gains[3] = math.nan
+    with pytest.raises(InputError, match="NaN or infinity in the gain of 1 of 60"):
+        render(Papr(config()), cloud.lit(gains), camera(8, 8))
+
+
 @pytest.mark.parametrize("samples", [0, -1, 2, 3, 8])
 def test_rays_per_pixel_make_a_square(cloud: PointCloud, samples: int) -> None:
     with pytest.raises(InputError, match=r"rays per pixel that make a square grid"):

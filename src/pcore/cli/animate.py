@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.light import LightChoice, shading_of
 from pcore.cli.options import Count, Folder, Number, Samples, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
@@ -67,6 +68,10 @@ class AnimateCommand:
 
     rays: Literal["aware", "plain"] = "aware"
     """How deformed points are seen: aware of the deformation, or plain as in the paper."""
+
+    light: LightChoice = None
+    """still: the light stays where it is; baked: every point keeps the brightness of the photos.
+    Default: still where the run has a light (`pcore light`) and rays are aware, else baked."""
 
     samples: Samples = None
     """Rays per pixel: 1, 4, 9, ...; default: those of the model."""
@@ -146,15 +151,17 @@ def _frames(
 
     notes: list[str] = []
     rig = learned_rig(command.run_or_file, cloud.positions)
+    aware = command.rays == "aware"
+    shading = shading_of(command.run_or_file, cloud, command.light, aware=aware)
+    check = aware or shading is not None
     known: dict[float, PointCloud] = {}
     times = animation.times(command.frames)
     with counting(console, "edits") as tell:
         for number, time in enumerate(times, start=1):
             if time not in known:
-                aware = command.rays == "aware"
-                bound = animation.at(time).bound(cloud.positions, rig=rig, check=aware)
+                bound = animation.at(time).bound(cloud.positions, rig=rig, check=check)
                 notes += bound.notes
-                known[time] = deformed_cloud(cloud, bound.deformation, aware=aware)
+                known[time] = deformed_cloud(cloud, bound.deformation, aware=aware, shading=shading)
             tell(number, len(times))
     note(console, notes)
     return [known[time] for time in times]

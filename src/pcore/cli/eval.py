@@ -220,33 +220,45 @@ def _mended(
 
 
 def _methods(run: Run, base: Run | None, rays: str, scene: Scene) -> list[Method]:
-    """Baseline first; two methods of one name are told apart by the folders of their runs."""
+    """Baseline first; two methods of one name are told apart by the folders of their runs.
+
+    Where a run has a light, aware rays come with it as well.
+    """
+    from pcore.cli.light import shading_of
     from pcore.cli.models import never_seen
     from pcore.evaluation.runner import Method
 
     runs = [run] if base is None else [base, run]
-    unseen = [never_seen(one.cloud, scene) for one in runs]
     alike = base is not None and base.label == run.label
-    return [
-        Method(
-            name=_name(one, aware=aware) + (f" ({one.path.resolve().name})" if alike else ""),
-            papr=one.papr,
-            cloud=one.cloud,
-            aware=aware,
-            unseen=hidden,
-        )
-        for aware in (False, True)
-        if rays in ("both", "aware" if aware else "plain")
-        for one, hidden in zip(runs, unseen, strict=True)
-    ]
+    found: list[Method] = []
+    for one in runs:
+        unseen = never_seen(one.cloud, scene)
+        shading = shading_of(one.path, one.cloud, None, aware=True)
+        ways = [(False, None), (True, None), (True, shading)][: 2 if shading is None else 3]
+        found += [
+            Method(
+                name=_name(one, aware=aware, lit=light is not None)
+                + (f" ({one.path.resolve().name})" if alike else ""),
+                papr=one.papr,
+                cloud=one.cloud,
+                aware=aware,
+                unseen=unseen,
+                shading=light,
+            )
+            for aware, light in ways
+            if rays in ("both", "aware" if aware else "plain")
+        ]
+    # Plain rays of all runs, then aware ones, then those with a light: of the baseline first.
+    return sorted(found, key=lambda method: (method.aware, method.shading is not None))
 
 
-def _name(run: Run, *, aware: bool) -> str:
+def _name(run: Run, *, aware: bool, lit: bool) -> str:
     if not aware:
         return run.label
     from pcore.cli.models import UNTUNED
 
-    return "aware" if run.label == UNTUNED else f"aware + {run.label}"
+    name = "aware" if run.label == UNTUNED else f"aware + {run.label}"
+    return f"{name} + light" if lit else name
 
 
 def _sheet_writer(folder: Path, methods: Sequence[Method]) -> Callable[[Taken], None]:

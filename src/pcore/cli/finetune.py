@@ -92,6 +92,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         TrainingError: training diverged or cannot write.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
+    from pcore.cli.light import try_light
     from pcore.cli.runtime import pick_device, prepare_torch, recorded_factor, scene_of
     from pcore.cli.sessions import Session, disk_space, run_session, show_result
     from pcore.cli.stages import relative
@@ -142,6 +143,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         ),
         console,
     )
+    try_light(output, scene, device, console)
     show_result(console, output, next_command=f"pcore render {output} --edit edit.json")
 
 

@@ -52,6 +52,7 @@ VERBS: tuple[Verb, ...] = (
         "FinetuneCommand",
         "teach a run consistent surfaces (P-CORE)",
     ),
+    Verb("light", "pcore.cli.light", "LightCommand", "estimate the light, so that it stays put"),
     Verb("render", "pcore.cli.render", "RenderCommand", "take pictures of a run, also deformed"),
     Verb("animate", "pcore.cli.animate", "AnimateCommand", "film a run under keyframes"),
     Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),

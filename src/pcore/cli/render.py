@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.light import LightChoice, shading_of
 from pcore.cli.options import Count, Folder, Number, Output, Samples, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
@@ -56,6 +57,11 @@ class RenderCommand:
 
     normals: bool = False
     """Also write normals of the surface as pictures; with --raw in world axes as well."""
+
+    light: LightChoice = None
+    """still: the light stays where it is, and what turns away from it becomes darker; baked: every
+    point keeps the brightness of the photos, as in the paper. Default: still where the run has a
+    light (`pcore light`) and rays are aware, else baked."""
 
     samples: Samples = None
     """Rays per pixel: 1, 4, 9, ...; default: those of the model (4 of `tiny` and `fast`, 1 of
@@ -164,9 +170,11 @@ def _edited(cloud: PointCloud, command: RenderCommand, console: Console) -> Poin
 
     rig = learned_rig(command.run_or_file, cloud.positions)
     aware = command.rays == "aware"
-    bound = load_edit(command.edit).bound(cloud.positions, rig=rig, check=aware)
+    shading = shading_of(command.run_or_file, cloud, command.light, aware=aware)
+    check = aware or shading is not None
+    bound = load_edit(command.edit).bound(cloud.positions, rig=rig, check=check)
     note(console, bound.notes)
-    return deformed_cloud(cloud, bound.deformation, aware=aware)
+    return deformed_cloud(cloud, bound.deformation, aware=aware, shading=shading)
 
 
 def _image_size(folder: Path, factor: int) -> tuple[int, int]:

@@ -95,6 +95,7 @@ def train(command: TrainCommand, console: Console) -> None:
         TrainingError: training diverged or cannot write.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
+    from pcore.cli.light import try_light
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import Session, disk_space, run_session, show_result
     from pcore.data.load import load_scene
@@ -134,6 +135,7 @@ def train(command: TrainCommand, console: Console) -> None:
         ),
         console,
     )
+    try_light(command.output, scene, device, console)
     show_result(console, command.output, next_command=f"pcore finetune {command.output}")
 
 

@@ -6,11 +6,16 @@ import torch
 
 from pcore.deform.base import Deformation, Identity
 from pcore.deform.local_frames import analytic_frames
+from pcore.geometry.light import Shading
 from pcore.geometry.point_cloud import PointCloud
 
 
 def deformed_cloud(
-    cloud: PointCloud, deformation: Deformation, *, aware: bool = True
+    cloud: PointCloud,
+    deformation: Deformation,
+    *,
+    aware: bool = True,
+    shading: Shading | None = None,
 ) -> PointCloud:
     """Move a canonical cloud; positions and frames are computed in double precision.
 
@@ -19,20 +24,25 @@ def deformed_cloud(
         deformation: the map, as `EditScript.bind` returns it.
         aware: remember the rest state, so that PAPR renders with deformation-aware rays. A map
             that is the identity at every point needs no memory: the picture is the canonical one.
+        shading: light the deformed points anew by this light, which stays where it is; None leaves
+            them as they were photographed.
 
     Returns:
         The moved cloud, on the device of the given one.
 
     Raises:
-        EditError: with `aware`, the map folds space or leaves the finite numbers at some points.
+        EditError: with `aware` or `shading`, the map folds space or leaves the finite numbers at
+            some points.
+        InputError: a shading of another number of points.
     """
     positions = cloud.positions.detach()
     exact = positions.cpu().double()
     moved = deformation(exact).to(positions)
-    if not aware or _stays(deformation, exact):
+    if not (aware or shading) or _stays(deformation, exact):
         return cloud.moved(moved)
     frames = analytic_frames(deformation, positions.cpu())
-    return cloud.to("cpu").moved(moved.cpu(), frames).to(positions.device)
+    there = cloud.to("cpu").moved(moved.cpu(), frames if aware else None)
+    return there.lit(shading and shading.gains(frames)).to(positions.device)
 
 
 def _stays(deformation: Deformation, points: torch.Tensor) -> bool:

@@ -16,6 +16,7 @@ from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
 from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
+from pcore.geometry.light import Shading
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
@@ -57,6 +58,8 @@ class Method:
         cloud: canonical points, world units.
         aware: render deformed states with deformation-aware rays, else with plain ones.
         unseen: (N,) bool, which points no training view saw; None where that is not known.
+        shading: a light that stands still while points move, for aware rays; None leaves points as
+            they were photographed.
     """
 
     name: str
@@ -64,6 +67,7 @@ class Method:
     cloud: PointCloud
     aware: bool
     unseen: Tensor | None = None
+    shading: Shading | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,7 +239,14 @@ def carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
             moved = state.move(rest.cpu())
             frames = _frames(state, rest.cpu(), moved) if method.aware else None
             known[key] = method.cloud.detached().moved(moved, frames).to(rest.device)
-    return {m.name: known[id(m.cloud), m.aware] for m in methods}
+    return {m.name: _lit(known[id(m.cloud), m.aware], m.shading) for m in methods}
+
+
+def _lit(cloud: PointCloud, shading: Shading | None) -> PointCloud:
+    """Light a moved cloud anew; where nothing moved there are no frames, and nothing changes."""
+    if shading is None or cloud.frames is None:
+        return cloud
+    return cloud.lit(shading.gains(cloud.frames))
 
 
 def _health(

@@ -22,12 +22,15 @@ class PointCloud:
         influence: (N,) factor on every point's attention score.
         frames: rest state of deformed points, with which PAPR sees rays of the rest state
             (deformation-aware rays); None makes the points be seen where they are.
+        gains: (N,) factor on the brightness of every point (`geometry.light`); None leaves it as
+            it was photographed.
     """
 
     positions: Tensor
     features: Tensor
     influence: Tensor
     frames: LocalFrames | None = None
+    gains: Tensor | None = None
 
     def __post_init__(self) -> None:
         n = self.positions.shape[0]
@@ -41,6 +44,10 @@ class PointCloud:
             raise InputError(
                 f"point cloud: expected local frames of its {n} points, got frames of "
                 f"{len(self.frames.rest)}; make them from the same canonical cloud"
+            )
+        if self.gains is not None and tuple(self.gains.shape) != (n,):
+            raise InputError(
+                f"point cloud: expected gains of its {n} points, got {tuple(self.gains.shape)}"
             )
 
     @classmethod
@@ -56,8 +63,15 @@ class PointCloud:
         return self.positions.shape[0]
 
     def moved(self, positions: Tensor, frames: LocalFrames | None = None) -> PointCloud:
-        """Return the same points at other positions (N, 3), with or without their rest state."""
-        return replace(self, positions=positions, frames=frames)
+        """Return the same points at other positions (N, 3), with or without their rest state.
+
+        Gains belong to the positions they were made for, and are left behind.
+        """
+        return replace(self, positions=positions, frames=frames, gains=None)
+
+    def lit(self, gains: Tensor | None) -> PointCloud:
+        """Return the same points with these factors (N,) on their brightness."""
+        return replace(self, gains=gains)
 
     def detached(self) -> PointCloud:
         """Return a copy cut off from the autograd graph."""
@@ -77,6 +91,7 @@ class PointCloud:
             influence=change(self.influence),
             frames=frames
             and replace(frames, rest=change(frames.rest), to_rest=change(frames.to_rest)),
+            gains=None if self.gains is None else change(self.gains),
         )
 
     def extent(self) -> tuple[Tensor, Tensor]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from pcore.errors import InputError
@@ -43,6 +44,10 @@ class RayBundle:
         return RayBundle(
             origins=self.origins.reshape(-1, 3), directions=self.directions.reshape(-1, 3)
         )
+
+    def to(self, device: torch.device | str) -> RayBundle:
+        """Return the same rays on a device."""
+        return RayBundle(origins=self.origins.to(device), directions=self.directions.to(device))
 
     def crop(self, top: int, left: int, height: int, width: int) -> RayBundle:
         """Rectangle of an (H, W) bundle."""

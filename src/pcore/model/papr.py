@@ -22,6 +22,7 @@ _MOST_CANDIDATES = 64
 """Candidates of the plain search, per neighbour and unit of the frames' condition number, and in
 all (what the search on CUDA takes). A circle around an ellipse is larger by the ratio of its axes:
 among so many times more are the nearest of the rest state, were all spread evenly. See ADR 5."""
+_LEAST_OPACITY = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,16 +73,17 @@ class Papr(nn.Module):
         """
         shape = rays.shape
         attended, neighbours = self.attend(cloud, rays.flat())
-        features = per_pixel(attended.features.reshape(*shape, -1))
-        alpha = per_pixel((1 - attended.background).reshape(*shape, 1)).squeeze(-1)
+        pixels = averaged(cloud, attended, neighbours, math.prod(shape[2:]))
+        features, alpha = pixels.features.reshape(*shape[:2], -1), pixels.alpha.reshape(shape[:2])
+        gain = None if pixels.gain is None else pixels.gain.reshape(shape[:2])
         return Rendering(
-            rgb=self.shade(features, alpha, background),
+            rgb=self.shade(features, alpha, background, gain),
             alpha=alpha,
             surface=attended.surface.reshape(*shape, 3),
             weights=attended.weights.reshape(*shape, -1),
             neighbours=neighbours.reshape(*shape, -1),
             features=features,
-            behind=per_pixel(attended.behind.reshape(*shape, 1)).squeeze(-1),
+            behind=pixels.behind.reshape(shape[:2]),
         )
 
     def attend(
@@ -125,18 +127,61 @@ class Papr(nn.Module):
             seen = seen.slid(_constant(reference.center, positions), reference.distance)
         return neighbours, near, seen
 
-    def shade(self, features: Tensor, alpha: Tensor, background: Tensor | None = None) -> Tensor:
-        """Colours (H, W, 3) of a feature map (H, W, C) over a background (3,)."""
+    def shade(
+        self,
+        features: Tensor,
+        alpha: Tensor,
+        background: Tensor | None = None,
+        gain: Tensor | None = None,
+    ) -> Tensor:
+        """Colours (H, W, 3) of a feature map over a background.
+
+        Args:
+            features: (H, W, C).
+            alpha: (H, W) opacity.
+            background: (3,) colour; None takes the configured one.
+            gain: (H, W) factor on the object's brightness; None leaves it as it is.
+        """
         colours: Tensor = self.unet(features.permute(2, 0, 1).unsqueeze(0))[0].permute(1, 2, 0)
         if background is None:
             background = _constant(self.config.background, colours)
+        if gain is not None:
+            colours = colours * gain.unsqueeze(-1)
         opacity = alpha.unsqueeze(-1)
         return colours * opacity + background * (1 - opacity)
 
 
-def per_pixel(values: Tensor) -> Tensor:
-    """Mean over the rays of a pixel: (H, W, C) from (H, W, S, C), or from itself."""
-    return values if values.dim() == 3 else values.mean(dim=2)
+@dataclass(frozen=True, kw_only=True)
+class Pixels:
+    """Means over the rays of P pixels: what colours are made of.
+
+    Attributes:
+        features: (P, C) input of the renderer network.
+        alpha: (P,) opacity.
+        gain: (P,) factor on the object's brightness; None where no point has one.
+        behind: (P,) weighted mean squared distance of the points behind the first of them.
+    """
+
+    features: Tensor
+    alpha: Tensor
+    gain: Tensor | None
+    behind: Tensor
+
+
+def averaged(cloud: PointCloud, attended: Attended, neighbours: Tensor, samples: int) -> Pixels:
+    """Average R = P * S rays over P pixels, whose S rays follow one another."""
+
+    def mean(values: Tensor) -> Tensor:
+        return values.unflatten(0, (-1, samples)).mean(dim=1)
+
+    opacity = 1 - attended.background
+    alpha, gain = mean(opacity), None
+    if cloud.gains is not None:
+        of_rays = (attended.weights * cloud.gains[neighbours]).sum(dim=-1)
+        gain = mean(opacity * of_rays) / alpha.clamp_min(_LEAST_OPACITY)
+    return Pixels(
+        features=mean(attended.features), alpha=alpha, gain=gain, behind=mean(attended.behind)
+    )
 
 
 def _constant(values: tuple[float, ...], like: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from pcore.errors import PcoreError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Papr
+from pcore.model.papr import Papr, averaged
 from pcore.model.unet import RECEPTIVE_MARGIN
 
 Progress = Callable[[float], None]
@@ -113,12 +113,14 @@ class Canvas:
         features: (rows, W, C) on the model's device: row i of the picture lies at i modulo rows,
             so that later rows take the place of those that no tile needs any more.
         alpha: (H, W) on the model's device.
+        gain: (H, W) on the model's device, factor on the object's brightness; 1 at first.
         surface: (H, W, 3) on the CPU.
         rgb: (H, W, 3) on the CPU.
     """
 
     features: Tensor
     alpha: Tensor
+    gain: Tensor
     surface: Tensor
     rgb: Tensor
 
@@ -129,6 +131,7 @@ class Canvas:
         return cls(
             features=torch.empty(min(rows or size[0], size[0]), size[1], channels, device=device),
             alpha=torch.empty(size, device=device),
+            gain=torch.ones(size, device=device),
             surface=torch.empty(*size, 3),
             rgb=torch.empty(*size, 3),
         )
@@ -149,14 +152,14 @@ def attend(
 ) -> None:
     """Fill M wanted pixels, given by their numbers, with what their rays meet, (M, S) of them."""
     device, shape = canvas.alpha.device, rays.shape
-    flat = rays.flat()
-    sent = RayBundle(origins=flat.origins.to(device), directions=flat.directions.to(device))
-    attended, _ = papr.attend(cloud, sent, threshold)
+    attended, neighbours = papr.attend(cloud, rays.flat().to(device), threshold)
+    pixels = averaged(cloud, attended, neighbours, shape[1])
     rows, width, channels = canvas.features.shape
     places = (wanted % (rows * width)).to(device)
-    features = attended.features.reshape(*shape, channels).mean(dim=1)
-    canvas.features.view(-1, channels)[places] = features
-    canvas.alpha.view(-1)[wanted.to(device)] = 1 - attended.background.reshape(shape).mean(dim=1)
+    canvas.features.view(-1, channels)[places] = pixels.features
+    canvas.alpha.view(-1)[wanted.to(device)] = pixels.alpha
+    if pixels.gain is not None:
+        canvas.gain.view(-1)[wanted.to(device)] = pixels.gain
     none = attended.weights.sum(dim=-1, keepdim=True) == 0
     surface = attended.surface.masked_fill(none, math.nan).cpu().reshape(*shape, 3)
     canvas.surface.view(-1, 3)[wanted] = _middle_surface(surface, rays.origins)
@@ -179,5 +182,5 @@ def shade(canvas: Canvas, papr: Papr, window: Window) -> None:
     seen, columns = window.seen
     rows = torch.arange(seen.start, seen.stop, device=canvas.alpha.device) % len(canvas.features)
     features = canvas.features[:, columns].index_select(0, rows)
-    colours = papr.shade(features, canvas.alpha[window.seen])
+    colours = papr.shade(features, canvas.alpha[window.seen], gain=canvas.gain[window.seen])
     canvas.rgb[window.kept] = colours[window.trimmed].cpu()

@@ -124,7 +124,7 @@ def _take_over(canvas: Canvas, before: tuple[Canvas, int] | None, stride: int) -
     missing = torch.ones(canvas.alpha.shape, dtype=torch.bool)
     if before is not None:
         every = slice(None, None, before[1] // stride)
-        for name in ("features", "alpha", "surface"):
+        for name in ("features", "alpha", "gain", "surface"):
             getattr(canvas, name)[every, every] = getattr(before[0], name)
         missing[every, every] = False
     return missing.flatten().nonzero().squeeze(-1)

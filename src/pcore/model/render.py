@@ -169,6 +169,8 @@ def _check_cloud(cloud: PointCloud) -> None:
     parts = {"position": cloud.positions}
     if frames is not None:
         parts |= {"rest position": frames.rest, "local map": frames.to_rest}
+    if cloud.gains is not None:
+        parts["gain"] = cloud.gains.unsqueeze(1)
     for name, values in parts.items():
         bad = int((~torch.isfinite(values).flatten(1).all(dim=1)).sum())
         if bad:

@@ -1,0 +1,141 @@
+"""`pcore light` and what the other verbs make of the light of a run."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from toys import toy_cameras, write_cameras, write_run, write_scene
+
+import tiny_scene
+from pcore.cli.main import main
+from pcore.editing.apply import deformed_cloud
+from pcore.editing.script import load_edit
+from pcore.geometry.light import Light, Shading
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.light_file import LIGHT_FILE, load_shading, save_shading
+from pcore.model.papr import Papr
+from pcore.model.render import render
+from pcore.training.light_fit import sphere
+
+TURN = {"version": 2, "edits": [{"type": "rigid", "axis": "x", "angle_deg": 120}]}
+
+
+def lamp_from_above() -> Light:
+    directions = sphere(40)
+    return Light(directions=directions, radiance=0.1 + (4 * directions[:, 2] - 2).exp())
+
+
+def write_light(run: Path, cloud: PointCloud) -> Shading:
+    """A light from above; the points lie on a ball, which says how they face."""
+    normals = torch.nn.functional.normalize(cloud.positions, dim=1)
+    shading = Shading(light=lamp_from_above(), normals=normals)
+    save_shading(run / LIGHT_FILE, shading, cloud.positions)
+    return shading
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> tuple[Path, Papr, PointCloud, Shading]:
+    papr, cloud = write_run(tmp_path / "run")
+    return tmp_path / "run", papr, cloud, write_light(tmp_path / "run", cloud)
+
+
+def picture_of(run: Path, tmp_path: Path, *options: str) -> np.ndarray:
+    (tmp_path / "turn.json").write_text(json.dumps(TURN))
+    cameras = write_cameras(tmp_path / "cameras.json", toy_cameras(1, size=8), w=8, h=8)
+    words = ["render", run, "--cameras", cameras, "--raw", "--overwrite", "-o", tmp_path / "out"]
+    assert main([*map(str, words), *options]) == 0
+    return np.load(tmp_path / "out" / "r_0.npz")["rgb"]
+
+
+@pytest.mark.parametrize(
+    ("options", "aware", "lit"),
+    [
+        ((), True, True),
+        (("--light", "still"), True, True),
+        (("--light", "baked"), True, False),
+        (("--rays", "plain"), False, False),
+        (("--rays", "plain", "--light", "still"), False, True),
+    ],
+)
+def test_a_light_stands_still_unless_asked_otherwise(
+    made: tuple[Path, Papr, PointCloud, Shading],
+    tmp_path: Path,
+    options: tuple[str, ...],
+    aware: bool,
+    lit: bool,
+) -> None:
+    run, papr, cloud, shading = made
+    found = picture_of(run, tmp_path, "--edit", str(tmp_path / "turn.json"), *options)
+    deformation = load_edit(tmp_path / "turn.json").bind(cloud.positions)
+    expected, other = (
+        render(
+            papr,
+            deformed_cloud(cloud, deformation, aware=aware, shading=one),
+            toy_cameras(1, size=8)[0],
+        ).rgb.numpy()
+        for one in ((shading, None) if lit else (None, shading))
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert np.abs(expected - other).max() > 0.02
+
+
+def test_without_an_edit_a_light_changes_nothing(
+    made: tuple[Path, Papr, PointCloud, Shading], tmp_path: Path
+) -> None:
+    run, papr, cloud, _ = made
+    expected = render(papr, cloud, toy_cameras(1, size=8)[0]).rgb.numpy()
+    np.testing.assert_allclose(picture_of(run, tmp_path), expected, atol=1e-6)
+
+
+def test_a_light_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_run(tmp_path / "run")
+    edit = ("--edit", str(tmp_path / "turn.json"))
+    picture_of(tmp_path / "run", tmp_path, *edit)
+    words = ["render", str(tmp_path / "run"), "--orbit", "2", *edit, "--light", "still"]
+    assert main(words) == 2
+    assert "expected a light.safetensors in the folder of the run" in capsys.readouterr().err
+
+
+def test_the_light_of_other_points_is_an_error(
+    made: tuple[Path, Papr, PointCloud, Shading], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, _, cloud, shading = made
+    save_shading(run / LIGHT_FILE, shading, cloud.positions + 1)
+    edit = run / "turn.json"
+    edit.write_text(json.dumps(TURN))
+    assert main(["render", str(run), "--orbit", "2", "--edit", str(edit)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "points that the light was estimated with" in said
+
+
+def test_a_random_run_has_no_normals_to_speak_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = write_scene(tmp_path / "scene")
+    write_run(tmp_path / "run", scene="../scene")
+    assert main(["light", str(tmp_path / "run")]) == 2
+    assert "at least 50 points with a normal" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "run" / LIGHT_FILE).exists()
+
+
+def test_an_evaluation_shows_pictures_with_the_light_and_without(tmp_path: Path) -> None:
+    scene = tiny_scene.write_scene(tmp_path / "box")
+    run = tiny_scene.write_run(tmp_path / "run", scene)
+    from pcore.model.checkpoint import load_model
+
+    cloud = load_model(run).cloud
+    write_light(run, cloud)
+    assert len(load_shading(run, cloud.positions).normals) == len(cloud)
+    assert main(["eval", str(run), "--protocol", "standard"]) == 0
+    with (run / "eval" / "images.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(dict.fromkeys(row["method"] for row in rows)) == ["PAPR", "aware", "aware + light"]
+    psnr = {
+        (row["state"], row["method"]): float(row["psnr"]) for row in rows if row["view"] == "r_0"
+    }
+    assert psnr["canonical", "aware + light"] == psnr["canonical", "aware"]
+    assert psnr["grown", "aware + light"] == pytest.approx(psnr["grown", "aware"], abs=1e-3)
+    assert psnr["walk", "aware + light"] != psnr["walk", "aware"], "a shear turns normals"
