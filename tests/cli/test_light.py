@@ -114,7 +114,7 @@ def test_the_light_of_other_points_is_an_error(
 def test_a_random_run_has_no_normals_to_speak_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    scene = write_scene(tmp_path / "scene")
+    write_scene(tmp_path / "scene")
     write_run(tmp_path / "run", scene="../scene")
     assert main(["light", str(tmp_path / "run")]) == 2
     assert "at least 50 points with a normal" in " ".join(capsys.readouterr().err.split())
