@@ -15,6 +15,7 @@ from pcore.geometry.rays import RayBundle
 from pcore.kernels.functional import nearest_to_rays, pull_back
 from pcore.model.attention import Attended, ProximityAttention
 from pcore.model.config import PaprConfig
+from pcore.model.strangers import OPAQUE, behind, strangers, without
 from pcore.model.unet import Unet
 
 _CANDIDATES = 1.25
@@ -101,9 +102,38 @@ class Papr(nn.Module):
         """
         neighbours, near, seen = self._see(cloud, rays)
         if near is None:
-            return self.attention(cloud, rays, neighbours, seen, threshold), neighbours
-        part = self.attention(cloud, rays[near], neighbours[near], seen, threshold)
+            return self._attend(cloud, rays, neighbours, seen, threshold), neighbours
+        part = self._attend(cloud, rays[near], neighbours[near], seen, threshold)
         return _scatter(part, near, neighbours.shape), neighbours
+
+    def _attend(
+        self,
+        cloud: PointCloud,
+        rays: RayBundle,
+        neighbours: Tensor,
+        seen: RayBundle,
+        threshold: float,
+    ) -> Attended:
+        """Attention of (R,) rays to neighbours (R, k) that see them as `seen`.
+
+        With frames and a cut-off, points that met no ray together at rest are layered by depth.
+        """
+        frames, cutoff = cloud.frames, self.config.cutoff
+        if frames is None or cutoff is None:
+            return self.attention(cloud, rays, neighbours, seen, threshold)
+        rest = frames.rest[neighbours]
+        others = strangers(cloud.positions.detach()[neighbours], rest, rays, seen, cutoff)
+        if not bool(others.any()):
+            return self.attention(cloud, rays, neighbours, seen, threshold)
+        alone = without(rest, seen, others, cutoff)
+        front = self.attention(cloud, rays, neighbours, alone, threshold)
+        seen_through = others.any(dim=1) & (front.background > 1 - OPAQUE)
+        rows = torch.nonzero(seen_through).squeeze(-1)
+        if len(rows) == 0:
+            return front
+        alone = without(rest[rows], seen[rows], ~others[rows], cutoff)
+        back = self.attention(cloud, rays[rows], neighbours[rows], alone, threshold)
+        return behind(front, rows, back)
 
     def _see(self, cloud: PointCloud, rays: RayBundle) -> tuple[Tensor, Tensor | None, RayBundle]:
         """What the networks are to look at.

@@ -1,0 +1,166 @@
+"""Parts that an edit brings before one another hide each other in the order of the new depth."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+import pcore.model.papr as papr_module
+from pcore.geometry.camera import Camera
+from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
+from pcore.model.attention import Attended
+from pcore.model.config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
+from pcore.model.papr import Papr
+from pcore.model.strangers import behind, strangers, without
+
+CUTOFF = 0.2
+CONFIG = PaprConfig(
+    neighbours=6,
+    octaves=Octaves.all(2),
+    feature_size=5,
+    key=MlpConfig(layers=2, width=8, size=8),
+    query=MlpConfig(layers=2, width=8, size=8),
+    value=MlpConfig(layers=2, width=8, size=4),
+    unet_channels=(4, 6, 8),
+    background_score=-20.0,  # Whatever a ray meets is opaque.
+    cutoff=CUTOFF,
+    reference=ReferenceOrigin(center=(0.0, 0.0, 0.0), distance=1.5),
+)
+
+
+def sheet(x: float, z: float) -> torch.Tensor:
+    """Points (64, 3) of a square of side 0.7 that faces z."""
+    steps = torch.linspace(-0.35, 0.35, 8)
+    rows, columns = torch.meshgrid(steps, steps, indexing="ij")
+    return torch.stack([columns + x, rows, torch.full_like(rows, z)], dim=-1).reshape(-1, 3)
+
+
+def camera() -> Camera:
+    pose = torch.eye(4)
+    pose[2, 3] = 3.0
+    return Camera.from_fov(pose, width=16, height=16, angle_x=0.15)
+
+
+def two_sheets(front: float) -> PointCloud:
+    """Two sheets side by side at rest; the second was brought before the first at depth `front`."""
+    rest = torch.cat([sheet(-0.5, 0.0), sheet(0.5, 0.0)])
+    moved = rest.clone()
+    moved[:64] += torch.tensor([0.5, 0.0, 0.0])
+    moved[64:] += torch.tensor([-0.5, 0.0, front])
+    frames = LocalFrames(rest=rest, to_rest=torch.eye(3).expand(128, 3, 3))
+    cloud = PointCloud(
+        positions=rest, features=torch.randn(128, 5), influence=torch.rand(128) + 0.5
+    )
+    return cloud.moved(moved, frames)
+
+
+@pytest.mark.parametrize("front", [0.3, -0.3])
+def test_the_sheet_before_the_other_is_seen(front: float) -> None:
+    papr, cloud = Papr(CONFIG).eval(), two_sheets(front)
+    with torch.no_grad():
+        out = papr(cloud, camera().rays())
+    seen = out.weights * (out.neighbours >= 64)
+    assert (out.alpha > 0.99).all()
+    share = seen.sum(dim=-1)
+    expected = torch.ones_like(share) if front > 0 else torch.zeros_like(share)
+    # Behind an opacity of 0.97 nothing more is looked at.
+    torch.testing.assert_close(share, expected, atol=0.03, rtol=0)
+    torch.testing.assert_close(
+        camera().depth(out.surface), torch.full((16, 16), 3 - max(front, 0.0)), atol=0.02, rtol=0
+    )
+
+
+def test_without_layers_both_sheets_would_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the tests above would find if nothing was done."""
+    nobody = lambda positions, *_: torch.zeros(positions.shape[:2], dtype=torch.bool)  # noqa: E731
+    monkeypatch.setattr(papr_module, "strangers", nobody)
+    papr, cloud = Papr(CONFIG).eval(), two_sheets(0.3)
+    with torch.no_grad():
+        out = papr(cloud, camera().rays())
+    share = (out.weights * (out.neighbours >= 64)).sum(dim=-1)
+    assert 0.1 < float(share.mean()) < 0.9
+
+
+def test_what_the_front_lets_through_is_seen_behind_it() -> None:
+    """A front that is half transparent: two layers, one behind the other."""
+    cloud = two_sheets(0.3)
+    config = PaprConfig(**{**vars(CONFIG), "background_score": 2.0})
+    papr = Papr(config).eval()
+    with torch.no_grad():
+        out = papr(cloud, camera().rays())
+        only = {
+            name: papr(
+                PointCloud(
+                    positions=cloud.positions[part],
+                    features=cloud.features[part],
+                    influence=cloud.influence[part],
+                    frames=LocalFrames(
+                        rest=_rest(cloud)[part], to_rest=torch.eye(3).expand(64, 3, 3)
+                    ),
+                ),
+                camera().rays(),
+            )
+            for name, part in (("back", slice(0, 64)), ("front", slice(64, 128)))
+        }
+    # Of both sheets together six points are near a ray, of each alone six; where the same points
+    # answer, opacities multiply. Most rays see three of each, so only the sense is asked for.
+    front, back = only["front"].alpha, only["back"].alpha
+    assert (out.alpha <= 1 - (1 - front) * (1 - back) + 1e-3).all()
+    assert 0.05 < float(front.mean()) < 0.95
+    share = (out.weights * (out.neighbours < 64)).sum(dim=-1)
+    assert (share > 0.01).all(), "the back shows through"
+    torch.testing.assert_close(out.weights.sum(dim=-1), torch.ones(16, 16))
+
+
+def _rest(cloud: PointCloud) -> torch.Tensor:
+    assert cloud.frames is not None
+    return cloud.frames.rest
+
+
+def test_two_layers_are_composited() -> None:
+    def layer(background: float, value: float) -> Attended:
+        return Attended(
+            features=torch.full((2, 3), value),
+            background=torch.full((2,), background),
+            weights=torch.full((2, 4), value),
+            surface=torch.full((2, 3), value),
+            behind=torch.full((2,), value),
+        )
+
+    front, back = layer(0.4, 1.0), layer(0.5, 2.0)
+    only = Attended(**{name: one[:1] for name, one in vars(back).items()})
+    found = behind(front, torch.tensor([1]), only)
+    # 0.6 of the front, 0.4 * 0.5 of the back.
+    assert found.background.tolist() == pytest.approx([0.4, 0.2])
+    mixed = (0.6 * 1.0 + 0.2 * 2.0) / 0.8
+    for name in ("features", "weights", "surface", "behind"):
+        value = getattr(found, name)
+        assert value[0].flatten().tolist() == pytest.approx([1.0] * value[0].numel())
+        assert value[1].flatten().tolist() == pytest.approx([mixed] * value[1].numel())
+    empty = Attended(**{name: one[:1] for name, one in vars(layer(1.0, 0.0)).items()})
+    nothing = behind(layer(1.0, 1.0), torch.tensor([0]), empty)
+    assert nothing.background.tolist() == [1.0, 1.0]
+    assert nothing.features[0].tolist() == [1.0] * 3
+
+
+def test_strangers_are_those_whose_rest_ray_never_met_the_foremost() -> None:
+    cloud, rays = two_sheets(0.3), camera().rays().flat()[:5]
+    near = torch.tensor([[70, 10, 11, 71]]).expand(5, 4)
+    rest = _rest(cloud)[near]
+    shift = (rest - cloud.positions[near]).detach()
+    seen = RayBundle(
+        origins=rays.origins.unsqueeze(1) + shift,
+        directions=rays.directions.unsqueeze(1).expand(5, 4, 3),
+    )
+    found = strangers(cloud.positions[near], rest, rays, seen, 2.0)
+    assert found.tolist() == [[False] * 4] * 5, "with such a cut-off both sheets met any ray"
+    found = strangers(cloud.positions[near], rest, rays, seen, 0.5)
+    assert found.tolist() == [[False, True, True, False]] * 5
+    away = without(rest, seen, found, 0.5)
+    offset = rest - away.origins
+    along = (offset * away.directions).sum(dim=-1, keepdim=True)
+    distance = (offset - along * away.directions).norm(dim=-1)
+    assert (distance[found] > 0.5).all()
+    assert torch.equal(away.origins[~found], seen.origins[~found])
