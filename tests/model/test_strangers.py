@@ -147,7 +147,7 @@ def test_two_layers_are_composited() -> None:
 
 def test_strangers_are_those_whose_rest_ray_never_met_the_foremost() -> None:
     cloud, rays = two_sheets(0.3), camera().rays().flat()[:5]
-    near = torch.tensor([[70, 10, 11, 71]]).expand(5, 4)
+    near = torch.tensor([[91, 27, 28, 92]]).expand(5, 4)
     rest = _rest(cloud)[near]
     shift = (rest - cloud.positions[near]).detach()
     seen = RayBundle(
