@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,7 +73,7 @@ def draw(
             films = _Films(output, stack)
             tell = stack.enter_context(_bar(console, len(views)))
             for index, (name, camera) in enumerate(views):
-                picture = take(camera, progress=lambda p, i=index: tell(i + p))
+                picture = take(camera, progress=partial(_told, tell, index))
                 layers = _layers(picture, camera, wanted, shades)
                 if wanted.video:
                     films.add(layers)
@@ -83,6 +84,10 @@ def draw(
             "with --overwrite begins again"
         ) from None
     return [*films.paths, *files]
+
+
+def _told(tell: Callable[[float], None], done: int, share: float) -> None:
+    tell(done + share)
 
 
 def _layers(

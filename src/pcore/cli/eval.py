@@ -198,22 +198,25 @@ def finish(
 def _mended(
     rows: Sequence[ImageRow], methods: Sequence[Method], states: Sequence[State]
 ) -> list[str]:
-    """Say at which points estimated frames had to be replaced, once per state and method."""
+    """Say at which points estimated frames had to be replaced, once per state and cloud."""
     from pcore.evaluation.runner import carry
 
     named = {method.name: method for method in methods}
     places = {state.name: state for state in states}
-    found = {(row.state, row.method): row.scores["mended_frames"] for row in rows}
+    found: dict[tuple[str, int], dict[str, None]] = {}
+    for row in rows:
+        if row.scores["mended_frames"]:
+            # Methods of one run share their frames.
+            found.setdefault((row.state, id(named[row.method].cloud)), {})[row.method] = None
     notes: list[str] = []
-    for (state, name), count in found.items():
-        if not count:
-            continue
+    for (state, _), names in found.items():
         # Moved once more: the rows hold numbers only, and few states come here.
-        frames = carry([named[name]], places[state])[name].frames
+        one = named[next(iter(names))]
+        frames = carry([one], places[state])[one.name].frames
         numbers = [] if frames is None else frames.mended.tolist()
         notes.append(
-            f"state {state}, {name}: {count:.0f} of {len(named[name].cloud):,} local frames were "
-            "estimated inside out and replaced by a similarity, at points number "
+            f"state {state}, {', '.join(names)}: {len(numbers)} of {len(one.cloud):,} local frames "
+            "were estimated inside out and replaced by a similarity, at points number "
             f"{', '.join(map(str, numbers[:_LISTED]))}{', ...' * (len(numbers) > _LISTED)}"
         )
     return notes

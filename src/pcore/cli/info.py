@@ -50,6 +50,7 @@ def describe(path: Path) -> Rows:
         rows.append(("can resume from", f"step {run.saved_step()}"))
     rows += _model_rows(run.model) if run.model.exists() else [("model", "none saved yet")]
     rows += _skinning_rows(run.skinning) if run.skinning.exists() else []
+    rows += _light_rows(path) if run.model.exists() else []
     rows += _score_rows(path / "eval")
     return rows + _flat(run.config, "config.")
 
@@ -102,6 +103,14 @@ def _skinning_rows(path: Path) -> Rows:
         ("skinning", f"learned weights of {summary.anchors} anchors"),
         *_flat(to_dict(summary.config), "skinning."),
     ]
+
+
+def _light_rows(folder: Path) -> Rows:
+    from pcore.cli.light import description, shading_of
+    from pcore.model.checkpoint import load_model
+
+    shading = shading_of(folder, load_model(folder).cloud, None, aware=True)
+    return [] if shading is None else [("light", description(shading))]
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> Rows:
