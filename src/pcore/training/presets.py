@@ -153,6 +153,7 @@ _SMALL_FINETUNE = FinetuneConfig(
     patch=PatchConfig(side=100, samples=2),
     alternate=True,
     geometry_weight=0.1,
+    texture_weight=0.5,
     texture_target="photo",
     origin_distance=0.1,
     keep_distance=True,
