@@ -13,7 +13,7 @@ from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended
 from pcore.model.config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
 from pcore.model.papr import Papr
-from pcore.model.strangers import behind, strangers, without
+from pcore.model.strangers import behind, moved_as_one, strangers, without
 
 CUTOFF = 0.2
 CONFIG = PaprConfig(
@@ -164,3 +164,20 @@ def test_strangers_are_those_whose_rest_ray_never_met_the_foremost() -> None:
     distance = (offset - along * away.directions).norm(dim=-1)
     assert (distance[found] > 0.5).all()
     assert torch.equal(away.origins[~found], seen.origins[~found])
+
+
+def test_one_affine_map_has_no_strangers() -> None:
+    """Told without looking at a ray; parts that are moved apart are seen, turned or not."""
+    rest = torch.randn(40, 3)
+    matrix = torch.tensor([[1.0, 0.5, 0.0], [0.0, 2.0, 0.0], [0.3, 0.0, 0.7]])
+    shift = torch.tensor([0.1, 2.0, -3.0])
+    back = torch.linalg.inv(matrix).expand(40, 3, 3)
+    frames = LocalFrames(rest=rest, to_rest=back)
+    moved = rest @ matrix.T + shift
+    assert moved_as_one(moved, frames)
+    apart = moved.clone()
+    apart[20:] += 0.01
+    assert not moved_as_one(apart, frames)
+    turned = back.clone()
+    turned[20:] = torch.eye(3)
+    assert not moved_as_one(moved, LocalFrames(rest=rest, to_rest=turned))

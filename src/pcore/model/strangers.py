@@ -9,11 +9,13 @@ first, the strangers get what light those let through (docs/guide/deformation-aw
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
+from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended
 
@@ -25,6 +27,17 @@ _AWAY = 4.0
 OPAQUE = 0.97
 """Behind such an opacity strangers are not looked at."""
 _LEAST = 1e-9
+_ROUNDING = 1e-5
+
+
+@torch.no_grad()
+def moved_as_one(positions: Tensor, frames: LocalFrames) -> bool:
+    """Tell whether one affine map moves all points (N, 3): then nobody is a stranger."""
+    linear = frames.to_rest[0]
+    if float((frames.to_rest - linear).abs().max()) > _ROUNDING * float(linear.abs().max()):
+        return False
+    offset = frames.rest - positions @ linear.T
+    return float((offset - offset[0]).abs().max()) <= _ROUNDING * float(frames.rest.abs().max())
 
 
 @torch.no_grad()
@@ -43,13 +56,13 @@ def strangers(
     Returns:
         (R, k) bool; never the foremost itself.
     """
-    offset = positions - rays.origins.unsqueeze(1)
-    depth = (offset * rays.directions.unsqueeze(1)).sum(dim=-1)
-    depth = torch.where(_distance(rest, seen) <= cutoff, depth, torch.inf)
-    first = depth.argmin(dim=1, keepdim=True)
+    origin, direction = (one.unsqueeze(1).unbind(dim=-1) for one in vars(rays).values())
+    depth = _dot(_minus(positions.unbind(dim=-1), origin), direction)
+    depth = torch.where(_squared_distance(rest, seen) <= cutoff**2, depth, torch.inf)
+    nearest, first = depth.min(dim=1, keepdim=True)
     foremost = rest.take_along_dim(first.unsqueeze(-1), dim=1)
-    apart = _distance(foremost, seen) > _FAR * cutoff
-    return apart & depth.isfinite() & (depth > depth.gather(1, first))
+    apart = _squared_distance(foremost, seen) > (_FAR * cutoff) ** 2
+    return apart & (depth < torch.inf) & (depth > nearest)
 
 
 def without(rest: Tensor, seen: RayBundle, left_out: Tensor, cutoff: float) -> RayBundle:
@@ -94,8 +107,20 @@ def behind(front: Attended, rows: Tensor, back: Attended) -> Attended:
     return replace(front, background=front.background.index_copy(0, rows, 1 - opacity), **layered)
 
 
-def _distance(points: Tensor, rays: RayBundle) -> Tensor:
-    """Distance (R, k) of points (R, k or 1, 3) from rays (R, k)."""
-    offset = points - rays.origins
-    along = (offset * rays.directions).sum(dim=-1, keepdim=True)
-    return (offset - along * rays.directions).norm(dim=-1)
+_Vector = Sequence[Tensor]
+"""x, y and z by themselves: time goes into memory, and (R, k) is a third of (R, k, 3)."""
+
+
+def _squared_distance(points: Tensor, rays: RayBundle) -> Tensor:
+    """Squared distance (R, k) of points (R, k or 1, 3) from rays (R, k)."""
+    offset = _minus(points.unbind(dim=-1), rays.origins.unbind(dim=-1))
+    along = _dot(offset, rays.directions.unbind(dim=-1))
+    return _dot(offset, offset) - along * along
+
+
+def _minus(a: _Vector, b: _Vector) -> _Vector:
+    return [one - other for one, other in zip(a, b, strict=True)]
+
+
+def _dot(a: _Vector, b: _Vector) -> Tensor:
+    return torch.addcmul(torch.addcmul(a[0] * b[0], a[1], b[1]), a[2], b[2])

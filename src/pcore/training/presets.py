@@ -131,11 +131,11 @@ def demo_pretrain() -> PretrainConfig:
     """Return `tiny`, shortened for the embedded sample."""
     return replace(
         TINY,
-        steps=1500,
+        steps=1100,
         points=4000,
         front_weight=0.3,
-        validate_every=375,
-        save_every=375,
+        validate_every=275,
+        save_every=275,
     )
 
 
@@ -215,4 +215,4 @@ def skinning_preset(name: SkinningName) -> SkinningTrainConfig:
 
 def demo_finetune() -> FinetuneConfig:
     """Return the fine-tuning of `tiny`, shortened for the embedded sample."""
-    return replace(_FINETUNE["tiny"], steps=600, front_weight=0.3)
+    return replace(_FINETUNE["tiny"], steps=500, front_weight=0.3)
