@@ -99,6 +99,41 @@ def test_a_light_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "expected a light.safetensors in the folder of the run" in capsys.readouterr().err
 
 
+def test_a_light_without_an_edit_is_refused(
+    made: tuple[Path, Papr, PointCloud, Shading], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["render", str(made[0]), "--orbit", "2", "--light", "still"]) == 2
+    assert "--light is for edits" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["render", "animate", "eval"])
+def test_rays_per_pixel_are_checked_first(
+    made: tuple[Path, Papr, PointCloud, Shading],
+    tmp_path: Path,
+    verb: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = {
+        "render": ["-o", str(tmp_path / "out")],
+        "animate": ["--edit", "no.json", "-o", str(tmp_path / "out.mp4")],
+        "eval": ["-o", str(tmp_path / "out")],
+    }
+    assert main([verb, str(made[0]), *words[verb], "--samples", "3"]) == 2
+    assert "--samples: expected rays per pixel that make a square" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_info_tells_of_the_light(
+    made: tuple[Path, Papr, PointCloud, Shading], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, _, cloud, shading = made
+    assert main(["info", str(run)]) == 0
+    assert "brightest on surfaces that face" in " ".join(capsys.readouterr().out.split())
+    save_shading(run / LIGHT_FILE, shading, cloud.positions + 1)
+    assert main(["info", str(run)]) == 0, "a stale light is no reason to say nothing"
+    assert "cannot be used" in " ".join(capsys.readouterr().out.split())
+
+
 def test_the_light_of_other_points_is_an_error(
     made: tuple[Path, Papr, PointCloud, Shading], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -139,3 +174,8 @@ def test_an_evaluation_shows_pictures_with_the_light_and_without(tmp_path: Path)
     assert psnr["canonical", "aware + light"] == psnr["canonical", "aware"]
     assert psnr["grown", "aware + light"] == pytest.approx(psnr["grown", "aware"], abs=1e-3)
     assert psnr["walk", "aware + light"] != psnr["walk", "aware"], "a shear turns normals"
+    assert main(["eval", str(run), "--light", "baked", "-o", str(tmp_path / "baked")]) == 0
+    assert "aware + light" not in (tmp_path / "baked" / "images.csv").read_text()
+    save_shading(run / LIGHT_FILE, load_shading(run, cloud.positions), cloud.positions + 1)
+    assert main(["eval", str(run), "--rays", "plain"]) == 0, "plain rays ask for no light"
+    assert main(["eval", str(run)]) == 2

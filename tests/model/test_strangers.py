@@ -84,34 +84,38 @@ def test_without_layers_both_sheets_would_show(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_what_the_front_lets_through_is_seen_behind_it() -> None:
-    """A front that is half transparent: two layers, one behind the other."""
-    cloud = two_sheets(0.3)
-    config = PaprConfig(**{**vars(CONFIG), "background_score": 2.0})
-    papr = Papr(config).eval()
+    """A front that is half transparent: opacities and weights are those of two layers."""
+    cloud, rays = two_sheets(0.3), camera().rays().flat()
+    papr = Papr(PaprConfig(**{**vars(CONFIG), "background_score": 2.0})).eval()
     with torch.no_grad():
-        out = papr(cloud, camera().rays())
-        only = {
-            name: papr(
-                PointCloud(
-                    positions=cloud.positions[part],
-                    features=cloud.features[part],
-                    influence=cloud.influence[part],
-                    frames=LocalFrames(
-                        rest=_rest(cloud)[part], to_rest=torch.eye(3).expand(64, 3, 3)
-                    ),
-                ),
-                camera().rays(),
-            )
-            for name, part in (("back", slice(0, 64)), ("front", slice(64, 128)))
-        }
-    # Of both sheets together six points are near a ray, of each alone six; where the same points
-    # answer, opacities multiply. Most rays see three of each, so only the sense is asked for.
-    front, back = only["front"].alpha, only["back"].alpha
-    assert (out.alpha <= 1 - (1 - front) * (1 - back) + 1e-3).all()
-    assert 0.05 < float(front.mean()) < 0.95
-    share = (out.weights * (out.neighbours < 64)).sum(dim=-1)
-    assert (share > 0.01).all(), "the back shows through"
-    torch.testing.assert_close(out.weights.sum(dim=-1), torch.ones(16, 16))
+        out, near = papr.attend(cloud, rays)
+        _, _, seen = papr._see(cloud, rays)  # pyright: ignore[reportPrivateUsage]
+        of_front, rest = near >= 64, _rest(cloud)[near]
+        layers = [
+            papr.attention(cloud, rays, near, without(rest, seen, left_out, CUTOFF), 0.0)
+            for left_out in (~of_front, of_front)
+        ]
+    both = of_front.any(dim=1) & (~of_front).any(dim=1)
+    assert both.float().mean() > 0.5
+    front, back = (1 - layer.background for layer in layers)
+    assert 0.05 < float(front[both].mean()) < 0.95
+    expected = front + (1 - front) * back
+    torch.testing.assert_close(1 - out.background[both], expected[both], atol=1e-5, rtol=0)
+    share = (out.weights * ~of_front).sum(dim=-1)
+    expected = (1 - front) * back / expected
+    torch.testing.assert_close(share[both], expected[both], atol=1e-5, rtol=0)
+
+
+def test_what_is_behind_the_camera_hides_nothing() -> None:
+    papr, cloud = Papr(CONFIG).eval(), two_sheets(4.0)
+    with torch.no_grad():
+        layered = papr(cloud, camera().rays())
+        patched = pytest.MonkeyPatch()
+        nobody = lambda positions, *_: torch.zeros(positions.shape[:2], dtype=torch.bool)  # noqa: E731
+        with patched.context() as patch:
+            patch.setattr(papr_module, "strangers", nobody)
+            flat = papr(cloud, camera().rays())
+    torch.testing.assert_close(layered.weights, flat.weights)
 
 
 def _rest(cloud: PointCloud) -> torch.Tensor:

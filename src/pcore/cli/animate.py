@@ -127,6 +127,10 @@ def animate(command: AnimateCommand, console: Console) -> None:
 
 
 def _check(command: AnimateCommand) -> None:
+    from pcore.geometry.pixel_samples import check_samples
+
+    if command.samples is not None:
+        check_samples("--samples", command.samples)
     if command.output is None and command.points is None:
         raise InputError("expected -o VIDEO.mp4 or --points FOLDER, or both, got neither")
     if command.output is not None and command.output.suffix.lower() != ".mp4":

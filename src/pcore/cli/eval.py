@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.light import LightChoice, LightName
 from pcore.cli.options import Count, Folder, Number, Output, Samples
 from pcore.cli.runtime import DeviceName
 
@@ -59,6 +60,10 @@ class EvalCommand:
     """Which rays pictures of deformed states are taken with: methods with plain rays are the
     paper's."""
 
+    light: LightChoice = None
+    """still: aware rays also with a light that stands still; baked: without. Default: still for
+    runs that have a light (`pcore light`)."""
+
     protocol: Literal["papr", "standard", "both"] = "both"
     """How images are compared: as the original PAPR does, as everybody else does, or both."""
 
@@ -103,21 +108,24 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states
+    from pcore.geometry.pixel_samples import check_samples
     from pcore.model.render import render
 
+    check_samples("--samples", command.samples or 1)
     prepare_torch(command.threads)
     device = pick_device(command.device)
     run = open_run(command.run_folder, device=device)
     base = baseline_of(run, command.baseline, device=device)
+    runs = [run] if base is None else [base, run]
     factor = run.factor if command.factor is None else command.factor
     places = open_states(scene_of(run.manifest, command.scene), factor=factor)
     states = places.select(command.state or (() if command.edit else ("all",)))
-    edited, odd = _edited(command, places, [one for one in (run, base) if one is not None])
+    edited, odd = _edited(command, places, runs)
     states += edited
     check_images(shot.view for state in states for shot in state.shots)
     output = command.output or command.run_folder / "eval"
     results_folder(output, about=run.path)
-    methods = _methods(run, base, command.rays, places.scene)
+    methods = _methods(run, base, command.rays, command.light, places.scene)
     chosen = PROTOCOLS.values() if command.protocol == "both" else [PROTOCOLS[command.protocol]]
     perceptual = load_perceptual()
     with counting(console, "pictures") as tell:
@@ -135,9 +143,12 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         "baseline": None if base is None else relative(base.path, output),
         "scene": relative(places.path, output),
         "factor": places.factor,
-        "samples": command.samples or run.papr.config.samples,
+        "samples": {one.path.name: command.samples or one.papr.config.samples for one in runs},
     }
     left_out = [places.left_out] if places.left_out else []
+    counts = {one.papr.config.samples for one in runs}
+    if command.samples is None and len(counts) > 1:
+        odd.append("the runs send another number of rays per pixel each; give --samples for one")
     notes = [*left_out, *odd, *_mended(rows, methods, states)]
     finish(console, output, rows, about=about, perceptual=perceptual, notes=notes)
 
@@ -222,10 +233,12 @@ def _mended(
     return notes
 
 
-def _methods(run: Run, base: Run | None, rays: str, scene: Scene) -> list[Method]:
+def _methods(
+    run: Run, base: Run | None, rays: str, light: LightName | None, scene: Scene
+) -> list[Method]:
     """Baseline first; two methods of one name are told apart by the folders of their runs.
 
-    Where a run has a light, aware rays come with it as well.
+    Where a run has a light, aware rays come with it as well, unless the light is to be baked.
     """
     from pcore.cli.light import shading_of
     from pcore.cli.models import never_seen
@@ -236,19 +249,20 @@ def _methods(run: Run, base: Run | None, rays: str, scene: Scene) -> list[Method
     found: list[Method] = []
     for one in runs:
         unseen = never_seen(one.cloud, scene)
-        shading = shading_of(one.path, one.cloud, None, aware=True)
+        wanted = rays != "plain"
+        shading = shading_of(one.path, one.cloud, light, aware=True) if wanted else None
         ways = [(False, None), (True, None), (True, shading)][: 2 if shading is None else 3]
         found += [
             Method(
-                name=_name(one, aware=aware, lit=light is not None)
+                name=_name(one, aware=aware, lit=lamp is not None)
                 + (f" ({one.path.resolve().name})" if alike else ""),
                 papr=one.papr,
                 cloud=one.cloud,
                 aware=aware,
                 unseen=unseen,
-                shading=light,
+                shading=lamp,
             )
-            for aware, light in ways
+            for aware, lamp in ways
             if rays in ("both", "aware" if aware else "plain")
         ]
     # Plain rays of all runs, then aware ones, then those with a light: of the baseline first.

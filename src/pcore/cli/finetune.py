@@ -130,7 +130,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         tensorboard=not command.no_tensorboard,
         needed=disk_space(saved.config, len(saved.cloud)),
     )
-    run_session(
+    trained = run_session(
         session,
         lambda out, tell: finetune(
             scene,
@@ -143,7 +143,8 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         ),
         console,
     )
-    try_light(output, scene, device, console)
+    if trained:
+        try_light(output, scene, device, console)
     show_result(console, output, next_command=f"pcore render {output} --edit edit.json")
 
 

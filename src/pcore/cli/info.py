@@ -106,11 +106,18 @@ def _skinning_rows(path: Path) -> Rows:
 
 
 def _light_rows(folder: Path) -> Rows:
-    from pcore.cli.light import description, shading_of
+    from pcore.cli.light import description
+    from pcore.errors import CheckpointError
     from pcore.model.checkpoint import load_model
+    from pcore.model.light_file import LIGHT_FILE, load_shading
 
-    shading = shading_of(folder, load_model(folder).cloud, None, aware=True)
-    return [] if shading is None else [("light", description(shading))]
+    if not (folder / LIGHT_FILE).is_file():
+        return []
+    try:
+        shading = load_shading(folder, load_model(folder).cloud.positions)
+    except CheckpointError as error:
+        return [("light", f"cannot be used: {error}")]
+    return [("light", description(shading))]
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> Rows:

@@ -47,10 +47,13 @@ class Session:
     needed: int
 
 
-def run_session(session: Session, train: Train, console: Console) -> None:
+def run_session(session: Session, train: Train, console: Console) -> bool:
     """Train in the folder of the session, showing and logging all events.
 
     A run that is to be resumed and was finished already is left as it is.
+
+    Returns:
+        Whether anything was trained.
 
     Raises:
         InputError: the folder is in use, holds another run, or nothing to resume.
@@ -64,7 +67,7 @@ def run_session(session: Session, train: Train, console: Console) -> None:
     if session.resume and finished(session.path):
         same_run(session.path, new_manifest(session.stage, where, session.config))
         console.print("finished already; nothing is left to do")
-        return
+        return False
     made = not session.path.exists()
     fresh = made or (session.path.is_dir() and not any(session.path.iterdir()))
     with RunFolder.create(
@@ -81,6 +84,7 @@ def run_session(session: Session, train: Train, console: Console) -> None:
             if fresh and not run.state.exists() and not run.model.exists():
                 _remove_traces(run, whole=made)
             raise
+    return True
 
 
 def _train(session: Session, run: RunFolder, train: Train, console: Console) -> None:

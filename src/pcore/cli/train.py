@@ -123,7 +123,7 @@ def train(command: TrainCommand, console: Console) -> None:
         tensorboard=not command.no_tensorboard,
         needed=disk_space(config.model, max(limit, config.points)),
     )
-    run_session(
+    trained = run_session(
         session,
         lambda run, tell: pretrain(
             scene,
@@ -135,7 +135,8 @@ def train(command: TrainCommand, console: Console) -> None:
         ),
         console,
     )
-    try_light(command.output, scene, device, console)
+    if trained:
+        try_light(command.output, scene, device, console)
     show_result(console, command.output, next_command=f"pcore finetune {command.output}")
 
 

@@ -58,7 +58,9 @@ def strangers(
     """
     origin, direction = (one.unsqueeze(1).unbind(dim=-1) for one in vars(rays).values())
     depth = _dot(_minus(positions.unbind(dim=-1), origin), direction)
-    depth = torch.where(_squared_distance(rest, seen) <= cutoff**2, depth, torch.inf)
+    # What lies behind the origin hides nothing.
+    answers = (_squared_distance(rest, seen) <= cutoff**2) & (depth > 0)
+    depth = torch.where(answers, depth, torch.inf)
     nearest, first = depth.min(dim=1, keepdim=True)
     foremost = rest.take_along_dim(first.unsqueeze(-1), dim=1)
     apart = _squared_distance(foremost, seen) > (_FAR * cutoff) ** 2

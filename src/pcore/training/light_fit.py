@@ -32,7 +32,7 @@ MATERIALS = 6
 """Surfaces of a brightness of their own."""
 SMOOTH = 0.005
 """Weight of differences between neighbouring directions. Chosen with the two numbers above on two
-objects and deformations of our own, rendered with other lights than the benchmark's (ADR 10)."""
+objects and deformations of our own, rendered with other lights than the benchmark's (ADR 11)."""
 _LARGEST_SIDE = 200
 _SOLID = 0.9
 _ALIKE = 0.8
@@ -212,11 +212,17 @@ def _solve(falling: Tensor, target: Tensor, weights: Tensor, penalty: Tensor) ->
     count, ridge = len(target), 1e-4 / len(penalty)
     scaled = falling * weights[:, None]
     matrix = scaled.T @ falling / count + penalty + ridge * torch.eye(len(penalty)).double()
-    root = torch.linalg.cholesky(matrix)
     pull = (scaled.T @ target / count + ridge).unsqueeze(1)
-    right = torch.linalg.solve_triangular(root, pull, upper=False)[:, 0]
     solve: Any = nnls
-    radiance = torch.from_numpy(np.asarray(solve(root.T.numpy(), right.numpy())[0]))
+    try:
+        root = torch.linalg.cholesky(matrix)
+        right = torch.linalg.solve_triangular(root, pull, upper=False)[:, 0]
+        found = solve(root.T.numpy(), right.numpy())[0]
+    except RuntimeError as error:  # Not positive definite, or no end of iterations.
+        raise InputError(
+            f"light: the equations have no solution ({error}); do without (--light baked)"
+        ) from error
+    radiance = torch.from_numpy(np.asarray(found))
     return radiance / radiance.mean().clamp_min(1e-9)
 
 
