@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 import pcore.model.papr as papr_module
+import tiny_scene
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended
-from pcore.model.config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
+from pcore.model.config import ReferenceOrigin
 from pcore.model.papr import Papr
-from pcore.model.strangers import behind, moved_as_one, strangers, without
+from pcore.model.strangers import behind, strangers, without
 
 CUTOFF = 0.2
-CONFIG = PaprConfig(
+CONFIG = replace(
+    tiny_scene.CONFIG,
     neighbours=6,
-    octaves=Octaves.all(2),
     feature_size=5,
-    key=MlpConfig(layers=2, width=8, size=8),
-    query=MlpConfig(layers=2, width=8, size=8),
-    value=MlpConfig(layers=2, width=8, size=4),
-    unet_channels=(4, 6, 8),
     background_score=-20.0,  # Whatever a ray meets is opaque.
     cutoff=CUTOFF,
     reference=ReferenceOrigin(center=(0.0, 0.0, 0.0), distance=1.5),
@@ -86,7 +85,7 @@ def test_without_layers_both_sheets_would_show(monkeypatch: pytest.MonkeyPatch) 
 def test_what_the_front_lets_through_is_seen_behind_it() -> None:
     """A front that is half transparent: opacities and weights are those of two layers."""
     cloud, rays = two_sheets(0.3), camera().rays().flat()
-    papr = Papr(PaprConfig(**{**vars(CONFIG), "background_score": 2.0})).eval()
+    papr = Papr(replace(CONFIG, background_score=2.0)).eval()
     with torch.no_grad():
         out, near = papr.attend(cloud, rays)
         _, _, seen = papr._see(cloud, rays)  # pyright: ignore[reportPrivateUsage]
@@ -176,12 +175,18 @@ def test_one_affine_map_has_no_strangers() -> None:
     matrix = torch.tensor([[1.0, 0.5, 0.0], [0.0, 2.0, 0.0], [0.3, 0.0, 0.7]])
     shift = torch.tensor([0.1, 2.0, -3.0])
     back = torch.linalg.inv(matrix).expand(40, 3, 3)
-    frames = LocalFrames(rest=rest, to_rest=back)
     moved = rest @ matrix.T + shift
-    assert moved_as_one(moved, frames)
+
+    def as_one(positions: torch.Tensor, to_rest: torch.Tensor) -> bool:
+        features, influence = torch.zeros(40, 1), torch.ones(40)
+        cloud = PointCloud(positions=rest, features=features, influence=influence)
+        assert not cloud.moved_as_one, "nothing was moved"
+        return cloud.moved(positions, LocalFrames(rest=rest, to_rest=to_rest)).moved_as_one
+
+    assert as_one(moved, back)
     apart = moved.clone()
     apart[20:] += 0.01
-    assert not moved_as_one(apart, frames)
+    assert not as_one(apart, back)
     turned = back.clone()
     turned[20:] = torch.eye(3)
-    assert not moved_as_one(moved, LocalFrames(rest=rest, to_rest=turned))
+    assert not as_one(moved, turned)

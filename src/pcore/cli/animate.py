@@ -14,7 +14,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.light import LightChoice, shading_of
-from pcore.cli.options import Count, Folder, Number, Samples, optional
+from pcore.cli.options import Count, Folder, Number, Samples, check_given_samples, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
@@ -127,10 +127,7 @@ def animate(command: AnimateCommand, console: Console) -> None:
 
 
 def _check(command: AnimateCommand) -> None:
-    from pcore.geometry.pixel_samples import check_samples
-
-    if command.samples is not None:
-        check_samples("--samples", command.samples)
+    check_given_samples(command.samples)
     if command.output is None and command.points is None:
         raise InputError("expected -o VIDEO.mp4 or --points FOLDER, or both, got neither")
     if command.output is not None and command.output.suffix.lower() != ".mp4":

@@ -13,7 +13,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.light import LightChoice, LightName
-from pcore.cli.options import Count, Folder, Number, Output, Samples
+from pcore.cli.options import Count, Folder, Number, Output, Samples, check_given_samples
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
@@ -108,10 +108,9 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states
-    from pcore.geometry.pixel_samples import check_samples
     from pcore.model.render import render
 
-    check_samples("--samples", command.samples or 1)
+    check_given_samples(command.samples)
     prepare_torch(command.threads)
     device = pick_device(command.device)
     run = open_run(command.run_folder, device=device)

@@ -35,3 +35,15 @@ Folder = Annotated[Path | None, optional("FOLDER")]
 
 Output = Annotated[Path | None, optional("FOLDER", "-o")]
 """Where results go; may be left out."""
+
+
+def check_given_samples(samples: int | None) -> None:
+    """Refuse rays per pixel that make no square grid, before any work is done.
+
+    Raises:
+        InputError: they do not.
+    """
+    from pcore.geometry.pixel_samples import check_samples
+
+    if samples is not None:
+        check_samples("--samples", samples)

@@ -12,7 +12,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.light import LightChoice, shading_of
-from pcore.cli.options import Count, Folder, Number, Output, Samples, optional
+from pcore.cli.options import Count, Folder, Number, Output, Samples, check_given_samples, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
@@ -146,10 +146,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
 
 
 def _check(command: RenderCommand) -> None:
-    from pcore.geometry.pixel_samples import check_samples
-
-    if command.samples is not None:
-        check_samples("--samples", command.samples)
+    check_given_samples(command.samples)
     if command.light is not None and command.edit is None:
         raise InputError("--light is for edits: give --edit FILE as well, or leave out --light")
     given = [name for name in ("cameras", "split", "orbit") if getattr(command, name) is not None]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.local_frames import LocalFrames
+
+_ROUNDING = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +64,19 @@ class PointCloud:
 
     def __len__(self) -> int:
         return self.positions.shape[0]
+
+    @cached_property
+    def moved_as_one(self) -> bool:
+        """Whether one affine map moves all points from their rest state, to rounding."""
+        if self.frames is None:
+            return False
+        positions, rest = self.positions.detach(), self.frames.rest.detach()
+        to_rest = self.frames.to_rest.detach()
+        linear = to_rest[0]
+        if float((to_rest - linear).abs().max()) > _ROUNDING * float(linear.abs().max()):
+            return False
+        offset = rest - positions @ linear.T
+        return float((offset - offset[0]).abs().max()) <= _ROUNDING * float(rest.abs().max())
 
     def moved(self, positions: Tensor, frames: LocalFrames | None = None) -> PointCloud:
         """Return the same points at other positions (N, 3), with or without their rest state.

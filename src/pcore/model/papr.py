@@ -15,7 +15,7 @@ from pcore.geometry.rays import RayBundle
 from pcore.kernels.functional import nearest_to_rays, pull_back
 from pcore.model.attention import Attended, ProximityAttention
 from pcore.model.config import PaprConfig
-from pcore.model.strangers import OPAQUE, behind, moved_as_one, strangers, without
+from pcore.model.strangers import OPAQUE, behind, strangers, without
 from pcore.model.unet import Unet
 
 _CANDIDATES = 1.25
@@ -119,7 +119,7 @@ class Papr(nn.Module):
         With frames and a cut-off, points that met no ray together at rest are layered by depth.
         """
         frames, cutoff = cloud.frames, self.config.cutoff
-        if frames is None or cutoff is None or moved_as_one(cloud.positions, frames):
+        if frames is None or cutoff is None or cloud.moved_as_one:
             return self.attention(cloud, rays, neighbours, seen, threshold)
         rest = frames.rest[neighbours]
         others = strangers(cloud.positions.detach()[neighbours], rest, rays, seen, cutoff)

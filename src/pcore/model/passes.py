@@ -155,11 +155,11 @@ def attend(
     attended, neighbours = papr.attend(cloud, rays.flat().to(device), threshold)
     pixels = averaged(cloud, attended, neighbours, shape[1])
     rows, width, channels = canvas.features.shape
-    places = (wanted % (rows * width)).to(device)
-    canvas.features.view(-1, channels)[places] = pixels.features
-    canvas.alpha.view(-1)[wanted.to(device)] = pixels.alpha
+    there = wanted.to(device)
+    canvas.features.view(-1, channels)[there % (rows * width)] = pixels.features
+    canvas.alpha.view(-1)[there] = pixels.alpha
     if pixels.gain is not None:
-        canvas.gain.view(-1)[wanted.to(device)] = pixels.gain
+        canvas.gain.view(-1)[there] = pixels.gain
     none = attended.weights.sum(dim=-1, keepdim=True) == 0
     surface = attended.surface.masked_fill(none, math.nan).cpu().reshape(*shape, 3)
     canvas.surface.view(-1, 3)[wanted] = _middle_surface(surface, rays.origins)

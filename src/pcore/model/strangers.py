@@ -15,7 +15,6 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended
 
@@ -27,17 +26,6 @@ _AWAY = 4.0
 OPAQUE = 0.97
 """Behind such an opacity strangers are not looked at."""
 _LEAST = 1e-9
-_ROUNDING = 1e-5
-
-
-@torch.no_grad()
-def moved_as_one(positions: Tensor, frames: LocalFrames) -> bool:
-    """Tell whether one affine map moves all points (N, 3): then nobody is a stranger."""
-    linear = frames.to_rest[0]
-    if float((frames.to_rest - linear).abs().max()) > _ROUNDING * float(linear.abs().max()):
-        return False
-    offset = frames.rest - positions @ linear.T
-    return float((offset - offset[0]).abs().max()) <= _ROUNDING * float(frames.rest.abs().max())
 
 
 @torch.no_grad()
