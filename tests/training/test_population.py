@@ -88,6 +88,36 @@ def test_the_hull_of_a_ball_is_the_ball() -> None:
     assert distance.mean() == pytest.approx(RADIUS, abs=0.04)
 
 
+PLATE = torch.tensor([1.0, 0.01, 1.0])
+
+
+def with_plate(camera: Camera) -> FakeView:
+    """The ball in a square plate that is thinner than a pixel, as photos show it: with soft edges."""
+    rays = camera.resized(4 * camera.width, 4 * camera.height).rays()
+    start, direction = rays.origins - CENTER, rays.directions
+    near = start - (start * direction).sum(dim=-1, keepdim=True) * direction
+    sides = torch.stack([(side * PLATE - start) / direction for side in (-1, 1)])
+    enters, leaves = sides.amin(dim=0).amax(dim=-1), sides.amax(dim=0).amin(dim=-1)
+    hit = (near.norm(dim=-1) < 0.4) | (enters < leaves)
+    cover = nn.functional.avg_pool2d(hit.float()[None], 4)[0]
+    return FakeView(camera, cover.unsqueeze(-1).expand(-1, -1, 4))
+
+
+def test_a_sheet_thinner_than_a_pixel_has_points() -> None:
+    """Views from its edge cover no pixel of it by half; they must not carve it away."""
+    views = [with_plate(camera) for height in (-0.6, 0.0, 0.6) for camera in cameras(8, height)]
+    edge_on = with_plate(cameras(1, 0.0)[0])
+    middle = edge_on.alpha()[:, 12:20].amax()
+    assert 0.1 < float(middle) < 0.5
+    offset = hull(views) - CENTER
+    out = (offset[:, [0, 2]].abs().amax(dim=1) > 0.5) & (offset[:, 1].abs() < 0.06)
+    # Four fifths of the points' surface is the plate outside of the ball.
+    assert float(out.float().mean()) > 0.5
+    corners = offset[out][:, [0, 2]]
+    for sign in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        assert int((corners * torch.tensor(sign) > 0.7).all(dim=1).sum()) > 10
+
+
 def test_the_hull_is_covered_all_over() -> None:
     directions = nn.functional.normalize(hull(around()) - CENTER, dim=1)
     probes = nn.functional.normalize(torch.randn(200, 3), dim=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -15,6 +16,9 @@ from pcore.geometry.camera import Camera
 
 _NEIGHBOURS_OF_SPREAD = 10
 _PARENTS = 3
+_SOLID = 0.5
+_TRACE = 0.05
+"""A pixel that an object covers by less shows none of it. Chosen on held-out views (ADR 12)."""
 
 
 class MaskedView(Protocol):
@@ -59,6 +63,10 @@ def hull_points(
 ) -> Tensor:
     """Points on the surface of the visual hull of the training masks.
 
+    A sheet seen edge-on covers no pixel by half, and would be carved away by that one view. So what
+    lies farther than a pixel from the hull of half covered pixels is carved only by pixels that
+    show nothing at all.
+
     Args:
         count: number of points.
         views: training views with an alpha channel.
@@ -73,9 +81,10 @@ def hull_points(
     Raises:
         TrainingError: when the silhouettes have no common inside.
     """
-    masks = [(view.camera, view.alpha() > 0.5) for view in views]
+    solid = [(view.camera, view.alpha() > _SOLID) for view in views]
+    trace = [(view.camera, view.alpha() > _TRACE) for view in views]
     coarse, size = _voxels(lower, upper, 64)
-    inside = _inside_all(coarse, masks)
+    inside = _inside_all(coarse, trace)
     if not bool(inside.any()):
         raise TrainingError(
             "visual hull: the training masks have no common inside; expected silhouettes of one "
@@ -84,7 +93,10 @@ def hull_points(
         )
     kept = coarse[inside]
     fine, size = _voxels(kept.amin(dim=0) - size, kept.amax(dim=0) + size, resolution)
-    surface = _surface_voxels(fine, _inside_all(fine, masks), size)
+    core = _inside_all(fine, solid)
+    reach = math.ceil(_pixel_size(views, kept.mean(dim=0)) / size)
+    thin = _inside_all(fine, trace) & ~_widened(core, reach)
+    surface = _surface_voxels(fine, core | thin, size)
     chosen = torch.randint(len(surface), (count,), generator=generator)
     jitter = torch.rand(count, 3, generator=generator) - 0.5
     return surface[chosen] + jitter * size
@@ -114,6 +126,18 @@ def _inside_all(voxels: Tensor, masks: Sequence[tuple[Camera, Tensor]]) -> Tenso
     # A corner that few views see is hardly carved, but it is no object either.
     inside[alive] = 2 * seen[alive] >= len(masks)
     return inside.reshape(voxels.shape[:-1])
+
+
+def _pixel_size(views: Sequence[MaskedView], place: Tensor) -> float:
+    """How wide a pixel of the middle one of the views is at a place, world units."""
+    sizes = [float((view.camera.center - place).norm()) / view.camera.fx for view in views]
+    return sorted(sizes)[len(sizes) // 2]
+
+
+def _widened(voxels: Tensor, reach: int) -> Tensor:
+    """Voxels (X, Y, Z) bool with all within `reach` of them along every axis."""
+    wide = nn.functional.max_pool3d(voxels[None].float(), 2 * reach + 1, stride=1, padding=reach)
+    return wide[0] > 0
 
 
 def _look_up(points: Tensor, camera: Camera, mask: Tensor) -> tuple[Tensor, Tensor]:
