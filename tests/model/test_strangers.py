@@ -16,6 +16,7 @@ from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended
 from pcore.model.config import ReferenceOrigin
 from pcore.model.papr import Papr
+from pcore.model.sight import look
 from pcore.model.strangers import behind, strangers, without
 
 CUTOFF = 0.2
@@ -88,7 +89,7 @@ def test_what_the_front_lets_through_is_seen_behind_it() -> None:
     papr = Papr(replace(CONFIG, background_score=2.0)).eval()
     with torch.no_grad():
         out, near = papr.attend(cloud, rays)
-        _, _, seen = papr._see(cloud, rays)  # pyright: ignore[reportPrivateUsage]
+        seen = look(cloud, rays, CONFIG.neighbours, CUTOFF).seen.slid(torch.zeros(3), 1.5)
         of_front, rest = near >= 64, _rest(cloud)[near]
         layers = [
             papr.attention(cloud, rays, near, without(rest, seen, left_out, CUTOFF), 0.0)

@@ -92,7 +92,7 @@ PLATE = torch.tensor([1.0, 0.01, 1.0])
 
 
 def with_plate(camera: Camera) -> FakeView:
-    """The ball in a square plate that is thinner than a pixel, as photos show it: with soft edges."""
+    """The ball in a square plate thinner than a pixel, as photos show it: with soft edges."""
     rays = camera.resized(4 * camera.width, 4 * camera.height).rays()
     start, direction = rays.origins - CENTER, rays.directions
     near = start - (start * direction).sum(dim=-1, keepdim=True) * direction

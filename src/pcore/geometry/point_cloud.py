@@ -78,6 +78,12 @@ class PointCloud:
         offset = rest - positions @ linear.T
         return float((offset - offset[0]).abs().max()) <= _ROUNDING * float(rest.abs().max())
 
+    @cached_property
+    def sphere(self) -> tuple[Tensor, float]:
+        """Middle (3,) and radius, world units, of a sphere around all points."""
+        lower, upper = self.extent()
+        return (lower + upper) / 2, 0.5 * float((upper - lower).norm())
+
     def moved(self, positions: Tensor, frames: LocalFrames | None = None) -> PointCloud:
         """Return the same points at other positions (N, 3), with or without their rest state.
 

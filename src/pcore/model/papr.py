@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import torch
 from torch import Tensor, nn
 
-from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.kernels.functional import nearest_to_rays, pull_back
 from pcore.model.attention import Attended, ProximityAttention
 from pcore.model.config import PaprConfig
+from pcore.model.far_side import opaque, replaced, turned, unanswered
+from pcore.model.sight import Sight, look
 from pcore.model.strangers import OPAQUE, behind, strangers, without
 from pcore.model.unet import Unet
 
-_CANDIDATES = 1.25
-_MOST_CANDIDATES = 64
-"""Candidates of the plain search, per neighbour and unit of the frames' condition number, and in
-all (what the search on CUDA takes). A circle around an ellipse is larger by the ratio of its axes:
-among so many times more are the nearest of the rest state, were all spread evenly. See ADR 5."""
 _LEAST_OPACITY = 1e-6
 
 
@@ -73,7 +68,10 @@ class Papr(nn.Module):
             The rendering, differentiable in the cloud and the networks.
         """
         shape = rays.shape
-        attended, neighbours = self.attend(cloud, rays.flat())
+        pixels_first = RayBundle(
+            origins=rays.origins.flatten(0, 1), directions=rays.directions.flatten(0, 1)
+        )
+        attended, neighbours = self.attend(cloud, pixels_first)
         pixels = averaged(cloud, attended, neighbours, math.prod(shape[2:]))
         features, alpha = pixels.features.reshape(*shape[:2], -1), pixels.alpha.reshape(shape[:2])
         gain = None if pixels.gain is None else pixels.gain.reshape(shape[:2])
@@ -90,23 +88,57 @@ class Papr(nn.Module):
     def attend(
         self, cloud: PointCloud, rays: RayBundle, threshold: float = 0.0
     ) -> tuple[Attended, Tensor]:
-        """Nearest points and attention of (R,) rays; rays beyond the cut-off cost nothing.
+        """Nearest points and attention of rays; rays beyond the cut-off cost nothing.
 
         Args:
             cloud: the points.
-            rays: (R,) rays, world units.
+            rays: (R,) rays, or (P, S) rays of P pixels, which share a search; R = P * S.
             threshold: points with less than this weight add nothing to a feature; 0 is exact.
 
         Returns:
-            The attention, and the neighbours (R, k).
+            The attention of (R,) rays, and the neighbours (R, k).
         """
-        neighbours, near, seen = self._see(cloud, rays)
-        if near is None:
-            return self._attend(cloud, rays, neighbours, seen, threshold), neighbours
-        part = self._attend(cloud, rays[near], neighbours[near], seen, threshold)
-        return _scatter(part, near, neighbours.shape), neighbours
+        sight, met = self._meet(cloud, rays, threshold)
+        cutoff = self.config.cutoff
+        if cutoff is None:
+            return met, sight.neighbours
+        if _parts_moved(cloud):
+            sight, met = self._closed(cloud, rays.flat(), sight, met, threshold, cutoff)
+        return _scatter(met, sight.near, sight.neighbours.shape), sight.neighbours
 
-    def _attend(
+    def _closed(
+        self,
+        cloud: PointCloud,
+        rays: RayBundle,
+        sight: Sight,
+        met: Attended,
+        threshold: float,
+        cutoff: float,
+    ) -> tuple[Sight, Attended]:
+        """Look along those of (R,) rays that see through the object from their other ends."""
+        near, lines = sight.near, rays[sight.near]
+        rows = unanswered(met, sight.neighbours[near], cloud, lines, cutoff)
+        if len(rows) == 0:
+            return sight, met
+        there, back = self._meet(cloud, turned(lines[rows], cloud), threshold)
+        solid = opaque(back)
+        turned_near, rows = there.near[solid], rows[there.near[solid]]
+        neighbours = sight.neighbours.index_copy(0, near[rows], there.neighbours[turned_near])
+        return replace(sight, neighbours=neighbours), replaced(met, rows, back, solid)
+
+    def _meet(self, cloud: PointCloud, rays: RayBundle, threshold: float) -> tuple[Sight, Attended]:
+        """What rays (R,) or (P, S) look at, and the attention of those near to points."""
+        config = self.config
+        sight = look(cloud, rays, config.neighbours, config.cutoff)
+        near, neighbours, seen, lines = sight.near, sight.neighbours, sight.seen, rays.flat()
+        if config.reference is not None:
+            middle = _constant(config.reference.center, cloud.positions)
+            seen = seen.slid(middle, config.reference.distance)
+        if config.cutoff is not None:
+            lines, neighbours = lines[near], neighbours[near]
+        return sight, self._layered(cloud, lines, neighbours, seen, threshold)
+
+    def _layered(
         self,
         cloud: PointCloud,
         rays: RayBundle,
@@ -119,7 +151,7 @@ class Papr(nn.Module):
         With frames and a cut-off, points that met no ray together at rest are layered by depth.
         """
         frames, cutoff = cloud.frames, self.config.cutoff
-        if frames is None or cutoff is None or cloud.moved_as_one:
+        if frames is None or cutoff is None or not _parts_moved(cloud):
             return self.attention(cloud, rays, neighbours, seen, threshold)
         rest = frames.rest[neighbours]
         others = strangers(cloud.positions.detach()[neighbours], rest, rays, seen, cutoff)
@@ -134,28 +166,6 @@ class Papr(nn.Module):
         alone = without(rest[rows], seen[rows], ~others[rows], cutoff)
         back = self.attention(cloud, rays[rows], neighbours[rows], alone, threshold)
         return behind(front, rows, back)
-
-    def _see(self, cloud: PointCloud, rays: RayBundle) -> tuple[Tensor, Tensor | None, RayBundle]:
-        """What the networks are to look at.
-
-        Returns:
-            Neighbours (R, k) of all rays; indices (M,) of the rays with a point within the cut-off,
-            None for all; these rays as the networks see them: (M,), or (M, k) with frames.
-        """
-        cutoff, k, reference = self.config.cutoff, self.config.neighbours, self.config.reference
-        positions, frames = cloud.positions.detach(), cloud.frames
-        near: Tensor | None = None
-        if frames is None:
-            neighbours, seen = nearest_to_rays(rays.origins, rays.directions, positions, k), rays
-            if cutoff is not None:
-                near = _reached(positions, neighbours, rays, cutoff)
-                seen = rays[near]
-        else:
-            # The nearest in the rest state are sought among more than k of the deformed state.
-            neighbours, near, seen = _pulled_back(positions, frames, rays, k, cutoff)
-        if reference is not None:
-            seen = seen.slid(_constant(reference.center, positions), reference.distance)
-        return neighbours, near, seen
 
     def shade(
         self,
@@ -224,50 +234,9 @@ def _sent_once(values: tuple[float, ...], dtype: torch.dtype, device: torch.devi
     return torch.tensor(values, dtype=dtype, device=device)
 
 
-def _pulled_back(
-    positions: Tensor, frames: LocalFrames, rays: RayBundle, k: int, cutoff: float | None
-) -> tuple[Tensor, Tensor | None, RayBundle]:
-    """Neighbours (R, k), near rays (M,) or None, and these rays (M, k) of the rest state."""
-    count = _candidates(frames, k)
-    candidates = nearest_to_rays(rays.origins, rays.directions, positions, count)
-    k = min(k, len(positions))
-    near: Tensor | None = None
-    if cutoff is not None:
-        # No point is farther from a ray in the deformed state than so many times in the rest state.
-        reach = cutoff * frames.stretch[candidates].amax(dim=1)
-        near = _reached(positions, candidates, rays, reach)
-    some = rays if near is None else rays[near]
-    chosen, origins, directions = pull_back(
-        some.origins,
-        some.directions,
-        positions,
-        frames.rest,
-        frames.to_rest,
-        candidates if near is None else candidates[near],
-        k,
-    )
-    seen = RayBundle(origins=origins, directions=directions)
-    if near is None or cutoff is None:
-        return chosen, None, seen
-    answered = _reached(frames.rest, chosen, seen[:, 0], cutoff)
-    near = near[answered]
-    return candidates[:, :k].index_copy(0, near, chosen[answered]), near, seen[answered]
-
-
-def _candidates(frames: LocalFrames, k: int) -> int:
-    """How many candidates are looked at for k neighbours."""
-    return max(k, math.ceil(min(_CANDIDATES * frames.anisotropy * k, _MOST_CANDIDATES)))
-
-
-@torch.no_grad()
-def _reached(
-    points: Tensor, neighbours: Tensor, rays: RayBundle, distance: Tensor | float
-) -> Tensor:
-    """Indices of the (R,) rays whose first, nearest neighbour (R, k) is within a distance (R,)."""
-    offset = points[neighbours[:, 0]] - rays.origins
-    along = (offset * rays.directions).sum(dim=-1, keepdim=True)
-    squared = (offset - along * rays.directions).square().sum(dim=-1)
-    return torch.nonzero(squared <= distance**2).squeeze(-1)
+def _parts_moved(cloud: PointCloud) -> bool:
+    """Whether the points are deformed and each sees rays in its own way."""
+    return cloud.frames is not None and not cloud.moved_as_one
 
 
 def _scatter(part: Attended, rows: Tensor, shape: torch.Size) -> Attended:

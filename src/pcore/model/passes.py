@@ -152,7 +152,7 @@ def attend(
 ) -> None:
     """Fill M wanted pixels, given by their numbers, with what their rays meet, (M, S) of them."""
     device, shape = canvas.alpha.device, rays.shape
-    attended, neighbours = papr.attend(cloud, rays.flat().to(device), threshold)
+    attended, neighbours = papr.attend(cloud, rays.to(device), threshold)
     pixels = averaged(cloud, attended, neighbours, shape[1])
     rows, width, channels = canvas.features.shape
     there = wanted.to(device)
