@@ -148,7 +148,7 @@ def _scaled(rates: Rates, factor: float) -> Rates:
 
 
 _SMALL_FINETUNE = FinetuneConfig(
-    steps=1200,
+    steps=950,
     rates=_scaled(_SMALL_RATES, 0.5),
     patch=PatchConfig(side=100, samples=2),
     alternate=True,
