@@ -140,10 +140,10 @@ def test_safetensors_of_somebody_else(tmp_path: Path) -> None:
 
 
 def test_a_newer_version(saved: tuple[Path, Papr, PointCloud]) -> None:
-    rewrite(saved[0], header={"version": "5"})
+    rewrite(saved[0], header={"version": "6"})
     message = error_of(saved[0])
-    assert "version '5'" in message
-    assert "reads versions 1, 2, 3 and 4" in message
+    assert "version '6'" in message
+    assert "reads versions 1, 2, 3, 4 and 5" in message
 
 
 def test_older_versions_had_fewer_settings(saved: tuple[Path, Papr, PointCloud]) -> None:
@@ -167,6 +167,12 @@ def test_older_versions_had_fewer_settings(saved: tuple[Path, Papr, PointCloud])
     assert load_model(saved[0]).config.samples == 1, "version 3 had one ray per pixel"
     rewrite(saved[0], header={"version": "4"})
     assert "config: missing key 'samples'" in error_of(saved[0])
+    config["samples"] = 1
+    del config["pixel"]
+    rewrite(saved[0], header={"config": json.dumps(config)})
+    assert load_model(saved[0]).config.pixel is None, "version 4 did not know its photos"
+    rewrite(saved[0], header={"version": "5"})
+    assert "config: missing key 'pixel'" in error_of(saved[0])
 
 
 def test_a_changed_configuration(saved: tuple[Path, Papr, PointCloud]) -> None:

@@ -225,7 +225,7 @@ def test_a_tile_without_its_surroundings_would_differ(
     """The margin is needed: the test above would see a smaller one."""
     papr, cam = Papr(config()).eval(), camera(40, 40)
     exact = render(papr, cloud, cam)
-    monkeypatch.setattr("pcore.model.passes.RECEPTIVE_MARGIN", 8)
+    monkeypatch.setattr("pcore.model.raster.RECEPTIVE_MARGIN", 8)
     assert float((render(papr, cloud, cam, tile=16).rgb - exact.rgb).abs().max()) > 1e-5
 
 
@@ -273,7 +273,6 @@ def test_chunks_are_larger_on_a_gpu(cloud: PointCloud) -> None:
             camera(8, 8),
             None,
             8,
-            1,
         )
         for parameters in (Papr(config()).parameters, lambda: iter([on_gpu]))
     ]

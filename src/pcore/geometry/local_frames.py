@@ -44,6 +44,11 @@ class LocalFrames:
         return float(torch.quantile(ratio, _MOST))
 
     @cached_property
+    def growth(self) -> float:
+        """How many times as long as at rest things are: median over the points, mean of axes."""
+        return float(self._sizes.prod(dim=1).median().clamp_min(_FLATTEST)) ** (-1 / 3)
+
+    @cached_property
     def _sizes(self) -> Tensor:
         """(N, 3) factors by which `to_rest` changes lengths, largest first."""
         return torch.linalg.svdvals(self.to_rest.detach().double())

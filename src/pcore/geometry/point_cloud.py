@@ -11,8 +11,11 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.neighbours import nearest
 
 _ROUNDING = 1e-5
+_BESIDE = 3
+_LEAST = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +30,7 @@ class PointCloud:
             (deformation-aware rays); None makes the points be seen where they are.
         gains: (N,) factor on the brightness of every point (`geometry.light`); None leaves it as
             it was photographed.
+        before: (N, 3) positions before the points were moved; None where they were not.
     """
 
     positions: Tensor
@@ -34,6 +38,7 @@ class PointCloud:
     influence: Tensor
     frames: LocalFrames | None = None
     gains: Tensor | None = None
+    before: Tensor | None = None
 
     def __post_init__(self) -> None:
         n = self.positions.shape[0]
@@ -84,12 +89,29 @@ class PointCloud:
         lower, upper = self.extent()
         return (lower + upper) / 2, 0.5 * float((upper - lower).norm())
 
+    @cached_property
+    def growth(self) -> float:
+        """How many times as far from their neighbours as before they were moved points are.
+
+        The median over the points; a pose that folds limbs changes nothing.
+        """
+        if self.frames is not None:
+            return self.frames.growth
+        if self.before is None or len(self) <= _BESIDE:
+            return 1.0
+        beside, before = nearest(self.before, self.before, 1 + _BESIDE)
+        here = self.positions.detach().cpu()
+        after = (here[beside[:, 1:]] - here.unsqueeze(1)).norm(dim=-1)
+        sizes = before[:, 1:].sum(dim=1)
+        return float((after.sum(dim=1) / sizes.clamp_min(_LEAST)).median())
+
     def moved(self, positions: Tensor, frames: LocalFrames | None = None) -> PointCloud:
         """Return the same points at other positions (N, 3), with or without their rest state.
 
         Gains belong to the positions they were made for, and are left behind.
         """
-        return replace(self, positions=positions, frames=frames, gains=None)
+        before = self.positions if self.before is None else self.before
+        return replace(self, positions=positions, frames=frames, gains=None, before=before)
 
     def lit(self, gains: Tensor | None) -> PointCloud:
         """Return the same points with these factors (N,) on their brightness."""
@@ -114,6 +136,7 @@ class PointCloud:
             frames=frames
             and replace(frames, rest=change(frames.rest), to_rest=change(frames.to_rest)),
             gains=None if self.gains is None else change(self.gains),
+            before=None if self.before is None else change(self.before),
         )
 
     def extent(self) -> tuple[Tensor, Tensor]:

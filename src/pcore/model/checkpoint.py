@@ -23,8 +23,8 @@ from pcore.model.records import from_dict, to_dict
 
 MODEL_FILE = "model.safetensors"
 _FORMAT = "pcore-model"
-_VERSION = 4
-_READ = ("1", "2", "3", str(_VERSION))
+_VERSION = 5
+_READ = ("1", "2", "3", "4", str(_VERSION))
 _CLOUD = ("positions", "features", "influence")
 
 
@@ -209,6 +209,8 @@ def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
         settings["octaves"] = dict.fromkeys(("point", "along", "across", "direction"), number)
     if header["version"] in {"1", "2", "3"}:
         settings["samples"] = 1  # Pictures had one ray per pixel, before version 4.
+    if header["version"] in {"1", "2", "3", "4"}:
+        settings["pixel"] = None  # Nor did models know the size of their photos' pixels.
     config = from_dict(PaprConfig, settings, where=f"{path}: config")
     provenance = from_dict(
         Provenance, _json(path, header, "provenance"), where=f"{path}: provenance"

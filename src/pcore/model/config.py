@@ -119,6 +119,9 @@ class PaprConfig:
     samples: int = 1
     """Rays per pixel of a picture, on a square grid (1, 4, 9, ...): the renderer network sees the
     mean of their features. 1 (the original) is the ray through the pixel's centre."""
+    pixel: float | None = None
+    """Width of a pixel of the training photos at the object's middle, world units: what the
+    renderer network knows (`pcore.model.raster`). None: pictures are drawn as they come."""
 
     def __post_init__(self) -> None:
         if self.neighbours < 1 or self.feature_size < 1:

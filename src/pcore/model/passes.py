@@ -1,6 +1,6 @@
 """What pictures are made of: attention of rays in chunks, colours in tiles.
 
-Attention looks at every ray by itself; the UNet looks `RECEPTIVE_MARGIN` pixels around, so a tile
+Attention looks at every ray by itself; the UNet looks some pixels around (`Raster`), so a tile
 is computed with that much of its surroundings, cut where the pooling grid of the whole image lies,
 and then trimmed.
 """
@@ -10,16 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from pcore.errors import PcoreError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr, averaged
-from pcore.model.unet import RECEPTIVE_MARGIN
+from pcore.model.raster import Raster
 
 Progress = Callable[[float], None]
 
@@ -57,28 +59,30 @@ class Window:
     kept: Slices
 
 
-def windows(size: tuple[int, int], tile: int) -> Iterator[Window]:
-    """Tiles of an image (H, W), row by row."""
-    for top in range(0, size[0], tile):
-        for left in range(0, size[1], tile):
-            spans = [_span(start, tile, end) for start, end in zip((top, left), size, strict=True)]
+def windows(raster: Raster) -> Iterator[Window]:
+    """Tiles of a picture, row by row."""
+    tile, margin = raster.tile, raster.margin
+    for top in range(0, raster.size[0], tile):
+        for left in range(0, raster.size[1], tile):
+            starts = zip((top, left), raster.size, strict=True)
+            spans = [_span(start, tile, margin, end) for start, end in starts]
             seen, trimmed, kept = zip(*spans, strict=True)
             yield Window(seen=seen, trimmed=trimmed, kept=kept)
 
 
-def rows_in_use(width: int, tile: int, chunk: int) -> int:
-    """Rows of features that are held when chunks of rays come in from above, tile after tile.
+def rows_in_use(raster: Raster, chunk: int) -> int:
+    """Rows of features that are held when chunks of pixels come in from above, tile after tile.
 
     Those that a tile sees, and those that a chunk reaches beyond them.
     """
-    return tile + 2 * RECEPTIVE_MARGIN + math.ceil(chunk / width)
+    return raster.tile + 2 * raster.margin + math.ceil(chunk / raster.size[1])
 
 
-def _span(start: int, tile: int, end: int) -> tuple[slice, slice, slice]:
+def _span(start: int, tile: int, margin: int, end: int) -> tuple[slice, slice, slice]:
     """Seen, trimmed and kept part along one axis."""
     stop = min(start + tile, end)
-    first = max(0, start - RECEPTIVE_MARGIN)
-    last = min(end, stop + RECEPTIVE_MARGIN)
+    first = max(0, start - margin)
+    last = min(end, stop + margin)
     return slice(first, last), slice(start - first, stop - first), slice(start, stop)
 
 
@@ -177,10 +181,57 @@ def _middle_surface(surface: Tensor, origins: Tensor) -> Tensor:
     return surface.take_along_dim(middle.unsqueeze(-1), dim=1).squeeze(1)
 
 
-def shade(canvas: Canvas, papr: Papr, window: Window) -> None:
+def shade(canvas: Canvas, papr: Papr, window: Window, step: int) -> None:
     """Fill the colours of a tile whose surroundings are attended to."""
     seen, columns = window.seen
     rows = torch.arange(seen.start, seen.stop, device=canvas.alpha.device) % len(canvas.features)
     features = canvas.features[:, columns].index_select(0, rows)
-    colours = papr.shade(features, canvas.alpha[window.seen], gain=canvas.gain[window.seen])
+    alpha, gain = canvas.alpha[window.seen], canvas.gain[window.seen]
+    if step == 1:
+        colours = papr.shade(features, alpha, gain=gain)
+    else:
+        # A pixel of the photos is as wide as a step: so is the mean of what the UNet sees.
+        features, colours = _mean_around(features, step), alpha.new_empty(*alpha.shape, 3)
+        for row, column in product(range(step), repeat=2):
+            lattice = (slice(row, None, step), slice(column, None, step))
+            colours[lattice] = papr.shade(features[lattice], alpha[lattice], gain=gain[lattice])
     canvas.rgb[window.kept] = colours[window.trimmed].cpu()
+
+
+def _mean_around(features: Tensor, width: int) -> Tensor:
+    """Means (H, W, C) over squares of so many pixels around every pixel, zero beyond the rim."""
+    reach = width // 2
+    weights = features.new_ones(2 * reach + 1)
+    if width % 2 == 0:
+        weights[[0, -1]] = 0.5
+    weights = weights / width
+    planes = features.permute(2, 0, 1).unsqueeze(1)
+    planes = F.conv2d(planes, weights.reshape(1, 1, -1, 1), padding=(reach, 0))
+    planes = F.conv2d(planes, weights.reshape(1, 1, 1, -1), padding=(0, reach))
+    return planes.squeeze(1).permute(1, 2, 0)
+
+
+def pooled(picture: Picture, pool: int, camera: Camera) -> Picture:
+    """Average squares of pixels; the surface is that of the pixel of the middle distance.
+
+    Args:
+        picture: `pool` times as large as that of the camera.
+        pool: side of the squares.
+        camera: of the result.
+    """
+    if pool == 1:
+        return picture
+
+    def squares(values: Tensor) -> Tensor:
+        blocks = values.unflatten(1, (-1, pool)).unflatten(0, (-1, pool))
+        return blocks.transpose(1, 2).flatten(2, 3)
+
+    surface = squares(picture.surface).flatten(0, 1)
+    origins = camera.center.to(surface).expand_as(surface)
+    middle = _middle_surface(surface, origins).unflatten(0, (camera.height, camera.width))
+    return Picture(
+        rgb=squares(picture.rgb).mean(dim=2),
+        alpha=squares(picture.alpha).mean(dim=2),
+        depth=camera.depth(middle),
+        surface=middle,
+    )

@@ -9,6 +9,7 @@ a sixteenth of all, are computed a second time for that.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import torch
@@ -19,8 +20,18 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
-from pcore.model.passes import Canvas, Picture, Steps, attend, rows_in_use, shade, windows
-from pcore.model.render import TILE, check_request, paint, places_of
+from pcore.model.passes import (
+    Canvas,
+    Picture,
+    Steps,
+    attend,
+    pooled,
+    rows_in_use,
+    shade,
+    windows,
+)
+from pcore.model.raster import raster_of
+from pcore.model.render import TILE, check_request, paint
 from pcore.model.unet import ALIGNMENT
 
 STRIDES = (8, 4)
@@ -62,21 +73,23 @@ def render_progressively(
         InputError: as `render`, and for strides that are no multiples of the next.
         RenderCancelledError: `cancel` said so.
     """
-    places = places_of(papr, samples)
-    chunk = check_request(papr, cloud, camera, max_rays, tile, len(places))
+    rays = check_request(papr, cloud, camera, max_rays, tile)
+    raster = raster_of(papr.config, cloud, camera, samples, tile)
+    chunk = max(1, rays // len(raster.places))
     _check_strides(strides)
     steps, cloud = Steps(1, cancel, None), cloud.to(next(papr.parameters()).device)
     shown: Picture | None = None
-    for small, stride in _coarse(papr, cloud, camera, strides, chunk, tile, threshold, steps):
+    for small, stride in _coarse(papr, cloud, camera, strides, rays, tile, threshold, steps):
         shown = _enlarged(small.picture(camera), stride, camera)
         yield shown
-    rows_held = rows_in_use(camera.width, tile, chunk)
-    canvas = Canvas.blank(papr, (camera.height, camera.width), rows_held)
-    for rows in paint(canvas, papr, cloud, camera, places, chunk, tile, threshold, steps):
-        if shown is not None and rows < camera.height:
-            shown = _with_rows(shown, canvas.picture(camera), rows)
+    canvas = Canvas.blank(papr, raster.size, rows_in_use(raster, chunk))
+    for rows in paint(canvas, papr, cloud, raster, chunk, threshold, steps):
+        complete = rows // raster.pool
+        if shown is not None and complete < camera.height:
+            so_far = pooled(canvas.picture(raster.camera), raster.pool, camera)
+            shown = _with_rows(shown, so_far, complete)
             yield shown
-    yield canvas.picture(camera)
+    yield pooled(canvas.picture(raster.camera), raster.pool, camera)
 
 
 def _check_strides(strides: Sequence[int]) -> None:
@@ -112,9 +125,10 @@ def _coarse(
         for wanted in _take_over(canvas, before, stride).split(chunk):
             steps.check()
             attend(canvas, papr, cloud, flat[wanted.unsqueeze(-1)], wanted, threshold)
-        for window in windows((height, width), tile):
+        small = camera.resized(width, height)
+        for window in windows(raster_of(replace(papr.config, pixel=None), cloud, small, 1, tile)):
             steps.check()
-            shade(canvas, papr, window)
+            shade(canvas, papr, window, 1)
         before = canvas, stride
         yield before
 

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
-from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.config import PaprConfig
@@ -26,10 +25,12 @@ from pcore.model.passes import (
     Progress,
     Steps,
     attend,
+    pooled,
     rows_in_use,
     shade,
     windows,
 )
+from pcore.model.raster import Raster, raster_of
 from pcore.model.unet import ALIGNMENT
 from pcore.validation import check_count
 
@@ -60,6 +61,9 @@ def render(
 ) -> Picture:
     """Render what a camera sees; equal to one forward pass over all rays for any chunk and tile.
 
+    A picture whose pixels are another size than the photos' is sampled so that the renderer network
+    sees the size it knows (`pcore.model.raster`).
+
     With several rays per pixel the surface point is that of the ray whose distance is the middle
     one (the nearer of two).
 
@@ -82,35 +86,21 @@ def render(
             fold space.
         RenderCancelledError: `cancel` said so.
     """
-    places = places_of(papr, samples)
-    chunk = check_request(papr, cloud, camera, max_rays, tile, len(places))
-    size = (camera.height, camera.width)
-    total = math.ceil(camera.height * camera.width / chunk) + len(list(windows(size, tile)))
-    canvas = Canvas.blank(papr, size, rows_in_use(camera.width, tile, chunk))
+    chunk = check_request(papr, cloud, camera, max_rays, tile)
+    raster = raster_of(papr.config, cloud, camera, samples, tile)
+    chunk = max(1, chunk // len(raster.places))
+    total = math.ceil(math.prod(raster.size) / chunk) + len(list(windows(raster)))
+    canvas = Canvas.blank(papr, raster.size, rows_in_use(raster, chunk))
     steps = Steps(total, cancel, progress)
-    for _ in paint(canvas, papr, cloud, camera, places, chunk, tile, threshold, steps):
+    for _ in paint(canvas, papr, cloud, raster, chunk, threshold, steps):
         pass
-    return canvas.picture(camera)
-
-
-def places_of(papr: Papr, samples: int | None) -> Tensor:
-    """Where in a pixel its rays go, (S, 2); None asks the model how many there are.
-
-    Raises:
-        InputError: S is no square number.
-    """
-    return grid_places(papr.config.samples if samples is None else samples)
+    return pooled(canvas.picture(raster.camera), raster.pool, camera)
 
 
 def check_request(
-    papr: Papr,
-    cloud: PointCloud,
-    camera: Camera,
-    max_rays: int | None,
-    tile: int,
-    samples: int,
+    papr: Papr, cloud: PointCloud, camera: Camera, max_rays: int | None, tile: int
 ) -> int:
-    """Raise InputError where `render` would; return the number of pixels of a chunk."""
+    """Raise InputError where `render` would; return the number of rays of a chunk."""
     if camera.height < ALIGNMENT or camera.width < ALIGNMENT:
         raise InputError(
             f"render: expected an image of at least {ALIGNMENT} x {ALIGNMENT} pixels, "
@@ -120,34 +110,32 @@ def check_request(
     if tile % ALIGNMENT:
         raise InputError(f"render: expected a tile that is a multiple of {ALIGNMENT}, got {tile}")
     _check_cloud(cloud)
-    rays = check_count("render: max_rays", max_rays or _rays_at_once(papr))
-    return max(1, rays // samples)
+    return check_count("render: max_rays", max_rays or _rays_at_once(papr))
 
 
 def paint(
     canvas: Canvas,
     papr: Papr,
     cloud: PointCloud,
-    camera: Camera,
-    places: Tensor,
+    raster: Raster,
     chunk: int,
-    tile: int,
     threshold: float,
     steps: Steps,
 ) -> Iterator[int]:
     """Fill a canvas from above; yield the number of its complete rows with every row of tiles."""
-    cloud = cloud.to(canvas.alpha.device)
-    waiting = deque(windows((camera.height, camera.width), tile))
-    for wanted in torch.arange(camera.height * camera.width).split(chunk):
+    cloud, (height, width) = cloud.to(canvas.alpha.device), raster.size
+    waiting = deque(windows(raster))
+    for wanted in torch.arange(height * width).split(chunk):
         steps.check()
-        attend(canvas, papr, cloud, _rays_of(camera, wanted, places), wanted, threshold)
+        rays = _rays_of(raster.camera, wanted, raster.places)
+        attend(canvas, papr, cloud, rays, wanted, threshold)
         steps.done()
-        while waiting and waiting[0].seen[0].stop * camera.width <= wanted[-1] + 1:
+        while waiting and waiting[0].seen[0].stop * width <= wanted[-1] + 1:
             steps.check()
             window = waiting.popleft()
-            shade(canvas, papr, window)
+            shade(canvas, papr, window, raster.step)
             steps.done()
-            if window.kept[1].stop == camera.width:
+            if window.kept[1].stop == width:
                 yield window.kept[0].stop
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -134,7 +135,16 @@ def _model_config(config: PretrainConfig, scene: Scene) -> PaprConfig:
     if config.origin == "reference":
         x, y, z = scene.center.tolist()
         reference = ReferenceOrigin(center=(x, y, z), distance=scene.radius)
-    return dataclasses.replace(config.model, background=color, reference=reference)
+    # The original draws pictures of any size as they come, and so do its settings.
+    pixel = _pixel_size(scene) if config.model.samples > 1 else None
+    return dataclasses.replace(config.model, background=color, reference=reference, pixel=pixel)
+
+
+def _pixel_size(scene: Scene) -> float:
+    """Median width of a training photo's pixel at the middle of the scene, world units."""
+    cameras = [view.camera for view in scene.split("train")]
+    sizes = [float((one.center - scene.center).norm()) / one.fx for one in cameras]
+    return statistics.median(sizes)
 
 
 def _start_positions(

@@ -1,0 +1,105 @@
+"""How a picture is sampled so that the renderer network sees pixels of the size it was trained on.
+
+The UNet has learned what neighbouring pixels have in common at one distance between them. A picture
+that is finer than the photos is coloured in interleaved lattices of that distance, one that is
+coarser as a larger picture whose pixels are then averaged.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from pcore.geometry.camera import Camera
+from pcore.geometry.pixel_samples import check_samples, grid_places
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.config import PaprConfig
+from pcore.model.unet import ALIGNMENT, RECEPTIVE_MARGIN
+
+_FINEST = 16
+_COARSE = 0.8
+"""Photos' pixels per pixel of a picture. Below this a larger picture is averaged: on held-out views
+that loses up to 1.4 dB at 1 and wins 3 at 0.7 (ADR 13)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Raster:
+    """What is attended to and coloured for the picture of a camera.
+
+    Attributes:
+        camera: takes the picture that is drawn, `pool` times the size of the one asked for.
+        places: (S, 2) where in its pixels rays go.
+        step: pixels between those that the UNet sees beside each other.
+        pool: side of the squares of pixels that are averaged in the end.
+        tile: side of the UNet's tiles in pixels.
+    """
+
+    camera: Camera
+    places: Tensor
+    step: int
+    pool: int
+    tile: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return self.camera.height, self.camera.width
+
+    @property
+    def margin(self) -> int:
+        """Pixels around a tile that its colours depend on, a multiple of the UNet's grid."""
+        return self.step * RECEPTIVE_MARGIN + (ALIGNMENT * self.step if self.step > 1 else 0)
+
+
+def raster_of(
+    config: PaprConfig, cloud: PointCloud, camera: Camera, samples: int | None, tile: int
+) -> Raster:
+    """Choose how a picture is sampled.
+
+    Args:
+        config: of the model; without its `pixel` every picture is drawn as it comes.
+        cloud: the points, canonical or deformed.
+        camera: of the picture that is asked for.
+        samples: its rays per pixel, a square number; None asks the model.
+        tile: side of the UNet's tiles in pixels, a multiple of 4.
+
+    Raises:
+        InputError: rays per pixel that make no square.
+    """
+    count = check_samples("pixel", config.samples if samples is None else samples)
+    side, detail = math.isqrt(count), photo_pixels(config, cloud, camera)
+    pool, step = 1, 1
+    if detail < _COARSE:
+        # As many rays as were asked for, not more.
+        pool = min(side, max(2, round(1 / detail)))
+        camera = camera.resized(pool * camera.width, pool * camera.height)
+        side = max(1, side // pool)
+    else:
+        most = min(camera.height, camera.width) // ALIGNMENT
+        step = max(1, min(round(detail), most, _FINEST))
+    grid = ALIGNMENT * step
+    return Raster(
+        camera=camera,
+        places=grid_places(side * side),
+        step=step,
+        pool=pool,
+        tile=max(grid, tile // grid * grid),
+    )
+
+
+def photo_pixels(config: PaprConfig, cloud: PointCloud, camera: Camera) -> float:
+    """How many pixels of a camera are as wide as one of the photos, at the object's middle.
+
+    An edit that enlarges the object spreads what was one pixel over more of them. 1 where the
+    model does not know its photos, or the camera is among the points.
+    """
+    if config.pixel is None:
+        return 1.0
+    middle, radius = cloud.sphere
+    depth = float(camera.depth(middle.cpu()))
+    if depth <= radius:
+        return 1.0
+    detail = config.pixel * cloud.growth * 0.5 * (camera.fx + camera.fy) / depth
+    return min(max(detail, 1 / _FINEST), _FINEST)
