@@ -95,8 +95,10 @@ def hull_points(
     fine, size = _voxels(kept.amin(dim=0) - size, kept.amax(dim=0) + size, resolution)
     core = _inside_all(fine, solid)
     reach = math.ceil(_pixel_size(views, kept.mean(dim=0)) / size)
-    thin = _inside_all(fine, trace) & ~_widened(core, reach)
-    surface = _surface_voxels(fine, core | thin, size)
+    outside = ~_widened(core, reach)
+    inside = core.clone()
+    inside[outside] = _inside_all(fine[outside], trace)
+    surface = _surface_voxels(fine, inside, size)
     chosen = torch.randint(len(surface), (count,), generator=generator)
     jitter = torch.rand(count, 3, generator=generator) - 0.5
     return surface[chosen] + jitter * size
@@ -136,7 +138,12 @@ def _pixel_size(views: Sequence[MaskedView], place: Tensor) -> float:
 
 def _widened(voxels: Tensor, reach: int) -> Tensor:
     """Voxels (X, Y, Z) bool with all within `reach` of them along every axis."""
-    wide = nn.functional.max_pool3d(voxels[None].float(), 2 * reach + 1, stride=1, padding=reach)
+    wide = voxels[None].float()
+    # Axis by axis: coarse photos have pixels of many voxels.
+    for axis in range(3):
+        kernel, padding = [1, 1, 1], [0, 0, 0]
+        kernel[axis], padding[axis] = 2 * reach + 1, reach
+        wide = nn.functional.max_pool3d(wide, kernel, stride=1, padding=padding)
     return wide[0] > 0
 
 
