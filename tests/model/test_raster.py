@@ -17,8 +17,9 @@ from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
+from pcore.model.passes import mean_around
 from pcore.model.progressive import render_progressively
-from pcore.model.raster import photo_pixels, raster_of
+from pcore.model.raster import film_detail, photo_pixels, raster_of
 from pcore.model.render import render
 
 DISTANCE, SIZE = 4.0, 40
@@ -28,9 +29,9 @@ CONFIG = replace(tiny_scene.CONFIG, samples=4, cutoff=0.3, pixel=DISTANCE / FOCA
 
 def cloud() -> PointCloud:
     draw = torch.Generator().manual_seed(4)
-    places = torch.nn.functional.normalize(torch.randn(400, 3, generator=draw), dim=-1)
+    half = torch.nn.functional.normalize(torch.randn(200, 3, generator=draw), dim=-1)
     return PointCloud(
-        positions=places,
+        positions=torch.cat([half, -half]),
         features=torch.randn(400, 4, generator=draw),
         influence=torch.ones(400),
     )
@@ -79,10 +80,12 @@ def test_what_a_picture_of_another_size_is_made_of(
     assert raster.margin % (4 * step) == 0
 
 
-def test_with_one_ray_per_pixel_no_larger_picture_is_drawn() -> None:
+def test_who_says_how_many_rays_gets_no_larger_picture_than_they_make() -> None:
     assert raster_of(CONFIG, cloud(), camera(0.5), 1, 256).pool == 1
     nine = raster_of(CONFIG, cloud(), camera(0.34), 9, 256)
     assert (nine.pool, len(nine.places)) == (3, 1)
+    nine = raster_of(CONFIG, cloud(), camera(0.5), 9, 256)
+    assert (nine.pool, len(nine.places)) == (2, 4)
 
 
 def test_a_small_picture_is_not_cut_into_lattices_that_the_network_cannot_take() -> None:
@@ -103,8 +106,11 @@ def test_what_counts_is_the_size_of_pixels_on_the_object() -> None:
     points = cloud()
     assert photo_pixels(CONFIG, points, camera()) == pytest.approx(1.0, abs=0.01)
     assert photo_pixels(CONFIG, points, camera(distance=8.0)) == pytest.approx(0.5, abs=0.01)
-    # Seen from among the points nothing is known.
-    assert photo_pixels(CONFIG, points, camera(distance=0.5)) == 1.0
+    # From among the points: as from half their radius before the middle one.
+    for distance in (0.3, 0.0, -3.0):
+        assert photo_pixels(CONFIG, points, camera(distance=distance)) == pytest.approx(8, rel=0.02)
+    floater = points.moved(points.positions.index_fill(0, torch.tensor([7]), -6.0))
+    assert photo_pixels(CONFIG, floater, camera()) == pytest.approx(1.0, abs=0.02)
     larger = deformed_cloud(points, uniform_scale(2.0))
     assert photo_pixels(CONFIG, larger, camera(distance=8.0)) == pytest.approx(1.0, abs=0.01)
     plain = deformed_cloud(points, uniform_scale(2.0), aware=False)
@@ -127,7 +133,8 @@ def test_lattices_are_pictures_of_the_size_of_the_photos() -> None:
     papr, seen = network(), list[Tensor]()
     papr.unet.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
     picture = render(papr, cloud(), camera(2.0))
-    assert [tuple(one.shape[-2:]) for one in seen] == [(SIZE, SIZE)] * 4
+    # Its rim is repeated by 4 pixels of the photos on every side.
+    assert [tuple(one.shape[-2:]) for one in seen] == [(SIZE + 8, SIZE + 8)] * 4
     assert picture.rgb.shape == (2 * SIZE, 2 * SIZE, 3)
     # Lattices of the same object beside each other: alike.
     first, last = seen[0], seen[3]
@@ -146,6 +153,66 @@ def test_tiles_and_chunks_change_nothing(factor: float) -> None:
     torch.testing.assert_close(parts.depth, whole.depth, atol=1e-4, rtol=0, equal_nan=True)
     *_, last = render_progressively(papr, points, view)
     assert torch.equal(last.rgb, whole.rgb)
+
+
+def test_what_the_network_sees_of_fine_pictures_is_the_mean_of_a_photos_pixel() -> None:
+    dot = torch.zeros(9, 9, 1)
+    dot[4, 4] = 1.0
+    three, four = mean_around(dot, 3)[..., 0], mean_around(dot, 4)[..., 0]
+    torch.testing.assert_close(three[3:6, 3:6], torch.full((3, 3), 1 / 9))
+    assert float(three.sum()) == pytest.approx(1.0)
+    row = torch.tensor([0, 0, 0.5, 1, 1, 1, 0.5, 0, 0]) / 4
+    torch.testing.assert_close(four, torch.outer(row, row))
+
+
+@torch.no_grad()
+def test_the_rim_of_a_picture_is_no_frame() -> None:
+    """A picture that cuts through the object is that part of a larger one."""
+    papr, points, wide = network(), cloud(), camera(4.0)
+    part = replace(wide, width=80, height=80, cx=wide.cx - 40, cy=wide.cy - 40)
+    whole = render(papr, points, wide).rgb[40:120, 40:120]
+    error = (render(papr, points, part).rgb - whole).square().mean(dim=-1)
+    ring = torch.ones(80, 80, dtype=torch.bool)
+    ring[4:-4, 4:-4] = False
+    spread = float(whole.var())
+    assert float(error[ring].mean()) < 0.1 * spread
+    assert float(error[~ring].mean()) < 0.01 * spread
+
+
+@torch.no_grad()
+def test_light_falls_on_fine_pictures() -> None:
+    papr, points, view = network(), cloud(), camera(2.0)
+    bright = render(papr, points.lit(torch.full((400,), 2.0)), view)
+    once = render(papr, points, view)
+    background = torch.tensor(papr.config.background) * (1 - once.alpha.unsqueeze(-1))
+    torch.testing.assert_close(bright.rgb - background, 2 * (once.rgb - background))
+
+
+def test_a_film_has_one_size_of_pixels() -> None:
+    points, near, far = cloud(), camera(1.55), camera(1.45)
+    steps = {raster_of(CONFIG, points, one, None, 64).step for one in (near, far)}
+    assert steps == {1, 2}
+    detail = film_detail(CONFIG, [points] * 3, [near, far, far])
+    assert detail == pytest.approx(1.45, abs=0.02)
+    steps = {raster_of(CONFIG, points, one, None, 64, detail).step for one in (near, far)}
+    assert steps == {1}
+
+
+@pytest.mark.parametrize("pixel", [0.0, -1.0, float("nan"), float("inf")])
+def test_pixels_have_a_width(pixel: float) -> None:
+    with pytest.raises(InputError, match=r"pixel of the photos wider than 0"):
+        replace(CONFIG, pixel=pixel)
+
+
+def test_points_remember_where_they_were_before_all_moves() -> None:
+    points = cloud()
+    twice = points.moved(2 * points.positions).moved(3 * points.positions)
+    assert twice.before is points.positions
+    assert twice.growth == pytest.approx(3.0)
+    for other in (twice.detached(), twice.to("meta")):
+        assert other.before is not None
+    with pytest.raises(InputError, match=r"before the move of its 400 points, got \(3, 3\)"):
+        replace(points, before=torch.zeros(3, 3))
 
 
 @torch.no_grad()

@@ -105,6 +105,7 @@ def animate(command: AnimateCommand, console: Console) -> None:
     from pcore.cli.runtime import open_model, pick_device, prepare_torch
     from pcore.data.video import require_video
     from pcore.editing.animation import load_animation
+    from pcore.model.raster import film_detail
     from pcore.model.render import render
 
     _check(command)
@@ -121,7 +122,9 @@ def animate(command: AnimateCommand, console: Console) -> None:
         console.print(Text(f"{len(moved)} files of points in {command.points}"), soft_wrap=True)
     if command.output is not None:
         cameras = _cameras(command, run, saved.cloud, moved)
-        take = partial(render, saved.papr().to(device), samples=command.samples)
+        papr = saved.papr().to(device)
+        detail = film_detail(papr.config, moved, cameras)
+        take = partial(render, papr, samples=command.samples, detail=detail)
         _film(command.output, command.fps, take, moved, cameras, console)
         console.print(Text(f"{len(moved)} frames in {command.output}"), soft_wrap=True)
 

@@ -118,6 +118,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
     from pcore.cli.output import pictures_folder
     from pcore.cli.runtime import open_model, pick_device, prepare_torch
     from pcore.data.video import require_video
+    from pcore.model.raster import film_detail
     from pcore.model.render import FAST_THRESHOLD, render
 
     _check(command)
@@ -140,7 +141,10 @@ def render_run(command: RenderCommand, console: Console) -> None:
     threshold = FAST_THRESHOLD if command.fast else 0.0
     samples = 1 if command.fast and command.samples is None else command.samples
     papr = saved.papr().to(device)
-    how = partial(render, papr, cloud, threshold=threshold, samples=samples)
+    detail = None
+    if _films(command):
+        detail = film_detail(papr.config, [cloud] * len(views), [camera for _, camera in views])
+    how = partial(render, papr, cloud, threshold=threshold, samples=samples, detail=detail)
     files = draw(how, cloud, views, output, wanted, console)
     _tell(console, views, output, files)
 

@@ -53,6 +53,11 @@ class PointCloud:
                 f"point cloud: expected local frames of its {n} points, got frames of "
                 f"{len(self.frames.rest)}; make them from the same canonical cloud"
             )
+        if self.before is not None and self.before.shape != self.positions.shape:
+            raise InputError(
+                f"point cloud: expected positions before the move of its {n} points, got "
+                f"{tuple(self.before.shape)}"
+            )
         if self.gains is not None and tuple(self.gains.shape) != (n,):
             raise InputError(
                 f"point cloud: expected gains of its {n} points, got {tuple(self.gains.shape)}"
@@ -87,7 +92,8 @@ class PointCloud:
     def sphere(self) -> tuple[Tensor, float]:
         """Middle (3,) and radius, world units, of a sphere around all points."""
         lower, upper = self.extent()
-        return (lower + upper) / 2, 0.5 * float((upper - lower).norm())
+        middle = (lower + upper) / 2
+        return middle, float((self.positions.detach() - middle).norm(dim=-1).max())
 
     @cached_property
     def growth(self) -> float:

@@ -130,6 +130,11 @@ class PaprConfig:
                 f"{self.neighbours} and {self.feature_size}"
             )
         check_samples("PAPR", self.samples)
+        if self.pixel is not None and not (math.isfinite(self.pixel) and self.pixel > 0):
+            raise InputError(
+                f"PAPR: expected a pixel of the photos wider than 0, got {self.pixel}; None where "
+                "it is not known"
+            )
         if self.key.size != self.query.size:
             raise InputError(
                 "PAPR: expected key and query embeddings of one size, got "

@@ -22,6 +22,7 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr, averaged
 from pcore.model.raster import Raster
+from pcore.model.unet import ALIGNMENT
 
 Progress = Callable[[float], None]
 
@@ -182,7 +183,14 @@ def _middle_surface(surface: Tensor, origins: Tensor) -> Tensor:
 
 
 def shade(canvas: Canvas, papr: Papr, window: Window, step: int) -> None:
-    """Fill the colours of a tile whose surroundings are attended to."""
+    """Fill the colours of a tile whose surroundings are attended to.
+
+    Args:
+        canvas: with features, opacity and gain of all that the tile sees.
+        papr: the networks.
+        window: the tile.
+        step: pixels between those that the UNet sees beside each other (`Raster`).
+    """
     seen, columns = window.seen
     rows = torch.arange(seen.start, seen.stop, device=canvas.alpha.device) % len(canvas.features)
     features = canvas.features[:, columns].index_select(0, rows)
@@ -190,16 +198,34 @@ def shade(canvas: Canvas, papr: Papr, window: Window, step: int) -> None:
     if step == 1:
         colours = papr.shade(features, alpha, gain=gain)
     else:
-        # A pixel of the photos is as wide as a step: so is the mean of what the UNet sees.
-        features, colours = _mean_around(features, step), alpha.new_empty(*alpha.shape, 3)
-        for row, column in product(range(step), repeat=2):
-            lattice = (slice(row, None, step), slice(column, None, step))
-            colours[lattice] = papr.shade(features[lattice], alpha[lattice], gain=gain[lattice])
+        colours = _laced(papr, features, alpha, gain, step)
     canvas.rgb[window.kept] = colours[window.trimmed].cpu()
 
 
-def _mean_around(features: Tensor, width: int) -> Tensor:
-    """Means (H, W, C) over squares of so many pixels around every pixel, zero beyond the rim."""
+def _laced(papr: Papr, features: Tensor, alpha: Tensor, gain: Tensor, step: int) -> Tensor:
+    """Colours (H, W, 3) of lattices of every so-manieth pixel, one by one.
+
+    The UNet knows zeros beyond the rim of a picture, one pixel of the photos wide. Of a lattice
+    they would be a frame of many pixels, so the rim is repeated beyond itself first.
+    """
+    rim = ALIGNMENT * step
+    planes = torch.cat([features, alpha.unsqueeze(-1), gain.unsqueeze(-1)], dim=-1)
+    planes = F.pad(planes.permute(2, 0, 1).unsqueeze(0), (rim, rim, rim, rim), mode="replicate")
+    planes = planes[0].permute(1, 2, 0)
+    # A pixel of the photos is as wide as a step: so is the mean of what the UNet sees.
+    features, alpha, gain = mean_around(planes[..., :-2], step), planes[..., -2], planes[..., -1]
+    colours = alpha.new_empty(*alpha.shape, 3)
+    for row, column in product(range(step), repeat=2):
+        lattice = (slice(row, None, step), slice(column, None, step))
+        colours[lattice] = papr.shade(features[lattice], alpha[lattice], gain=gain[lattice])
+    return colours[rim:-rim, rim:-rim]
+
+
+def mean_around(features: Tensor, width: int) -> Tensor:
+    """Means (H, W, C) over squares of so many pixels around every pixel, zeros beyond the rim.
+
+    Where the number is even the outermost pixels of a square count half.
+    """
     reach = width // 2
     weights = features.new_ones(2 * reach + 1)
     if width % 2 == 0:

@@ -56,6 +56,7 @@ def render(
     tile: int = TILE,
     threshold: float = 0.0,
     samples: int | None = None,
+    detail: float | None = None,
     cancel: Callable[[], bool] | None = None,
     progress: Progress | None = None,
 ) -> Picture:
@@ -77,6 +78,8 @@ def render(
         threshold: points with less than this weight on a ray add nothing to its colour; 0 is
             exact, `FAST_THRESHOLD` is what `pcore render --fast` takes.
         samples: rays per pixel, a square number; None takes the model's (`PaprConfig.samples`).
+        detail: pixels of this picture per pixel of the photos; None measures it. The frames of a
+            film should share one (`pcore.model.raster.photo_pixels`), or its look may jump.
         cancel: asked between chunks; True ends the work.
         progress: told between chunks which share of the work is done, in (0, 1].
 
@@ -87,7 +90,7 @@ def render(
         RenderCancelledError: `cancel` said so.
     """
     chunk = check_request(papr, cloud, camera, max_rays, tile)
-    raster = raster_of(papr.config, cloud, camera, samples, tile)
+    raster = raster_of(papr.config, cloud, camera, samples, tile, detail)
     chunk = max(1, chunk // len(raster.places))
     total = math.ceil(math.prod(raster.size) / chunk) + len(list(windows(raster)))
     canvas = Canvas.blank(papr, raster.size, rows_in_use(raster, chunk))
