@@ -115,7 +115,11 @@ class Papr(nn.Module):
         threshold: float,
         cutoff: float,
     ) -> tuple[Sight, Attended]:
-        """Look along those of (R,) rays that see through the object from their other ends."""
+        """Look along those of (R,) rays that see through the object from their other ends.
+
+        Returns:
+            What they look at and met with those replaced for which the other end says something.
+        """
         near, lines = sight.near, rays[sight.near]
         rows = unanswered(met, sight.neighbours[near], cloud, lines, cutoff)
         if len(rows) == 0:
