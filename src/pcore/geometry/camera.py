@@ -126,6 +126,10 @@ class Camera:
         directions = directions / directions.norm(dim=-1, keepdim=True)
         return RayBundle(origins=self.center.expand_as(directions), directions=directions)
 
+    def pixel_width(self, place: Tensor) -> float:
+        """How wide a pixel is as far away as a place (3,), world units."""
+        return float((self.center - place).norm()) / self.fx
+
     def depth(self, points: Tensor) -> Tensor:
         """Camera z of world points (..., 3): distance along the viewing axis, world units."""
         forward = -self.world_from_camera[:3, 2]

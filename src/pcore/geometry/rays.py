@@ -54,6 +54,16 @@ class RayBundle:
         window = (slice(top, top + height), slice(left, left + width))
         return RayBundle(origins=self.origins[window], directions=self.directions[window])
 
+    def beside(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Where points (..., 3) lie beside the lines of the rays; both are broadcast.
+
+        Returns:
+            How far along the rays (..., 1), and the offsets (..., 3) across them, world units.
+        """
+        offset = points - self.origins
+        along = (offset * self.directions).sum(dim=-1, keepdim=True)
+        return along, offset - along * self.directions
+
     def slid(self, center: Tensor, distance: float) -> RayBundle:
         """Slide the origins along their rays to `distance` before the plane through `center`.
 

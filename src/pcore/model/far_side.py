@@ -42,10 +42,8 @@ def unanswered(
     if len(rows) == 0:
         return rows
     some = rays[rows]
-    offset = cloud.positions[neighbours[rows]] - some.origins.unsqueeze(1)
-    along = (offset * some.directions.unsqueeze(1)).sum(dim=-1, keepdim=True)
-    # The difference of vectors: that of squares loses all digits far from the origin.
-    squared = (offset - along * some.directions.unsqueeze(1)).square().sum(dim=-1).amin(dim=1)
+    _, across = some[:, None].beside(cloud.positions[neighbours[rows]])
+    squared = across.square().sum(dim=-1).amin(dim=1)
     middle, radius = cloud.sphere
     outside = (some.origins - middle).norm(dim=-1) > radius
     return rows[(squared <= (_CLOSE * cutoff) ** 2) & outside]

@@ -9,7 +9,6 @@ a sixteenth of all, are computed a second time for that.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from itertools import pairwise
 
 import torch
@@ -126,7 +125,7 @@ def _coarse(
             steps.check()
             attend(canvas, papr, cloud, flat[wanted.unsqueeze(-1)], wanted, threshold)
         small = camera.resized(width, height)
-        for window in windows(raster_of(replace(papr.config, pixel=None), cloud, small, 1, tile)):
+        for window in windows(raster_of(papr.config, cloud, small, 1, tile, detail=1.0)):
             steps.check()
             shade(canvas, papr, window, 1)
         before = canvas, stride

@@ -128,19 +128,16 @@ def _extent(pixels: RayBundle, middle: RayBundle, points: Tensor) -> tuple[Tenso
     Returns:
         The largest distance of a ray, and that of the point, (P,) each, world units.
     """
-    offset = points - middle.origins
-    depth = (offset * middle.directions).sum(dim=-1, keepdim=True)
+    depth, across = middle.beside(points)
     foot = depth * middle.directions
     places = pixels.origins - middle.origins[:, None] + depth[:, None] * pixels.directions
     spread = (places - foot[:, None]).square().sum(dim=-1).amax(dim=1).sqrt()
-    return spread, (offset - foot).norm(dim=-1)
+    return spread, across.norm(dim=-1)
 
 
 def _reached(
     points: Tensor, neighbours: Tensor, rays: RayBundle, distance: Tensor | float
 ) -> Tensor:
     """Indices of the (R,) rays whose first neighbour (R, k) is within a distance (R,)."""
-    offset = points[neighbours[:, 0]] - rays.origins
-    along = (offset * rays.directions).sum(dim=-1, keepdim=True)
-    squared = (offset - along * rays.directions).square().sum(dim=-1)
-    return torch.nonzero(squared <= distance**2).squeeze(-1)
+    _, across = rays.beside(points[neighbours[:, 0]])
+    return torch.nonzero(across.square().sum(dim=-1) <= distance**2).squeeze(-1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -94,7 +95,9 @@ def hull_points(
     kept = coarse[inside]
     fine, size = _voxels(kept.amin(dim=0) - size, kept.amax(dim=0) + size, resolution)
     core = _inside_all(fine, solid)
-    reach = math.ceil(_pixel_size(views, kept.mean(dim=0)) / size)
+    middle = kept.mean(dim=0)
+    pixel = statistics.median_high(view.camera.pixel_width(middle) for view in views)
+    reach = math.ceil(pixel / size)
     outside = ~_widened(core, reach)
     inside = core.clone()
     inside[outside] = _inside_all(fine[outside], trace)
@@ -128,12 +131,6 @@ def _inside_all(voxels: Tensor, masks: Sequence[tuple[Camera, Tensor]]) -> Tenso
     # A corner that few views see is hardly carved, but it is no object either.
     inside[alive] = 2 * seen[alive] >= len(masks)
     return inside.reshape(voxels.shape[:-1])
-
-
-def _pixel_size(views: Sequence[MaskedView], place: Tensor) -> float:
-    """How wide a pixel of the middle one of the views is at a place, world units."""
-    sizes = [float((view.camera.center - place).norm()) / view.camera.fx for view in views]
-    return sorted(sizes)[len(sizes) // 2]
 
 
 def _widened(voxels: Tensor, reach: int) -> Tensor:

@@ -136,15 +136,9 @@ def _model_config(config: PretrainConfig, scene: Scene) -> PaprConfig:
         x, y, z = scene.center.tolist()
         reference = ReferenceOrigin(center=(x, y, z), distance=scene.radius)
     # The original draws pictures of any size as they come, and so do its settings.
-    pixel = _pixel_size(scene) if config.model.samples > 1 else None
+    widths = [view.camera.pixel_width(scene.center) for view in scene.split("train")]
+    pixel = statistics.median(widths) if config.model.samples > 1 else None
     return dataclasses.replace(config.model, background=color, reference=reference, pixel=pixel)
-
-
-def _pixel_size(scene: Scene) -> float:
-    """Median width of a training photo's pixel at the middle of the scene, world units."""
-    cameras = [view.camera for view in scene.split("train")]
-    sizes = [float((one.center - scene.center).norm()) / one.fx for one in cameras]
-    return statistics.median(sizes)
 
 
 def _start_positions(
