@@ -262,6 +262,26 @@ def test_a_threshold_above_all_weights_leaves_the_greatest() -> None:
     )
 
 
+@pytest.mark.parametrize("rays", [1, 4, 60])
+def test_few_rays_encode_their_own_points_alone(rays: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 200 points, without gradient; what comes out is what rays of a large call get."""
+    encoded: list[int] = []
+    whole = functional.reference.encode
+
+    def count(x: Tensor, frequencies: int) -> Tensor:
+        encoded.append(len(x))
+        return whole(x, frequencies)
+
+    inputs = scene(rays, 200, 4)
+    with_gradient = attend(inputs, RULES)[0]
+    monkeypatch.setattr(functional.reference, "encode", count)
+    with torch.no_grad():
+        found = proximity_attention(**inputs, rules=RULES)
+    few = len(inputs["neighbours"].unique())
+    assert encoded == [few if rays < 50 else 200]
+    compare((found, []), (with_gradient, []))
+
+
 def test_strided_inputs() -> None:
     inputs = scene(30, 20, 4)
     strided = attend(inputs, RULES, lambda one: torch.stack([one, one], dim=-1)[..., 0])

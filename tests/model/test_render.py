@@ -276,7 +276,7 @@ def test_chunks_are_larger_on_a_gpu(cloud: PointCloud) -> None:
         )
         for parameters in (Papr(config()).parameters, lambda: iter([on_gpu]))
     ]
-    assert rays == [rays_within(config(), 256 * 2**20), rays_within(config(), 2 * 2**30)]
+    assert rays == [rays_within(config(), 512 * 2**20), rays_within(config(), 2 * 2**30)]
 
 
 def test_progress_ends_at_one_and_grows(cloud: PointCloud) -> None:

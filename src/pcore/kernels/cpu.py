@@ -57,42 +57,50 @@ def _pull_back(
     seen_along: np.ndarray,
 ) -> None:
     rays, k = chosen.shape
-    count = candidates.shape[1]
     for ray in prange(rays):
-        back = np.empty((count, 3), dtype=np.float32)
-        turned = np.empty((count, 3), dtype=np.float32)
+        origin, direction = origins[ray], directions[ray]
         best = np.full(k, np.iinfo(np.int64).max)
-        squared = np.empty(count, dtype=np.float32)
+        squared = np.empty(1, dtype=np.float32)
         bits = squared.view(np.int32)
-        for c in range(count):
+        for c in range(candidates.shape[1]):
             point = candidates[ray, c]
-            length = np.float32(0.0)
-            along = np.float32(0.0)
-            for i in range(3):
-                back[c, i] = 0.0
-                turned[c, i] = 0.0
-                for j in range(3):
-                    b = to_rest[point, i, j]
-                    back[c, i] += b * (origins[ray, j] - positions[point, j])
-                    turned[c, i] += b * directions[ray, j]
-                length += turned[c, i] * turned[c, i]
-                along += back[c, i] * turned[c, i]
-            length = max(math.sqrt(length), np.float32(SHORTEST))
-            along /= length
-            squared[c] = 0.0
-            for i in range(3):
-                turned[c, i] /= length
-                across = back[c, i] - along * turned[c, i]
-                squared[c] += across * across
-            key = key_of(bits[c], c)
+            x, y, z, u, v, w = _at_rest(origin, direction, positions[point], to_rest[point])
+            length = max(u * u + v * v + w * w, np.float32(SHORTEST))
+            across = (y * w - z * v) ** 2 + (z * u - x * w) ** 2 + (x * v - y * u) ** 2
+            squared[0] = across / length
+            key = key_of(bits[0], c)
             if key < best[k - 1]:
                 sift(best, k - 1, key)
         for s in range(k):
-            c = best[s] & PLACE
-            chosen[ray, s] = candidates[ray, c]
-            for i in range(3):
-                seen_from[ray, s, i] = rest[chosen[ray, s], i] + back[c, i]
-                seen_along[ray, s, i] = turned[c, i]
+            point = candidates[ray, best[s] & PLACE]
+            # Again, for k of the candidates: to keep it for all of them takes longer.
+            x, y, z, u, v, w = _at_rest(origin, direction, positions[point], to_rest[point])
+            length = max(np.float32(math.sqrt(u * u + v * v + w * w)), np.float32(SHORTEST))
+            here, start, ahead = rest[point], seen_from[ray, s], seen_along[ray, s]
+            chosen[ray, s] = point
+            start[0], start[1], start[2] = here[0] + x, here[1] + y, here[2] + z
+            ahead[0], ahead[1], ahead[2] = u / length, v / length, w / length
+
+
+@numba.njit(cache=True)
+def _at_rest(
+    origin: np.ndarray, direction: np.ndarray, position: np.ndarray, to_rest: np.ndarray
+) -> Any:
+    """Offset of a ray's origin from a point, and its direction, both mapped to the rest state."""
+    x, y, z = origin[0] - position[0], origin[1] - position[1], origin[2] - position[2]
+    u, v, w = direction[0], direction[1], direction[2]
+    x, y, z = _mapped(to_rest, x, y, z)
+    u, v, w = _mapped(to_rest, u, v, w)
+    return x, y, z, u, v, w
+
+
+@numba.njit(cache=True)
+def _mapped(matrix: np.ndarray, x: float, y: float, z: float) -> Any:
+    return (
+        matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z,
+        matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z,
+        matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z,
+    )
 
 
 def encode_pairs(

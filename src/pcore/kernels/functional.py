@@ -174,8 +174,7 @@ def proximity_attention(
     )
     answering = squared <= (math.inf if rules.cutoff is None else rules.cutoff**2)
     work = _attention(of_attention(positions, key, value, neighbours.shape[1]))
-    scale = reference.scaling(rules.scale, rules.frequencies[0])
-    own = reference.encode(scale * positions.detach(), rules.frequencies[0])
+    own = _encoded_points(positions, neighbours, rules)
     scores = work.attention_scores(waves, own, neighbours, answering, queries, key)
     scores = F.relu(scores + constants.unsqueeze(-1))
     scores = scores * influence.index_select(0, neighbours.flatten()).view(neighbours.shape)
@@ -190,6 +189,23 @@ def proximity_attention(
     # The last linear layer commutes with the weighted sum: once per ray, not once per pair.
     out = F.linear(pooled, value.weights[-1]) + used.sum(dim=-1, keepdim=True) * value.biases[-1]
     return Attention(features=out, background=background, weights=weights, answering=answering)
+
+
+def _encoded_points(positions: Tensor, neighbours: Tensor, rules: AttentionRules) -> Tensor:
+    """gamma(p) of (N, 3) points, (N, O); zeros in small calls where no ray asks for them.
+
+    The few rays of a second look (layers, turned lines) ask for few of the points, and the encoding
+    of all of them would be half of what they cost.
+    """
+    frequencies = rules.frequencies[0]
+    scaled = reference.scaling(rules.scale, frequencies) * positions.detach()
+    # To know which points are asked for, a GPU must be waited for: not in the steps of a training.
+    if torch.is_grad_enabled() or neighbours.numel() >= len(positions):
+        return reference.encode(scaled, frequencies)
+    used = neighbours.unique()
+    encoded = reference.encode(scaled[used], frequencies)
+    table = encoded.new_zeros(len(positions), encoded.shape[1])
+    return table.index_copy_(0, used, encoded)
 
 
 def _attention(name: str) -> ModuleType:

@@ -38,9 +38,10 @@ FAST_THRESHOLD = 0.03
 """Of `pcore render --fast`. Measured on 12 test views of four trained `tiny` models: PSNR against
 the exact picture 60.4 dB or more, no colour off by more than 0.021 (0.01: 68.6 dB; 0.1: 50.4)."""
 _ATTENTION_BYTES = {"cuda": 2 * 2**30}
-_LEAST_ATTENTION_BYTES = 256 * 2**20
+_LEAST_ATTENTION_BYTES = 512 * 2**20
 """What a chunk of rays may take. A GPU needs more of them at once to be busy: a picture of
-800 x 800 pixels at the sizes of `paper` is 31 chunks there, and would be 245."""
+800 x 800 pixels at the sizes of `paper` is 31 chunks there, and would be 123. The kernels of the
+CPU need about a third of this; every chunk has its fixed costs, for edits several times."""
 TILE = 256
 _SOLID = 0.5
 _STEEPEST = math.tan(math.radians(80))
@@ -72,7 +73,7 @@ def render(
         papr: the networks, on any device; the work is done there.
         cloud: the points, canonical or deformed, world units.
         camera: at least 4 x 4 pixels (the UNet halves the picture twice).
-        max_rays: rays attended to at once; None takes as many as fit about 256 MB, or
+        max_rays: rays attended to at once; None takes as many as fit about 512 MB, or
             2 GB of a GPU.
         tile: side of the UNet's tiles in pixels, a multiple of 4.
         threshold: points with less than this weight on a ray add nothing to its colour; 0 is

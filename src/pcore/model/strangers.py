@@ -64,11 +64,13 @@ def without(rest: Tensor, seen: RayBundle, left_out: Tensor, cutoff: float) -> R
         left_out: (R, k) bool.
         cutoff: see `strangers`.
     """
-    direction = seen.directions
+    some = torch.nonzero(left_out.flatten()).squeeze(-1)
+    direction = seen.directions.flatten(0, 1)[some]
     least = torch.nn.functional.one_hot(direction.abs().argmin(dim=-1), 3).to(direction)
     beside = torch.nn.functional.normalize(torch.linalg.cross(direction, least), dim=-1)
-    origins = torch.where(left_out.unsqueeze(-1), rest + _AWAY * cutoff * beside, seen.origins)
-    return RayBundle(origins=origins, directions=direction)
+    away = rest.flatten(0, 1)[some] + _AWAY * cutoff * beside
+    origins = seen.origins.flatten(0, 1).index_copy(0, some, away).view_as(seen.origins)
+    return RayBundle(origins=origins, directions=seen.directions)
 
 
 def behind(front: Attended, rows: Tensor, back: Attended) -> Attended:
