@@ -11,6 +11,7 @@ import torch
 from numba import prange
 from torch import Tensor
 
+from pcore.kernels.layers import LayerRules, PulledBack
 from pcore.kernels.numba_bridge import as_float32, use_torch_threads
 from pcore.kernels.reference import LENGTH_GUARD, SHORTEST, per_pair, scaling
 from pcore.kernels.sorted_keys import PLACE, key_of, sift
@@ -24,12 +25,18 @@ def pull_back(
     to_rest: Tensor,
     candidates: Tensor,
     k: int,
-) -> tuple[Tensor, Tensor, Tensor]:
+    layers: LayerRules | None = None,
+    hidden: bool = False,
+) -> PulledBack:
     """Rays of the rest state as each candidate sees them; see `functional.pull_back`."""
     use_torch_threads()
     rays = len(origins)
     chosen = torch.empty(rays, k, dtype=torch.int64)
     seen_from, seen_along = torch.empty(rays, k, 3), torch.empty(rays, k, 3)
+    counts, strangers = torch.empty(rays, dtype=torch.int64), torch.empty(rays, dtype=torch.bool)
+    # Without layers nothing is close enough to be the foremost.
+    rules = (-1.0, 0.0, 0.0) if layers is None else (r**2 for r in vars(layers).values())
+    close, apart, cutoff = (np.float32(rule) for rule in rules)
     _pull_back(
         as_float32(origins),
         as_float32(directions),
@@ -37,11 +44,23 @@ def pull_back(
         as_float32(rest),
         as_float32(to_rest),
         candidates.contiguous().numpy(),
+        close,
+        apart,
+        cutoff,
+        hidden,
         chosen.numpy(),
         seen_from.numpy(),
         seen_along.numpy(),
+        counts.numpy(),
+        strangers.numpy(),
     )
-    return chosen, seen_from, seen_along
+    return PulledBack(
+        neighbours=chosen,
+        origins=seen_from,
+        directions=seen_along,
+        counts=counts,
+        strangers=strangers,
+    )
 
 
 @numba.njit(cache=True, parallel=True)
@@ -52,27 +71,62 @@ def _pull_back(
     rest: np.ndarray,
     to_rest: np.ndarray,
     candidates: np.ndarray,
+    close: np.float32,
+    apart: np.float32,
+    cutoff: np.float32,
+    hidden: bool,
     chosen: np.ndarray,
     seen_from: np.ndarray,
     seen_along: np.ndarray,
+    counts: np.ndarray,
+    strangers: np.ndarray,
 ) -> None:
     rays, k = chosen.shape
     for ray in prange(rays):
         origin, direction = origins[ray], directions[ray]
-        best = np.full(k, np.iinfo(np.int64).max)
-        squared = np.empty(1, dtype=np.float32)
-        bits = squared.view(np.int32)
+        squared = np.empty(candidates.shape[1], dtype=np.float32)
+        depth = np.empty(candidates.shape[1], dtype=np.float32)
+        foremost, least = -1, np.float32(np.inf)
         for c in range(candidates.shape[1]):
             point = candidates[ray, c]
-            x, y, z, u, v, w = _at_rest(origin, direction, positions[point], to_rest[point])
-            length = max(u * u + v * v + w * w, np.float32(SHORTEST))
-            across = (y * w - z * v) ** 2 + (z * u - x * w) ** 2 + (x * v - y * u) ** 2
-            squared[0] = across / length
-            key = key_of(bits[0], c)
-            if key < best[k - 1]:
-                sift(best, k - 1, key)
+            here = positions[point]
+            x, y, z, u, v, w = _at_rest(origin, direction, here, to_rest[point])
+            squared[c] = _squared_distance(x, y, z, u, v, w)
+            depth[c] = (
+                (here[0] - origin[0]) * direction[0]
+                + (here[1] - origin[1]) * direction[1]
+                + (here[2] - origin[2]) * direction[2]
+            )
+            # What lies behind the origin hides nothing.
+            if squared[c] <= close and 0 < depth[c] < least:
+                foremost, least = c, depth[c]
+        bits = squared.view(np.int32)
+        best = np.full(k, np.iinfo(np.int64).max)
+        count, met = 0, False
+        for c in range(candidates.shape[1]):
+            stranger = False
+            if foremost >= 0 and depth[c] > least and squared[c] <= cutoff:
+                point = candidates[ray, c]
+                ahead = rest[candidates[ray, foremost]]
+                x, y, z = (
+                    rest[point, 0] - ahead[0],
+                    rest[point, 1] - ahead[1],
+                    rest[point, 2] - ahead[2],
+                )
+                # Between points close to each other, both close to the ray, nothing is apart.
+                if max(x * x + y * y + z * z, squared[c]) > np.float32(0.25) * apart:
+                    a, b, d, u, v, w = _at_rest(origin, direction, positions[point], to_rest[point])
+                    stranger = _squared_distance(x + a, y + b, z + d, u, v, w) > apart
+            met |= stranger
+            if stranger == hidden:
+                count += 1
+                key = key_of(bits[c], c)
+                if key < best[k - 1]:
+                    sift(best, k - 1, key)
+        counts[ray], strangers[ray] = min(count, k), met
         for s in range(k):
-            point = candidates[ray, best[s] & PLACE]
+            # Slots that nothing fills repeat the first candidate.
+            point = candidates[ray, best[s] & PLACE if s < count else 0]
             # Again, for k of the candidates: to keep it for all of them takes longer.
             x, y, z, u, v, w = _at_rest(origin, direction, positions[point], to_rest[point])
             length = max(np.float32(math.sqrt(u * u + v * v + w * w)), np.float32(SHORTEST))
@@ -80,6 +134,13 @@ def _pull_back(
             chosen[ray, s] = point
             start[0], start[1], start[2] = here[0] + x, here[1] + y, here[2] + z
             ahead[0], ahead[1], ahead[2] = u / length, v / length, w / length
+
+
+@numba.njit(cache=True)
+def _squared_distance(x: float, y: float, z: float, u: float, v: float, w: float) -> Any:
+    """Of the line through (x, y, z) along (u, v, w), of any length, from the origin."""
+    length = max(u * u + v * v + w * w, np.float32(SHORTEST))
+    return ((y * w - z * v) ** 2 + (z * u - x * w) ** 2 + (x * v - y * u) ** 2) / length
 
 
 @numba.njit(cache=True)

@@ -14,6 +14,7 @@ from torch.nn import functional as F
 from pcore.errors import InputError
 from pcore.kernels import cpu, cpu_attention, cpu_search, reference, reference_attention
 from pcore.kernels.backends import backend, of_attention, of_search, takes_cpu
+from pcore.kernels.layers import LayerRules, PulledBack
 from pcore.kernels.networks import Layers
 
 
@@ -260,7 +261,9 @@ def pull_back(
     to_rest: Tensor,
     candidates: Tensor,
     k: int,
-) -> tuple[Tensor, Tensor, Tensor]:
+    layers: LayerRules | None = None,
+    hidden: bool = False,
+) -> PulledBack:
     """Choose the k candidates nearest to a ray in the rest state, and the ray as each sees it.
 
     With B the inverse of the map around a point, the ray (o, d) is the ray p + B (o - p'),
@@ -274,12 +277,15 @@ def pull_back(
         to_rest: (N, 3, 3) the maps B.
         candidates: (R, c) indices into the points, c >= k.
         k: how many to keep.
+        layers: keep the foremost point and those that met the ray with it; None: all are one.
+        hidden: keep the strangers instead.
 
     Returns:
-        Indices (R, k), nearest first in the rest state; origins (R, k, 3) and unit directions
-        (R, k, 3) of the rays of the rest state.
+        Neighbours and rays, nearest first in the rest state.
     """
     single = positions.dtype == torch.float32
     work = cpu if single and backend(positions.device) == "cpu" else reference
     with torch.no_grad():
-        return work.pull_back(origins, directions, positions, rest, to_rest, candidates, k)
+        return work.pull_back(
+            origins, directions, positions, rest, to_rest, candidates, k, layers, hidden
+        )

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
+
+from pcore.kernels.layers import LayerRules, PulledBack
 
 _CHUNK_ELEMENTS = 4_000_000
 SHORTEST = 1e-30
@@ -91,15 +95,44 @@ def pull_back(
     to_rest: Tensor,
     candidates: Tensor,
     k: int,
-) -> tuple[Tensor, Tensor, Tensor]:
+    layers: LayerRules | None = None,
+    hidden: bool = False,
+) -> PulledBack:
     """Rays of the rest state as each candidate sees them; see `functional.pull_back`."""
-    maps = to_rest[candidates]
+    maps, here = to_rest[candidates], rest[candidates]
     offset = origins[:, None, :] - positions[candidates]
     back = (maps @ offset.unsqueeze(-1)).squeeze(-1)
     turned = (maps @ directions[:, None, :, None]).squeeze(-1)
     turned = turned / turned.norm(dim=-1, keepdim=True).clamp_min(SHORTEST)
-    across = back - (back * turned).sum(dim=-1, keepdim=True) * turned
-    order = torch.sort(across.square().sum(dim=-1), dim=-1, stable=True).indices[:, :k]
-    rows = order.unsqueeze(-1).expand(-1, -1, 3)
+    squared = _squared_distance(back, turned)
+    strangers = torch.zeros_like(squared, dtype=torch.bool)
+    if layers is not None:
+        # What lies behind the origin hides nothing.
+        depth = -(offset * directions[:, None, :]).sum(dim=-1)
+        first = (squared <= layers.close**2) & (depth > 0)
+        least, foremost = depth.masked_fill(~first, math.inf).min(dim=1, keepdim=True)
+        ahead = here.take_along_dim(foremost.unsqueeze(-1), dim=1)
+        apart = _squared_distance(here - ahead + back, turned) > layers.apart**2
+        behind = (least < math.inf) & (depth > least)
+        strangers = apart & behind & (squared <= layers.cutoff**2)
+    wanted = strangers == hidden
+    order = torch.sort(squared.masked_fill(~wanted, math.inf), dim=-1, stable=True).indices[:, :k]
+    counts = wanted.sum(dim=-1).clamp_max(order.shape[1])
+    # Slots that nothing fills repeat the first candidate.
+    empty = torch.arange(order.shape[1], device=order.device) >= counts.unsqueeze(1)
+    order = order.masked_fill(empty, 0)
+    rows = order.unsqueeze(-1)
     chosen = candidates.gather(1, order)
-    return chosen, rest[chosen] + back.gather(1, rows), turned.gather(1, rows)
+    return PulledBack(
+        neighbours=chosen,
+        origins=rest[chosen] + back.take_along_dim(rows, dim=1),
+        directions=turned.take_along_dim(rows, dim=1),
+        counts=counts,
+        strangers=strangers.any(dim=-1),
+    )
+
+
+def _squared_distance(origins: Tensor, directions: Tensor) -> Tensor:
+    """Of lines (..., 3) with unit directions from where coordinates begin, (...)."""
+    across = origins - (origins * directions).sum(dim=-1, keepdim=True) * directions
+    return across.square().sum(dim=-1)

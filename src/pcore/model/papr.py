@@ -14,8 +14,8 @@ from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended, ProximityAttention
 from pcore.model.config import PaprConfig
 from pcore.model.far_side import opaque, replaced, turned, unanswered
-from pcore.model.sight import Sight, look
-from pcore.model.strangers import OPAQUE, behind, strangers, without
+from pcore.model.sight import Sight, look, look_behind
+from pcore.model.strangers import OPAQUE, behind
 from pcore.model.unet import Unet
 
 _LEAST_OPACITY = 1e-6
@@ -102,7 +102,7 @@ class Papr(nn.Module):
         cutoff = self.config.cutoff
         if cutoff is None:
             return met, sight.neighbours
-        if _parts_moved(cloud):
+        if sight.hidden is not None:
             sight, met = self._closed(cloud, rays.flat(), sight, met, threshold, cutoff)
         return _scatter(met, sight.near, sight.neighbours.shape), sight.neighbours
 
@@ -134,15 +134,23 @@ class Papr(nn.Module):
         """What rays (R,) or (P, S) look at, and the attention of those near to points."""
         config = self.config
         sight = look(cloud, rays, config.neighbours, config.cutoff)
-        near, neighbours, seen, lines = sight.near, sight.neighbours, sight.seen, rays.flat()
-        if config.reference is not None:
-            middle = _constant(config.reference.center, cloud.positions)
-            seen = seen.slid(middle, config.reference.distance)
+        lines, neighbours = rays.flat(), sight.neighbours
         if config.cutoff is not None:
-            lines, neighbours = lines[near], neighbours[near]
-        return sight, self._layered(cloud, lines, neighbours, seen, threshold)
+            lines, neighbours = lines[sight.near], neighbours[sight.near]
+        met = self._attend_to(cloud, lines, neighbours, sight.seen, threshold)
+        if sight.hidden is None or config.cutoff is None:
+            return sight, met
+        seen_through = sight.hidden.strangers & (met.background > 1 - OPAQUE)
+        rows = torch.nonzero(seen_through).squeeze(-1)
+        if len(rows) == 0:
+            return sight, met
+        others, seen = look_behind(cloud, sight.hidden, rows, config.neighbours, config.cutoff)
+        back = self._attend_to(cloud, lines[rows], others, seen, threshold)
+        met, neighbours = behind(met, neighbours, rows, back, others)
+        neighbours = sight.neighbours.index_copy(0, sight.near, neighbours)
+        return replace(sight, neighbours=neighbours), met
 
-    def _layered(
+    def _attend_to(
         self,
         cloud: PointCloud,
         rays: RayBundle,
@@ -150,26 +158,11 @@ class Papr(nn.Module):
         seen: RayBundle,
         threshold: float,
     ) -> Attended:
-        """Attention of (R,) rays to neighbours (R, k) that see them as `seen`.
-
-        With frames and a cut-off, points that met no ray together at rest are layered by depth.
-        """
-        frames, cutoff = cloud.frames, self.config.cutoff
-        if frames is None or cutoff is None or not _parts_moved(cloud):
-            return self.attention(cloud, rays, neighbours, seen, threshold)
-        rest = frames.rest[neighbours]
-        others = strangers(cloud.positions.detach()[neighbours], rest, rays, seen, cutoff)
-        if not bool(others.any()):
-            return self.attention(cloud, rays, neighbours, seen, threshold)
-        alone = without(rest, seen, others, cutoff)
-        front = self.attention(cloud, rays, neighbours, alone, threshold)
-        seen_through = others.any(dim=1) & (front.background > 1 - OPAQUE)
-        rows = torch.nonzero(seen_through).squeeze(-1)
-        if len(rows) == 0:
-            return front
-        alone = without(rest[rows], seen[rows], ~others[rows], cutoff)
-        back = self.attention(cloud, rays[rows], neighbours[rows], alone, threshold)
-        return behind(front, rows, back)
+        """Attention of (R,) rays to neighbours (R, k) that see them as `seen`."""
+        reference = self.config.reference
+        if reference is not None:
+            seen = seen.slid(_constant(reference.center, cloud.positions), reference.distance)
+        return self.attention(cloud, rays, neighbours, seen, threshold)
 
     def shade(
         self,
@@ -236,11 +229,6 @@ def _constant(values: tuple[float, ...], like: Tensor) -> Tensor:
 def _sent_once(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
     """Numbers on a device; sending them there makes it wait, so it is done once."""
     return torch.tensor(values, dtype=dtype, device=device)
-
-
-def _parts_moved(cloud: PointCloud) -> bool:
-    """Whether the points are deformed and each sees rays in its own way."""
-    return cloud.frames is not None and not cloud.moved_as_one
 
 
 def _scatter(part: Attended, rows: Tensor, shape: torch.Size) -> Attended:

@@ -1,4 +1,8 @@
-"""What the networks look at: the points next to each ray, and the ray as these points see it."""
+"""What the networks look at: the points next to each ray, and the ray as these points see it.
+
+Where parts of the cloud were moved, the points next to a ray are those of the foremost layer; what
+that hides is looked at by itself, if at all (`pcore.model.strangers`).
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,8 @@ from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels.functional import nearest_to_rays, pull_back
+from pcore.kernels.layers import PulledBack
+from pcore.model.strangers import rules
 
 _CANDIDATES = 1.25
 _MOST_CANDIDATES = 64
@@ -24,6 +30,25 @@ _SHARED = 1.5
 _APART = 0.4
 """A pixel's rays share a search when none is farther from their mean than this part of the distance
 to the last candidate. Both chosen on held-out deformations: 62 dB to a search by every ray."""
+_AWAY = 4.0
+"""In cut-offs: where the ray of a slot without a point is put, beside the point it repeats."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hidden:
+    """What M rays may meet behind the foremost layer.
+
+    Attributes:
+        rays: (M,) world units.
+        candidates: (M, c) indices into the cloud.
+        strangers: (M,) bool, which of the rays have strangers.
+        frames: of the cloud.
+    """
+
+    rays: RayBundle
+    candidates: Tensor
+    strangers: Tensor
+    frames: LocalFrames
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,11 +59,13 @@ class Sight:
         neighbours: (R, k) indices into the cloud, of all rays.
         near: (M,) indices of the rays with a point within the cut-off.
         seen: these rays as the networks see them: (M,), or (M, k) as each neighbour sees them.
+        hidden: of the M rays; None where nothing can hide what it did not hide at rest.
     """
 
     neighbours: Tensor
     near: Tensor
     seen: RayBundle
+    hidden: Hidden | None = None
 
 
 @torch.no_grad()
@@ -97,17 +124,64 @@ def _pulled_back(
         found = nearest_to_rays(own.origins, own.directions, positions, count)
         candidates.index_copy_(0, _rays_of(alone, samples), found)
     some = some.flat()
-    chosen, origins, directions = pull_back(
-        some.origins, some.directions, positions, frames.rest, frames.to_rest, candidates, k
+    layers = None if cutoff is None else rules(cutoff)
+    found = pull_back(
+        *(some.origins, some.directions, positions, frames.rest, frames.to_rest, candidates),
+        k=k,
+        layers=layers,
     )
-    seen = RayBundle(origins=origins, directions=directions)
+    seen = _muted(found, frames.rest, cutoff)
     if cutoff is None:
-        return Sight(neighbours=chosen, near=_rays_of(met, samples), seen=seen)
-    answered = _reached(frames.rest, chosen, seen[:, 0], cutoff)
+        return Sight(neighbours=found.neighbours, near=_rays_of(met, samples), seen=seen)
+    answered = _reached(frames.rest, found.neighbours, seen[:, 0], cutoff)
     near = _rays_of(met, samples)[answered]
     neighbours = shared[:, :k].repeat_interleave(samples, dim=0)
-    neighbours.index_copy_(0, near, chosen[answered])
-    return Sight(neighbours=neighbours, near=near, seen=seen[answered])
+    neighbours.index_copy_(0, near, found.neighbours[answered])
+    hidden = Hidden(
+        rays=some[answered],
+        candidates=candidates[answered],
+        strangers=found.strangers[answered],
+        frames=frames,
+    )
+    return Sight(neighbours=neighbours, near=near, seen=seen[answered], hidden=hidden)
+
+
+@torch.no_grad()
+def look_behind(
+    cloud: PointCloud, hidden: Hidden, rows: Tensor, k: int, cutoff: float
+) -> tuple[Tensor, RayBundle]:
+    """Find the strangers nearest to some rays (M,) of those that have any.
+
+    Returns:
+        Indices (M, k) into the cloud, and the rays (M, k) as those see them.
+    """
+    rays, frames = hidden.rays[rows], hidden.frames
+    found = pull_back(
+        *(rays.origins, rays.directions, cloud.positions.detach(), frames.rest, frames.to_rest),
+        hidden.candidates[rows],
+        k=min(k, len(cloud)),
+        layers=rules(cutoff),
+        hidden=True,
+    )
+    return found.neighbours, _muted(found, frames.rest, cutoff)
+
+
+def _muted(found: PulledBack, rest: Tensor, cutoff: float | None) -> RayBundle:
+    """The rays (R, k) as points see them; those of slots without a point pass far beside."""
+    seen = RayBundle(origins=found.origins, directions=found.directions)
+    k = seen.shape[1]
+    empty = torch.nonzero(found.counts < k).squeeze(-1)
+    if cutoff is None or len(empty) == 0:
+        return seen
+    slots = torch.arange(k, device=empty.device)
+    slot = torch.nonzero(slots >= found.counts[empty].unsqueeze(1))
+    pairs = empty[slot[:, 0]] * k + slot[:, 1]
+    direction = seen.directions.flatten(0, 1)[pairs]
+    least = F.one_hot(direction.abs().argmin(dim=-1), 3).to(direction)
+    beside = F.normalize(torch.linalg.cross(direction, least), dim=-1)
+    away = rest[found.neighbours.flatten()[pairs]] + _AWAY * cutoff * beside
+    origins = seen.origins.flatten(0, 1).index_copy(0, pairs, away).view_as(seen.origins)
+    return RayBundle(origins=origins, directions=seen.directions)
 
 
 def _rays_of(pixels: Tensor, samples: int) -> Tensor:

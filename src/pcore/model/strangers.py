@@ -9,80 +9,45 @@ first, the strangers get what light those let through (docs/guide/deformation-aw
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from pcore.geometry.rays import RayBundle
+from pcore.kernels.layers import LayerRules
 from pcore.model.attention import Attended
 
-_FAR = 1.5
-"""In cut-offs: a rest ray farther than that from the foremost point never met it. Chosen on poses
-of our own; 1 and 2 gave the same within 0.02 dB."""
-_AWAY = 4.0
-"""In cut-offs: where points that are to be passed over are put, beside their ray."""
+_CLOSE = 0.2
+"""In cut-offs, which are 3 to 5 times as long as points are apart: so near to a ray is a point of
+any surface that it meets, and few where it passes a rim by."""
+_APART = 0.5
+"""In cut-offs: from farther than that the foremost point was never met. Both chosen on poses of our
+own (ADR 5)."""
 OPAQUE = 0.97
 """Behind such an opacity strangers are not looked at."""
 _LEAST = 1e-9
 
 
-@torch.no_grad()
-def strangers(
-    positions: Tensor, rest: Tensor, rays: RayBundle, seen: RayBundle, cutoff: float
-) -> Tensor:
-    """Tell which neighbours of a ray never met it together with the foremost of them.
-
-    Args:
-        positions: (R, k, 3) deformed neighbours, world units.
-        rest: (R, k, 3) the same at rest.
-        rays: (R,) rays of the deformed scene.
-        seen: (R, k) the same at rest, as each neighbour sees them.
-        cutoff: distance beyond which a point gets no attention, world units.
-
-    Returns:
-        (R, k) bool; never the foremost itself.
-    """
-    origin, direction = (one.unsqueeze(1).unbind(dim=-1) for one in vars(rays).values())
-    depth = _dot(_minus(positions.unbind(dim=-1), origin), direction)
-    # What lies behind the origin hides nothing.
-    answers = (_squared_distance(rest, seen) <= cutoff**2) & (depth > 0)
-    depth = torch.where(answers, depth, torch.inf)
-    nearest, first = depth.min(dim=1, keepdim=True)
-    foremost = rest.take_along_dim(first.unsqueeze(-1), dim=1)
-    apart = _squared_distance(foremost, seen) > (_FAR * cutoff) ** 2
-    return apart & (depth < torch.inf) & (depth > nearest)
+def rules(cutoff: float) -> LayerRules:
+    """What tells strangers, for a distance (world units) beyond which a point gets no attention."""
+    return LayerRules(close=_CLOSE * cutoff, apart=_APART * cutoff, cutoff=cutoff)
 
 
-def without(rest: Tensor, seen: RayBundle, left_out: Tensor, cutoff: float) -> RayBundle:
-    """Rays (R, k) of the rest state that pass some neighbours (R, k) so far that they are mute.
-
-    Args:
-        rest: (R, k, 3) neighbours at rest.
-        seen: (R, k) rays as each neighbour sees them.
-        left_out: (R, k) bool.
-        cutoff: see `strangers`.
-    """
-    some = torch.nonzero(left_out.flatten()).squeeze(-1)
-    direction = seen.directions.flatten(0, 1)[some]
-    least = torch.nn.functional.one_hot(direction.abs().argmin(dim=-1), 3).to(direction)
-    beside = torch.nn.functional.normalize(torch.linalg.cross(direction, least), dim=-1)
-    away = rest.flatten(0, 1)[some] + _AWAY * cutoff * beside
-    origins = seen.origins.flatten(0, 1).index_copy(0, some, away).view_as(seen.origins)
-    return RayBundle(origins=origins, directions=seen.directions)
-
-
-def behind(front: Attended, rows: Tensor, back: Attended) -> Attended:
+def behind(
+    front: Attended, neighbours: Tensor, rows: Tensor, back: Attended, strangers: Tensor
+) -> tuple[Attended, Tensor]:
     """Put what strangers say behind what the foremost points say.
 
     Args:
         front: (R,) rays without the strangers.
+        neighbours: (R, k) indices of the points they met.
         rows: (M,) the rays among them that have strangers to be seen.
         back: (M,) these rays with the strangers alone.
+        strangers: (M, k) indices of those.
 
     Returns:
-        (R,) rays; opacity and weights as of two layers, one behind the other.
+        (R,) rays, with opacity and features of two layers, one behind the other; and indices (R, k)
+        of the points that have the weights: of both layers those with the greatest.
     """
     first = 1 - front.background[rows]
     second = front.background[rows] * (1 - back.background)
@@ -95,24 +60,16 @@ def behind(front: Attended, rows: Tensor, back: Attended) -> Attended:
         part = share.reshape(-1, *[1] * (here.dim() - 1))
         return here.index_copy(0, rows, (1 - part) * here[rows] + part * there)
 
-    layered = {name: mixed(name) for name in ("features", "weights", "surface", "behind")}
-    return replace(front, background=front.background.index_copy(0, rows, 1 - opacity), **layered)
-
-
-_Vector = Sequence[Tensor]
-"""x, y and z by themselves: time goes into memory, and (R, k) is a third of (R, k, 3)."""
-
-
-def _squared_distance(points: Tensor, rays: RayBundle) -> Tensor:
-    """Squared distance (R, k) of points (R, k or 1, 3) from rays (R, k)."""
-    offset = _minus(points.unbind(dim=-1), rays.origins.unbind(dim=-1))
-    along = _dot(offset, rays.directions.unbind(dim=-1))
-    return _dot(offset, offset) - along * along
-
-
-def _minus(a: _Vector, b: _Vector) -> _Vector:
-    return [one - other for one, other in zip(a, b, strict=True)]
-
-
-def _dot(a: _Vector, b: _Vector) -> Tensor:
-    return torch.addcmul(torch.addcmul(a[0] * b[0], a[1], b[1]), a[2], b[2])
+    part = share.unsqueeze(1)
+    both = torch.cat([(1 - part) * front.weights[rows], part * back.weights], dim=1)
+    total = both.sum(dim=1, keepdim=True)
+    weights, kept = both.topk(neighbours.shape[1], dim=1)
+    weights = weights * (total / weights.sum(dim=1, keepdim=True).clamp_min(_LEAST))
+    met = torch.cat([neighbours[rows], strangers], dim=1).gather(1, kept)
+    layered = {name: mixed(name) for name in ("features", "surface", "behind")}
+    return replace(
+        front,
+        background=front.background.index_copy(0, rows, 1 - opacity),
+        weights=front.weights.index_copy(0, rows, weights),
+        **layered,
+    ), neighbours.index_copy(0, rows, met)
