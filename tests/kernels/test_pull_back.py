@@ -3,11 +3,14 @@ formulas."""
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import pytest
 import torch
 from torch import Tensor
 
 from pcore.kernels import cpu, functional, reference
+from pcore.kernels.layers import LayerRules
 
 
 def scene(rays: int, points: int, candidates: int) -> dict[str, Tensor]:
@@ -24,34 +27,112 @@ def scene(rays: int, points: int, candidates: int) -> dict[str, Tensor]:
     }
 
 
+@pytest.mark.parametrize("hidden", [False, True])
+@pytest.mark.parametrize(
+    "layers",
+    [
+        None,
+        LayerRules(close=0.6, apart=0.7, cutoff=1.5),
+        LayerRules(close=2.0, apart=0.3, cutoff=0.8),
+        LayerRules(close=0.0, apart=0.3, cutoff=0.8),
+    ],
+)
 @pytest.mark.parametrize(
     ("rays", "points", "candidates", "k"),
-    [(37, 123, 11, 5), (1, 1, 1, 1), (0, 9, 4, 2), (5, 8, 8, 8)],
+    [(37, 123, 11, 5), (300, 123, 40, 5), (1, 1, 1, 1), (0, 9, 4, 2), (5, 8, 8, 8)],
 )
-def test_backends_agree(rays: int, points: int, candidates: int, k: int) -> None:
+def test_backends_agree(
+    rays: int, points: int, candidates: int, k: int, layers: LayerRules | None, hidden: bool
+) -> None:
     inputs = scene(rays, points, candidates)
-    expected = reference.pull_back(**inputs, k=k)
-    found = cpu.pull_back(**inputs, k=k)
-    assert torch.equal(found[0], expected[0])
-    torch.testing.assert_close(found[1:], expected[1:], rtol=1e-4, atol=1e-4)
+    expected = reference.pull_back(**inputs, k=k, layers=layers, hidden=hidden)
+    found = cpu.pull_back(**inputs, k=k, layers=layers, hidden=hidden)
+    for name in ("neighbours", "counts", "strangers"):
+        assert torch.equal(getattr(found, name), getattr(expected, name)), name
+    for name in ("origins", "directions"):
+        torch.testing.assert_close(
+            getattr(found, name), getattr(expected, name), rtol=1e-4, atol=1e-4
+        )
 
 
 def test_a_pair_sees_the_ray_through_its_own_map() -> None:
     inputs = scene(4, 20, 7)
-    chosen, origins, directions = functional.pull_back(**inputs, k=3)
+    found = functional.pull_back(**inputs, k=3)
+    assert found.counts.tolist() == [3] * 4
+    assert not found.strangers.any()
     for ray in range(4):
         for slot in range(3):
-            point = int(chosen[ray, slot])
+            point = int(found.neighbours[ray, slot])
             back = inputs["to_rest"][point]
             offset = inputs["origins"][ray] - inputs["positions"][point]
             turned = back @ inputs["directions"][ray]
-            torch.testing.assert_close(origins[ray, slot], inputs["rest"][point] + back @ offset)
-            torch.testing.assert_close(directions[ray, slot], turned / turned.norm())
+            origin = inputs["rest"][point] + back @ offset
+            torch.testing.assert_close(found.origins[ray, slot], origin)
+            torch.testing.assert_close(found.directions[ray, slot], turned / turned.norm())
+
+
+def side_by_side(front: float) -> dict[str, Tensor]:
+    """Points 0 to 3 stay at depth 5; 4 to 7, far beside them at rest, were brought to `front`.
+
+    The ray goes along z from the origin and passes points by 0.1, 0.2, 0.3 and 0.4.
+    """
+    beside = torch.tensor([0.1, 0.2, 0.3, 0.4]).repeat(2)
+    depth = torch.tensor([5.0] * 4 + [front] * 4)
+    positions = torch.stack([beside, torch.zeros(8), depth], dim=-1)
+    rest = positions.clone()
+    rest[4:, 0] += 10.0
+    return {
+        "origins": torch.zeros(1, 3),
+        "directions": torch.tensor([[0.0, 0.0, 1.0]]),
+        "positions": positions,
+        "rest": rest,
+        "to_rest": torch.eye(3).expand(8, 3, 3),
+        "candidates": torch.arange(8).unsqueeze(0),
+    }
+
+
+@pytest.mark.parametrize("work", [cpu, reference])
+def test_the_foremost_and_its_like_come_first(work: ModuleType) -> None:
+    """However near to the ray the points behind them are."""
+    rules = LayerRules(close=0.15, apart=1.0, cutoff=0.35)
+    found = work.pull_back(**side_by_side(3.0), k=3, layers=rules)
+    assert found.neighbours.tolist() == [[4, 5, 6]]
+    assert found.strangers.tolist() == [True]
+    behind = work.pull_back(**side_by_side(3.0), k=3, layers=rules, hidden=True)
+    assert behind.neighbours.tolist() == [[0, 1, 2]]
+    assert behind.counts.tolist() == [3]
+    # The farthest of them is beyond the cut-off: nobody's stranger, and no slot behind is its.
+    four = work.pull_back(**side_by_side(3.0), k=5, layers=rules, hidden=True)
+    assert four.counts.tolist() == [3]
+    assert four.neighbours.tolist() == [[0, 1, 2, 0, 0]], "empty slots repeat the first candidate"
+    # From the other side of the points that stayed they are themselves the foremost.
+    assert work.pull_back(**side_by_side(7.0), k=3, layers=rules).neighbours.tolist() == [[0, 1, 2]]
+    # What is behind the origin hides nothing; it is nobody's stranger either.
+    found = work.pull_back(**side_by_side(-1.0), k=3, layers=rules)
+    assert found.neighbours.tolist() == [[0, 4, 1]]
+    assert found.strangers.tolist() == [False]
+
+
+@pytest.mark.parametrize("work", [cpu, reference])
+@pytest.mark.parametrize(
+    "rules",
+    [
+        LayerRules(close=0.05, apart=1.0, cutoff=0.35),  # No point is close.
+        LayerRules(close=0.15, apart=11.0, cutoff=0.35),  # All met the same rays at rest.
+        None,
+    ],
+)
+def test_where_nothing_tells_layers_apart_the_nearest_are_kept(
+    work: ModuleType, rules: LayerRules | None
+) -> None:
+    found = work.pull_back(**side_by_side(3.0), k=4, layers=rules)
+    assert found.neighbours.tolist() == [[0, 4, 1, 5]]
+    assert found.strangers.tolist() == [False]
 
 
 def test_neighbours_are_the_nearest_in_the_rest_state() -> None:
     inputs = scene(6, 30, 30)
-    chosen, _, _ = functional.pull_back(**inputs, k=4)
+    chosen = functional.pull_back(**inputs, k=4).neighbours
     for ray in range(6):
         distances: list[float] = []
         for point in range(30):

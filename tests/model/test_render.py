@@ -25,6 +25,7 @@ from pcore.model.render import (
     rays_within,
     render,
 )
+from pcore.model.surface import surface_points
 
 
 def config(**changes: object) -> PaprConfig:
@@ -115,10 +116,12 @@ def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(cloud: PointCloud) ->
     """The one of the middle distance; rays that meet nothing are left out."""
     papr, cam = Papr(config(cutoff=0.1)).eval(), camera(24, 24)
     got = render(papr, cloud, cam, samples=4)
+    rays = cam.rays(places=grid_places(4)).flat()
     with torch.no_grad():
-        each = papr(cloud, cam.rays(places=grid_places(4)))
-    met = each.weights.sum(dim=-1) > 0
-    distance = (each.surface - cam.center).norm(dim=-1)
+        each, neighbours = papr.attend(cloud, rays)
+    surface = surface_points(cloud, rays, each, neighbours, 0.1).reshape(24, 24, 4, 3)
+    met = each.weights.sum(dim=-1).reshape(24, 24, 4) > 0
+    distance = (surface - cam.center).norm(dim=-1)
     counts = set[int]()
     for row, column in torch.cartesian_prod(torch.arange(24), torch.arange(24)).tolist():
         seen = distance[row, column][met[row, column]].sort().values

@@ -13,6 +13,8 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
+from pcore.kernels.layers import LayerRules
+from pcore.model import sight as sight_module
 from pcore.model.sight import Sight, look
 
 K, CUTOFF = 6, 0.1
@@ -49,8 +51,14 @@ def same(one: Sight, other: Sight) -> Tensor:
 
 
 @pytest.mark.parametrize("size", [16, 64])
-def test_rays_that_share_a_search_find_what_they_would_alone(size: int) -> None:
-    """Wide pixels (16) do not share, narrow ones do."""
+def test_rays_that_share_a_search_find_what_they_would_alone(
+    size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wide pixels (16) do not share, narrow ones do.
+
+    Without layers: of those more slots are filled where more candidates are at hand.
+    """
+    monkeypatch.setattr(sight_module, "rules", lambda _: LayerRules(close=0, apart=1, cutoff=1))
     cloud, rays = twisted(ball()), pixels(size)
     shared, alone = (look(cloud, one, K, CUTOFF) for one in (rays, rays.flat()))
     assert torch.equal(shared.near, alone.near)
@@ -62,21 +70,19 @@ def test_rays_that_share_a_search_find_what_they_would_alone(size: int) -> None:
 
 def test_narrow_pixels_search_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """And the test above would find a search that is shared by pixels that are too wide."""
-    import pcore.model.sight as module
-
     searched: list[int] = []
-    search = module.nearest_to_rays
+    search = sight_module.nearest_to_rays
 
     def counted(origins: Tensor, directions: Tensor, points: Tensor, k: int) -> Tensor:
         searched.append(len(origins))
         return search(origins, directions, points, k)
 
-    monkeypatch.setattr(module, "nearest_to_rays", counted)
+    monkeypatch.setattr(sight_module, "nearest_to_rays", counted)
     cloud, rays = twisted(ball()), pixels(64)
     look(cloud, rays, K, CUTOFF)
     assert searched[0] == 64**2
     assert sum(searched) < 1.5 * 64**2
-    monkeypatch.setattr(module, "_APART", 1e9)
+    monkeypatch.setattr(sight_module, "_APART", 1e9)
     wide = pixels(16)
     found = look(cloud, wide, K, CUTOFF)
     assert float(same(found, look(cloud, wide.flat(), K, CUTOFF)).float().mean()) < 0.9

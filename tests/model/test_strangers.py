@@ -7,17 +7,17 @@ from dataclasses import replace
 import pytest
 import torch
 
-import pcore.model.papr as papr_module
+import pcore.model.sight as sight_module
 import tiny_scene
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.rays import RayBundle
+from pcore.kernels.layers import LayerRules
 from pcore.model.attention import Attended
 from pcore.model.config import ReferenceOrigin
 from pcore.model.papr import Papr
-from pcore.model.sight import look
-from pcore.model.strangers import behind, strangers, without
+from pcore.model.sight import look, look_behind
+from pcore.model.strangers import behind, rules
 
 CUTOFF = 0.2
 CONFIG = replace(
@@ -30,9 +30,13 @@ CONFIG = replace(
 )
 
 
+SHEET = 324
+NOBODY = LayerRules(close=0.0, apart=1.0, cutoff=CUTOFF)
+
+
 def sheet(x: float, z: float) -> torch.Tensor:
-    """Points (64, 3) of a square of side 0.7 that faces z."""
-    steps = torch.linspace(-0.35, 0.35, 8)
+    """Points (324, 3) of a square of side 0.7 that faces z, a fifth of the cut-off apart."""
+    steps = torch.linspace(-0.35, 0.35, 18)
     rows, columns = torch.meshgrid(steps, steps, indexing="ij")
     return torch.stack([columns + x, rows, torch.full_like(rows, z)], dim=-1).reshape(-1, 3)
 
@@ -47,11 +51,13 @@ def two_sheets(front: float) -> PointCloud:
     """Two sheets side by side at rest; the second was brought before the first at depth `front`."""
     rest = torch.cat([sheet(-0.5, 0.0), sheet(0.5, 0.0)])
     moved = rest.clone()
-    moved[:64] += torch.tensor([0.5, 0.0, 0.0])
-    moved[64:] += torch.tensor([-0.5, 0.0, front])
-    frames = LocalFrames(rest=rest, to_rest=torch.eye(3).expand(128, 3, 3))
+    moved[:SHEET] += torch.tensor([0.5, 0.0, 0.0])
+    moved[SHEET:] += torch.tensor([-0.5, 0.0, front])
+    frames = LocalFrames(rest=rest, to_rest=torch.eye(3).expand(2 * SHEET, 3, 3))
     cloud = PointCloud(
-        positions=rest, features=torch.randn(128, 5), influence=torch.rand(128) + 0.5
+        positions=rest,
+        features=torch.randn(2 * SHEET, 5),
+        influence=torch.rand(2 * SHEET) + 0.5,
     )
     return cloud.moved(moved, frames)
 
@@ -61,7 +67,7 @@ def test_the_sheet_before_the_other_is_seen(front: float) -> None:
     papr, cloud = Papr(CONFIG).eval(), two_sheets(front)
     with torch.no_grad():
         out = papr(cloud, camera().rays())
-    seen = out.weights * (out.neighbours >= 64)
+    seen = out.weights * (out.neighbours >= SHEET)
     assert (out.alpha > 0.99).all()
     share = seen.sum(dim=-1)
     expected = torch.ones_like(share) if front > 0 else torch.zeros_like(share)
@@ -74,13 +80,24 @@ def test_the_sheet_before_the_other_is_seen(front: float) -> None:
 
 def test_without_layers_both_sheets_would_show(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the tests above would find if nothing was done."""
-    nobody = lambda positions, *_: torch.zeros(positions.shape[:2], dtype=torch.bool)  # noqa: E731
-    monkeypatch.setattr(papr_module, "strangers", nobody)
+    monkeypatch.setattr(sight_module, "rules", lambda _: NOBODY)
     papr, cloud = Papr(CONFIG).eval(), two_sheets(0.3)
     with torch.no_grad():
         out = papr(cloud, camera().rays())
-    share = (out.weights * (out.neighbours >= 64)).sum(dim=-1)
+    share = (out.weights * (out.neighbours >= SHEET)).sum(dim=-1)
     assert 0.1 < float(share.mean()) < 0.9
+
+
+def test_all_neighbours_are_of_the_front(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where points of the sheet behind are nearer to the ray: they do not crowd it out."""
+    monkeypatch.setattr(sight_module, "_CANDIDATES", 4)
+    cloud, rays = two_sheets(0.3), camera().rays().flat()
+    sight = look(cloud, rays, CONFIG.neighbours, CUTOFF)
+    assert sight.hidden is not None
+    assert sight.hidden.strangers.all()
+    assert (sight.neighbours >= SHEET).all()
+    others, _ = look_behind(cloud, sight.hidden, torch.arange(9), CONFIG.neighbours, CUTOFF)
+    assert (others < SHEET).all()
 
 
 def test_what_the_front_lets_through_is_seen_behind_it() -> None:
@@ -89,38 +106,58 @@ def test_what_the_front_lets_through_is_seen_behind_it() -> None:
     papr = Papr(replace(CONFIG, background_score=2.0)).eval()
     with torch.no_grad():
         out, near = papr.attend(cloud, rays)
-        seen = look(cloud, rays, CONFIG.neighbours, CUTOFF).seen.slid(torch.zeros(3), 1.5)
-        of_front, rest = near >= 64, _rest(cloud)[near]
-        layers = [
-            papr.attention(cloud, rays, near, without(rest, seen, left_out, CUTOFF), 0.0)
-            for left_out in (~of_front, of_front)
-        ]
-    both = of_front.any(dim=1) & (~of_front).any(dim=1)
-    assert both.float().mean() > 0.5
-    front, back = (1 - layer.background for layer in layers)
-    assert 0.05 < float(front[both].mean()) < 0.95
+        sight = look(cloud, rays, CONFIG.neighbours, CUTOFF)
+        assert sight.hidden is not None
+        everyone = torch.arange(len(rays.origins))
+        others, seen = look_behind(cloud, sight.hidden, everyone, CONFIG.neighbours, CUTOFF)
+        front, back = (
+            1 - papr.attention(cloud, rays, points, lines.slid(torch.zeros(3), 1.5)).background
+            for points, lines in ((sight.neighbours, sight.seen), (others, seen))
+        )
+    assert 0.05 < float(front.mean()) < 0.95
     expected = front + (1 - front) * back
-    torch.testing.assert_close(1 - out.background[both], expected[both], atol=1e-5, rtol=0)
-    share = (out.weights * ~of_front).sum(dim=-1)
-    expected = (1 - front) * back / expected
-    torch.testing.assert_close(share[both], expected[both], atol=1e-5, rtol=0)
+    torch.testing.assert_close(1 - out.background, expected, atol=1e-5, rtol=0)
+    # Of twelve points with a weight six are kept: the parts of the layers remain close.
+    share = (out.weights * (near < SHEET)).sum(dim=-1)
+    assert float((share - (1 - front) * back / expected).abs().max()) < 0.2
+    torch.testing.assert_close(out.weights.sum(dim=-1), torch.ones_like(share))
 
 
-def test_what_is_behind_the_camera_hides_nothing() -> None:
+def test_slots_without_a_point_are_mute(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Five points alone lie behind: the sixth slot repeats one, and has no weight."""
+    cloud = two_sheets(0.3)
+    frames = cloud.frames
+    assert frames is not None
+    kept = [*range(150, 155), *range(SHEET, 2 * SHEET)]
+    few = PointCloud(
+        positions=frames.rest[kept], features=cloud.features[kept], influence=cloud.influence[kept]
+    ).moved(
+        cloud.positions[kept], LocalFrames(rest=frames.rest[kept], to_rest=frames.to_rest[kept])
+    )
+    monkeypatch.setattr(sight_module, "_MOST_CANDIDATES", len(kept))
+    monkeypatch.setattr(sight_module, "_CANDIDATES", len(kept))
+    sight = look(few, camera().rays().flat(), CONFIG.neighbours, CUTOFF)
+    assert sight.hidden is not None
+    rows = torch.nonzero(sight.hidden.strangers).squeeze(-1)
+    assert len(rows) > 0
+    others, seen = look_behind(few, sight.hidden, rows, CONFIG.neighbours, CUTOFF)
+    rest = frames.rest[kept][others]
+    along = ((rest - seen.origins) * seen.directions).sum(dim=-1, keepdim=True)
+    answers = (rest - seen.origins - along * seen.directions).norm(dim=-1) <= CUTOFF
+    assert set(others[answers].tolist()) == {0, 1, 2, 3, 4}
+    assert not answers[:, 5].any()
+    for points, heard in zip(others, answers, strict=True):
+        heard_points = points[heard].tolist()
+        assert len(heard_points) == len(set(heard_points)), "no point speaks twice"
+
+
+def test_what_is_behind_the_camera_hides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     papr, cloud = Papr(CONFIG).eval(), two_sheets(4.0)
     with torch.no_grad():
         layered = papr(cloud, camera().rays())
-        patched = pytest.MonkeyPatch()
-        nobody = lambda positions, *_: torch.zeros(positions.shape[:2], dtype=torch.bool)  # noqa: E731
-        with patched.context() as patch:
-            patch.setattr(papr_module, "strangers", nobody)
-            flat = papr(cloud, camera().rays())
+        monkeypatch.setattr(sight_module, "rules", lambda _: NOBODY)
+        flat = papr(cloud, camera().rays())
     torch.testing.assert_close(layered.weights, flat.weights)
-
-
-def _rest(cloud: PointCloud) -> torch.Tensor:
-    assert cloud.frames is not None
-    return cloud.frames.rest
 
 
 def test_two_layers_are_composited() -> None:
@@ -135,39 +172,43 @@ def test_two_layers_are_composited() -> None:
 
     front, back = layer(0.4, 1.0), layer(0.5, 2.0)
     only = Attended(**{name: one[:1] for name, one in vars(back).items()})
-    found = behind(front, torch.tensor([1]), only)
+    points = torch.arange(8).reshape(2, 4)
+    found, met = behind(front, points, torch.tensor([1]), only, torch.tensor([[8, 9, 10, 11]]))
     # 0.6 of the front, 0.4 * 0.5 of the back.
     assert found.background.tolist() == pytest.approx([0.4, 0.2])
     mixed = (0.6 * 1.0 + 0.2 * 2.0) / 0.8
-    for name in ("features", "weights", "surface", "behind"):
+    for name in ("features", "surface", "behind"):
         value = getattr(found, name)
         assert value[0].flatten().tolist() == pytest.approx([1.0] * value[0].numel())
         assert value[1].flatten().tolist() == pytest.approx([mixed] * value[1].numel())
+    assert met[0].tolist() == [0, 1, 2, 3]
     empty = Attended(**{name: one[:1] for name, one in vars(layer(1.0, 0.0)).items()})
-    nothing = behind(layer(1.0, 1.0), torch.tensor([0]), empty)
+    nothing, met = behind(layer(1.0, 1.0), points, torch.tensor([0]), empty, points[1:])
     assert nothing.background.tolist() == [1.0, 1.0]
     assert nothing.features[0].tolist() == [1.0] * 3
+    assert met.sort(dim=1).values.tolist() == points.tolist()
 
 
-def test_strangers_are_those_whose_rest_ray_never_met_the_foremost() -> None:
-    cloud, rays = two_sheets(0.3), camera().rays().flat()[:5]
-    near = torch.tensor([[91, 27, 28, 92]]).expand(5, 4)
-    rest = _rest(cloud)[near]
-    shift = (rest - cloud.positions[near]).detach()
-    seen = RayBundle(
-        origins=rays.origins.unsqueeze(1) + shift,
-        directions=rays.directions.unsqueeze(1).expand(5, 4, 3),
-    )
-    found = strangers(cloud.positions[near], rest, rays, seen, 2.0)
-    assert found.tolist() == [[False] * 4] * 5, "with such a cut-off both sheets met any ray"
-    found = strangers(cloud.positions[near], rest, rays, seen, 0.5)
-    assert found.tolist() == [[False, True, True, False]] * 5
-    away = without(rest, seen, found, 0.5)
-    offset = rest - away.origins
-    along = (offset * away.directions).sum(dim=-1, keepdim=True)
-    distance = (offset - along * away.directions).norm(dim=-1)
-    assert (distance[found] > 0.5).all()
-    assert torch.equal(away.origins[~found], seen.origins[~found])
+def test_of_two_layers_the_points_with_the_greatest_weights_are_kept() -> None:
+    def layer(background: float, weights: list[float]) -> Attended:
+        return Attended(
+            features=torch.zeros(1, 3),
+            background=torch.tensor([background]),
+            weights=torch.tensor([weights]),
+            surface=torch.zeros(1, 3),
+            behind=torch.zeros(1),
+        )
+
+    front, back = layer(0.5, [0.9, 0.1, 0.0]), layer(0.0, [0.2, 0.7, 0.1])
+    points, strangers = torch.tensor([[0, 1, 2]]), torch.tensor([[5, 6, 7]])
+    found, met = behind(front, points, torch.tensor([0]), back, strangers)
+    # Half of each: 0.45, 0.05, 0 and 0.1, 0.35, 0.05.
+    assert met.tolist() == [[0, 6, 5]]
+    assert found.weights[0].tolist() == pytest.approx([0.5, 0.35 / 0.9, 0.1 / 0.9])
+
+
+def test_rules_are_in_cutoffs() -> None:
+    assert rules(2.0) == LayerRules(close=0.4, apart=1.0, cutoff=2.0)
 
 
 def test_one_affine_map_has_no_strangers() -> None:

@@ -22,6 +22,7 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr, averaged
 from pcore.model.raster import Raster
+from pcore.model.surface import middle_surface, surface_points
 from pcore.model.unet import ALIGNMENT
 
 Progress = Callable[[float], None]
@@ -157,7 +158,8 @@ def attend(
 ) -> None:
     """Fill M wanted pixels, given by their numbers, with what their rays meet, (M, S) of them."""
     device, shape = canvas.alpha.device, rays.shape
-    attended, neighbours = papr.attend(cloud, rays.to(device), threshold)
+    sent = rays.to(device)
+    attended, neighbours = papr.attend(cloud, sent, threshold)
     pixels = averaged(cloud, attended, neighbours, shape[1])
     rows, width, channels = canvas.features.shape
     there = wanted.to(device)
@@ -165,21 +167,9 @@ def attend(
     canvas.alpha.view(-1)[there] = pixels.alpha
     if pixels.gain is not None:
         canvas.gain.view(-1)[there] = pixels.gain
-    none = attended.weights.sum(dim=-1, keepdim=True) == 0
-    surface = attended.surface.masked_fill(none, math.nan).cpu().reshape(*shape, 3)
-    canvas.surface.view(-1, 3)[wanted] = _middle_surface(surface, rays.origins)
-
-
-def _middle_surface(surface: Tensor, origins: Tensor) -> Tensor:
-    """Of the surface points (M, S, 3) of a pixel the one of the middle distance, (M, 3).
-
-    A mean would lie between front and back where a pixel shows an edge. NaN are left out where
-    there are others.
-    """
-    distance = (surface - origins).norm(dim=-1).nan_to_num(nan=math.inf)
-    met = torch.isfinite(distance).sum(dim=1, keepdim=True)
-    middle = distance.argsort(dim=1).gather(1, (met - 1).clamp_min(0) // 2)
-    return surface.take_along_dim(middle.unsqueeze(-1), dim=1).squeeze(1)
+    surface = surface_points(cloud, sent.flat(), attended, neighbours, papr.config.cutoff)
+    surface = surface.cpu().reshape(*shape, 3)
+    canvas.surface.view(-1, 3)[wanted] = middle_surface(surface, rays.origins)
 
 
 def shade(canvas: Canvas, papr: Papr, window: Window, step: int) -> None:
@@ -254,7 +244,7 @@ def pooled(picture: Picture, pool: int, camera: Camera) -> Picture:
 
     surface = squares(picture.surface).flatten(0, 1)
     origins = camera.center.to(surface).expand_as(surface)
-    middle = _middle_surface(surface, origins).unflatten(0, (camera.height, camera.width))
+    middle = middle_surface(surface, origins).unflatten(0, (camera.height, camera.width))
     return Picture(
         rgb=squares(picture.rgb).mean(dim=2),
         alpha=squares(picture.alpha).mean(dim=2),

@@ -1,0 +1,105 @@
+"""The surface point of a picture lies on one layer of points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
+from pcore.model.attention import Attended
+from pcore.model.surface import middle_surface, surface_points
+
+
+def cloud_at(depths: list[float], beside: list[float] | None = None) -> PointCloud:
+    """Points along z."""
+    positions = torch.zeros(len(depths), 3)
+    positions[:, 2] = torch.tensor(depths)
+    if beside is not None:
+        positions[:, 0] = torch.tensor(beside)
+    return PointCloud(
+        positions=positions, features=torch.zeros(len(depths), 1), influence=torch.ones(len(depths))
+    )
+
+
+def attended(cloud: PointCloud, weights: list[list[float]]) -> Attended:
+    each = torch.tensor(weights)
+    return Attended(
+        features=torch.zeros(len(each), 1),
+        background=torch.zeros(len(each)),
+        weights=each,
+        surface=each @ cloud.positions,
+        behind=torch.zeros(len(each)),
+    )
+
+
+def depths_of(cloud: PointCloud, weights: list[list[float]], cutoff: float | None) -> list[float]:
+    rows = len(weights)
+    rays = RayBundle(
+        origins=torch.tensor([[0.0, 0.0, -5.0]]).expand(rows, 3),
+        directions=torch.tensor([[0.0, 0.0, 1.0]]).expand(rows, 3),
+    )
+    neighbours = torch.arange(len(cloud)).expand(rows, -1)
+    points = surface_points(cloud, rays, attended(cloud, weights), neighbours, cutoff)
+    return points[:, 2].tolist()
+
+
+def test_two_layers_are_not_averaged() -> None:
+    cloud = cloud_at([3.0, 0.0, 0.1, 3.1])
+    weights = [[0.2, 0.3, 0.3, 0.2], [0.3, 0.2, 0.2, 0.3], [0.5, 0.0, 0.0, 0.5]]
+    assert depths_of(cloud, weights, 0.5) == pytest.approx([0.05, 3.05, 3.05])
+    assert depths_of(cloud, weights, None) == pytest.approx([1.25, 1.85, 3.05])
+    assert depths_of(cloud, weights, 10.0) == pytest.approx([1.25, 1.85, 3.05])
+
+
+def test_one_layer_is_its_mean() -> None:
+    cloud = cloud_at([0.1, 0.3, 0.2], beside=[0.0, 0.1, -0.1])
+    weights = [[0.5, 0.25, 0.25], [0.0, 0.0, 1.0]]
+    assert depths_of(cloud, weights, 0.5) == pytest.approx([0.175, 0.2])
+
+
+def test_a_ray_without_attention_has_no_surface() -> None:
+    cloud = cloud_at([0.1, 0.3])
+    found = depths_of(cloud, [[0.0, 0.0], [1.0, 0.0]], 0.5)
+    assert math.isnan(found[0])
+    assert found[1] == pytest.approx(0.1)
+    assert math.isnan(depths_of(cloud, [[0.0, 0.0]], None)[0])
+
+
+def test_layers_are_as_thick_as_at_rest() -> None:
+    """An object drawn larger keeps its surface: distances are those of the rest state."""
+    rest = cloud_at([0.0, 0.4, 1.0])
+    weights = [[0.3, 0.3, 0.4]]
+    small = depths_of(rest, weights, 0.5)
+    assert small == pytest.approx([0.2])
+    frames = LocalFrames(rest=rest.positions, to_rest=torch.eye(3).expand(3, 3, 3) / 10)
+    assert depths_of(rest.moved(10 * rest.positions, frames), weights, 0.5) == pytest.approx([2.0])
+    assert depths_of(rest.moved(10 * rest.positions), weights, 0.5) == pytest.approx([4.0])
+
+
+def test_what_lies_nearer_along_the_ray_comes_first_also_in_other_orders() -> None:
+    cloud = cloud_at([2.0, 1.0, 0.0])
+    assert depths_of(cloud, [[0.4, 0.2, 0.4]], 0.5) == pytest.approx([1.0])
+
+
+def test_no_gradient_and_no_change_of_what_the_losses_see() -> None:
+    cloud = cloud_at([0.0, 3.0])
+    met = attended(cloud, [[0.6, 0.4]])
+    weights = met.weights.clone().requires_grad_()
+    rays = RayBundle(origins=torch.zeros(1, 3), directions=torch.tensor([[0.0, 0.0, 1.0]]))
+    found = surface_points(cloud, rays, replace(met, weights=weights), torch.tensor([[0, 1]]), 0.5)
+    assert not found.requires_grad
+    assert float(met.surface[0, 2]) == pytest.approx(1.2)
+
+
+def test_of_several_rays_the_middle_one_is_taken() -> None:
+    surface = torch.zeros(2, 4, 3)
+    surface[0, :, 2] = torch.tensor([4.0, 1.0, 2.0, 3.0])
+    surface[1] = math.nan
+    surface[1, 2] = torch.tensor([0.0, 0.0, 7.0])
+    found = middle_surface(surface, torch.zeros(2, 4, 3))
+    assert found[:, 2].tolist() == [2.0, 7.0]
