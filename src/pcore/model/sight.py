@@ -39,15 +39,17 @@ class Hidden:
     """What M rays may meet behind the foremost layer.
 
     Attributes:
-        rays: (M,) world units.
-        candidates: (M, c) indices into the cloud.
         strangers: (M,) bool, which of the rays have strangers.
+        rows: (M,) which they are of the rays below.
+        rays: (A,) world units.
+        candidates: (A, c) indices into the cloud.
         frames: of the cloud.
     """
 
+    strangers: Tensor
+    rows: Tensor
     rays: RayBundle
     candidates: Tensor
-    strangers: Tensor
     frames: LocalFrames
 
 
@@ -138,9 +140,10 @@ def _pulled_back(
     neighbours = shared[:, :k].repeat_interleave(samples, dim=0)
     neighbours.index_copy_(0, near, found.neighbours[answered])
     hidden = Hidden(
-        rays=some[answered],
-        candidates=candidates[answered],
         strangers=found.strangers[answered],
+        rows=answered,
+        rays=some,
+        candidates=candidates,
         frames=frames,
     )
     return Sight(neighbours=neighbours, near=near, seen=seen[answered], hidden=hidden)
@@ -155,7 +158,8 @@ def look_behind(
     Returns:
         Indices (M, k) into the cloud, and the rays (M, k) as those see them.
     """
-    rays, frames = hidden.rays[rows], hidden.frames
+    rows, frames = hidden.rows[rows], hidden.frames
+    rays = hidden.rays[rows]
     found = pull_back(
         *(rays.origins, rays.directions, cloud.positions.detach(), frames.rest, frames.to_rest),
         hidden.candidates[rows],
