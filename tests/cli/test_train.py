@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import imageio.v3 as iio
 import pytest
 import torch
 from toys import logged_losses, write_scene
@@ -70,6 +71,24 @@ def test_options_change_the_preset(scene: Path, tmp_path: Path) -> None:
     assert model.cloud.positions.shape == (9, 3)
     assert float((model.cloud.positions - start).abs().max()) < 0.01
     assert not (run / "tensorboard").exists()
+
+
+def test_hazy_masks_are_said(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They start points all around the object; a grid does not care."""
+    assert call(scene, tmp_path / "clean", steps=1) == 0
+    assert "masks are" not in capsys.readouterr().out
+    for path in (scene / "train").glob("*.png"):
+        picture = iio.imread(path)
+        picture[..., 3] = picture[..., 3].clip(30)
+        iio.imwrite(path, picture)
+    assert call(scene, tmp_path / "hazy", steps=1) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "warning: the masks are hazy: for 100 pixels that show the object," in said
+    assert "clean the alpha channels, or start without them: --init grid" in said
+    assert call(scene, tmp_path / "grid", "--init", "grid", "--points", 60, steps=1) == 0
+    assert "masks are" not in capsys.readouterr().out
 
 
 def test_networks_are_compiled_unless_told_otherwise(

@@ -13,6 +13,7 @@ from pcore.errors import InputError, TrainingError
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.training.population import (
+    faint_share,
     grid_points,
     growth_mixture,
     growth_sites,
@@ -145,6 +146,19 @@ def test_what_no_view_sees_is_no_object() -> None:
     generator = torch.Generator().manual_seed(0)
     points = hull_points(500, around()[::4], -far, far, generator=generator, resolution=64)
     assert (points - CENTER).norm(dim=1).max() < 2 * RADIUS
+
+
+def test_faint_pixels_are_counted_per_solid_one() -> None:
+    def flat(*opacities: float) -> FakeView:
+        rgba = torch.tensor(opacities).reshape(1, -1, 1).expand(-1, -1, 4)
+        return FakeView(cameras(1, 0.0)[0], rgba)
+
+    clean, hazy = flat(1.0, 0.6, 0.5, 0.04), flat(1.0, 0.06, 0.3, 0.5)
+    assert faint_share([clean]) == 0.5
+    assert faint_share([hazy]) == 3.0
+    assert faint_share([clean, hazy, hazy]) == 3.0
+    assert faint_share([flat(0.1, 0.2)]) == 2.0, "nothing solid"
+    assert faint_share(around()) < 0.3
 
 
 def test_silhouettes_without_a_common_inside() -> None:

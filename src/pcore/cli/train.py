@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from pcore.data.scene import Scene
     from pcore.training.config import PretrainConfig
 
+_HAZE = 0.5
+"""More faint pixels than that per solid one are no rims (clean masks: `faint_share`)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainCommand:
@@ -160,7 +163,27 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     elif not all(view.has_alpha for view in scene.split("train")):
         console.print("images without alpha have no visual hull: points start on a grid")
         changes["start"] = "grid"
-    return replace(preset(command.preset), **changes)
+    config = replace(preset(command.preset), **changes)
+    if config.start == "hull":
+        _check_masks(scene, console)
+    return config
+
+
+def _check_masks(scene: Scene, console: Console) -> None:
+    """Warn where masks would start points beside the object."""
+    from pcore.cli.diagnosing import note
+    from pcore.training.population import faint_share
+
+    share = faint_share(scene.split("train"))
+    if share > _HAZE:
+        note(
+            console,
+            [
+                f"the masks are hazy: for 100 pixels that show the object, {100 * share:.0f} are "
+                "5 to 50 % opaque, and points will start in all of that; clean the alpha channels, "
+                "or start without them: --init grid"
+            ],
+        )
 
 
 def announce(console: Console, scene: Scene, plan: str) -> None:

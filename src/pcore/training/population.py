@@ -107,6 +107,23 @@ def hull_points(
     return surface[chosen] + jitter * size
 
 
+def faint_share(views: Sequence[MaskedView]) -> float:
+    """Pixels that show a trace of the object, per pixel that it covers by half; median over views.
+
+    Rims of clean masks give 0.06 to 0.1, 0.3 where the object is but 10 pixels wide. A haze around
+    the object gives more, and starts points all over it (`hull_points`, ADR 12).
+
+    Args:
+        views: with an alpha channel.
+    """
+    shares: list[float] = []
+    for view in views:
+        alpha = view.alpha()
+        solid = int((alpha > _SOLID).sum())
+        shares.append((int((alpha > _TRACE).sum()) - solid) / max(1, solid))
+    return statistics.median(shares)
+
+
 def _voxels(lower: Tensor, upper: Tensor, resolution: int) -> tuple[Tensor, float]:
     """Centres of cubic voxels (X, Y, Z, 3) that fill a box, and their size."""
     size = float((upper - lower).max()) / resolution
