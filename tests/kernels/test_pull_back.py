@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from pcore.kernels import cpu, functional, reference
-from pcore.kernels.layers import LayerRules
+from pcore.kernels import cpu, cpu_pull_back, functional, reference
+from pcore.kernels.ray_layers import LayerRules
 
 
 def scene(rays: int, points: int, candidates: int) -> dict[str, Tensor]:
@@ -46,7 +46,7 @@ def test_backends_agree(
 ) -> None:
     inputs = scene(rays, points, candidates)
     expected = reference.pull_back(**inputs, k=k, layers=layers, hidden=hidden)
-    found = cpu.pull_back(**inputs, k=k, layers=layers, hidden=hidden)
+    found = cpu_pull_back.pull_back(**inputs, k=k, layers=layers, hidden=hidden)
     for name in ("neighbours", "counts", "strangers"):
         assert torch.equal(getattr(found, name), getattr(expected, name)), name
     for name in ("origins", "directions"):
@@ -91,7 +91,7 @@ def side_by_side(front: float) -> dict[str, Tensor]:
     }
 
 
-@pytest.mark.parametrize("work", [cpu, reference])
+@pytest.mark.parametrize("work", [cpu_pull_back, reference])
 def test_the_foremost_and_its_like_come_first(work: ModuleType) -> None:
     """However near to the ray the points behind them are."""
     rules = LayerRules(close=0.15, apart=1.0, cutoff=0.35)
@@ -104,7 +104,7 @@ def test_the_foremost_and_its_like_come_first(work: ModuleType) -> None:
     # The farthest of them is beyond the cut-off: nobody's stranger, and no slot behind is its.
     four = work.pull_back(**side_by_side(3.0), k=5, layers=rules, hidden=True)
     assert four.counts.tolist() == [3]
-    assert four.neighbours.tolist() == [[0, 1, 2, 0, 0]], "empty slots repeat the first candidate"
+    assert four.neighbours.tolist() == [[0, 1, 2, 0, 0]], "empty slots repeat the nearest"
     # From the other side of the points that stayed they are themselves the foremost.
     assert work.pull_back(**side_by_side(7.0), k=3, layers=rules).neighbours.tolist() == [[0, 1, 2]]
     # What is behind the origin hides nothing; it is nobody's stranger either.
@@ -113,7 +113,7 @@ def test_the_foremost_and_its_like_come_first(work: ModuleType) -> None:
     assert found.strangers.tolist() == [False]
 
 
-@pytest.mark.parametrize("work", [cpu, reference])
+@pytest.mark.parametrize("work", [cpu_pull_back, reference])
 @pytest.mark.parametrize(
     "rules",
     [

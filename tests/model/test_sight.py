@@ -13,7 +13,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.kernels.layers import LayerRules
+from pcore.kernels.ray_layers import LayerRules
 from pcore.model import sight as sight_module
 from pcore.model.sight import Sight, look
 
@@ -58,7 +58,9 @@ def test_rays_that_share_a_search_find_what_they_would_alone(
 
     Without layers: of those more slots are filled where more candidates are at hand.
     """
-    monkeypatch.setattr(sight_module, "rules", lambda _: LayerRules(close=0, apart=1, cutoff=1))
+    monkeypatch.setattr(
+        sight_module, "layer_rules", lambda _: LayerRules(close=0, apart=1, cutoff=1)
+    )
     cloud, rays = twisted(ball()), pixels(size)
     shared, alone = (look(cloud, one, K, CUTOFF) for one in (rays, rays.flat()))
     assert torch.equal(shared.near, alone.near)

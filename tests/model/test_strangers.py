@@ -12,12 +12,12 @@ import tiny_scene
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
-from pcore.kernels.layers import LayerRules
+from pcore.kernels.ray_layers import LayerRules
 from pcore.model.attention import Attended
 from pcore.model.config import ReferenceOrigin
 from pcore.model.papr import Papr
 from pcore.model.sight import look, look_behind
-from pcore.model.strangers import behind, rules
+from pcore.model.strangers import behind, layer_rules
 
 CUTOFF = 0.2
 CONFIG = replace(
@@ -80,7 +80,7 @@ def test_the_sheet_before_the_other_is_seen(front: float) -> None:
 
 def test_without_layers_both_sheets_would_show(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the tests above would find if nothing was done."""
-    monkeypatch.setattr(sight_module, "rules", lambda _: NOBODY)
+    monkeypatch.setattr(sight_module, "layer_rules", lambda _: NOBODY)
     papr, cloud = Papr(CONFIG).eval(), two_sheets(0.3)
     with torch.no_grad():
         out = papr(cloud, camera().rays())
@@ -155,7 +155,7 @@ def test_what_is_behind_the_camera_hides_nothing(monkeypatch: pytest.MonkeyPatch
     papr, cloud = Papr(CONFIG).eval(), two_sheets(4.0)
     with torch.no_grad():
         layered = papr(cloud, camera().rays())
-        monkeypatch.setattr(sight_module, "rules", lambda _: NOBODY)
+        monkeypatch.setattr(sight_module, "layer_rules", lambda _: NOBODY)
         flat = papr(cloud, camera().rays())
     torch.testing.assert_close(layered.weights, flat.weights)
 
@@ -208,7 +208,7 @@ def test_of_two_layers_the_points_with_the_greatest_weights_are_kept() -> None:
 
 
 def test_rules_are_in_cutoffs() -> None:
-    assert rules(2.0) == LayerRules(close=0.4, apart=1.0, cutoff=2.0)
+    assert layer_rules(2.0) == LayerRules(close=0.4, apart=1.0, cutoff=2.0)
 
 
 def test_one_affine_map_has_no_strangers() -> None:

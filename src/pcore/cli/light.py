@@ -79,7 +79,7 @@ def estimate_light(path: Path, scene: Scene, device: str, console: Console) -> N
     check_images(views)
     with counting(console, "light: views") as tell:
         shading = fit_shading(saved.papr().to(device), saved.cloud, views, progress=tell)
-    save_shading(path / LIGHT_FILE, shading, saved.cloud.positions)
+    save_shading(path / LIGHT_FILE, shading)
     console.print(Text(f"{path / LIGHT_FILE}: {description(shading)}"), soft_wrap=True)
 
 

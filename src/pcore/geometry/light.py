@@ -8,6 +8,7 @@ factor by which the light on it changes (docs/guide/light.md).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -15,17 +16,24 @@ from torch.nn import functional as F
 
 from pcore.errors import InputError
 from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.neighbours import nearest
+from pcore.geometry.shadows import unshadowed
+from pcore.geometry.visibility import cloud_spacing
 
 ENCODING = 2.2
 """Exponent between the brightness that a photo stores and light; that of sRGB, nearly."""
 LARGEST_GAIN = 2.5
 """No point becomes brighter or darker by more than this factor: beyond, an estimate is no help."""
 _DARKEST = 1e-3
+_AROUND = 0.4
+"""Share of the light from a direction that reaches what is hidden from it, off other surfaces."""
+_BESIDE = 16
+"""Points whose changes are averaged. Both chosen on objects of our own (ADR 11)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """Light from far away, the same for all of an object; no shadows.
+    """Light from far away, the same for all of an object.
 
     Attributes:
         directions: (D, 3) unit, towards where it comes from; evenly over the sphere.
@@ -56,6 +64,19 @@ def irradiance_of(normals: Tensor, directions: Tensor) -> Tensor:
     return (normals @ directions.to(normals).T).clamp_min(0) * (4.0 / len(directions))
 
 
+def reaching(points: Tensor, directions: Tensor, spacing: float) -> Tensor:
+    """Share (N, D) of the light from D directions that reaches points (N, 3) past the others.
+
+    See `pcore.geometry.shadows.unshadowed`; what is hidden gets some of it off other surfaces.
+    """
+    return _AROUND + (1 - _AROUND) * unshadowed(points, directions, spacing)
+
+
+def spacing_of(points: Tensor) -> float:
+    """How far points (N, 3) lie apart for `reaching`, world units; one alone hides nothing."""
+    return cloud_spacing(points) if len(points) > 1 else 0.0
+
+
 @dataclass(frozen=True, kw_only=True)
 class Shading:
     """What it takes to light deformed points anew.
@@ -63,39 +84,70 @@ class Shading:
     Attributes:
         light: that of the photos.
         normals: (N, 3) unit normals of the canonical points, world axes; zero where none is known.
+        positions: (N, 3) canonical points, world units.
     """
 
     light: Light
     normals: Tensor
+    positions: Tensor
 
     def __post_init__(self) -> None:
-        if self.normals.dim() != 2 or self.normals.shape[1] != 3:
-            raise InputError(f"shading: expected normals (N, 3), got {tuple(self.normals.shape)}")
+        shapes = tuple(self.normals.shape), tuple(self.positions.shape)
+        if shapes[0][1:] != (3,) or shapes[0] != shapes[1]:
+            raise InputError(
+                f"shading: expected normals (N, 3) and positions (N, 3), got {shapes[0]} and "
+                f"{shapes[1]}"
+            )
 
     @property
     def known(self) -> Tensor:
         """(N,) bool, the points whose normal is known."""
         return self.normals.square().sum(dim=1) > 0.25
 
-    def gains(self, frames: LocalFrames) -> Tensor:
-        """Factor (N,) on the stored brightness of every deformed point; 1 where none is known.
+    def gains(self, frames: LocalFrames, moved: Tensor) -> Tensor:
+        """Factor (N,) on the stored brightness of every deformed point.
+
+        It is the mean, of the logarithm, over a point's neighbours at rest whose normal is known;
+        1 where none is.
 
         Args:
             frames: local frames of the deformed points, which say how their normals turn.
+            moved: (N, 3) the deformed points, world units.
 
         Raises:
-            InputError: frames of another number of points.
+            InputError: frames or points of another number.
         """
-        if len(frames.rest) != len(self.normals):
+        if not len(frames.rest) == len(moved) == len(self.normals):
             raise InputError(
                 f"shading: expected frames of its {len(self.normals)} points, got "
                 f"{len(frames.rest)}; estimate the light anew (`pcore light RUN`)"
             )
+        to_rest, known = frames.to_rest.detach().cpu().float(), self.known
         # A normal turns by the transposed inverse of the local map, which the frames hold.
-        normals = self.normals.to(frames.to_rest)
-        turned = F.normalize(torch.einsum("nji,nj->ni", frames.to_rest, normals), dim=1)
-        before, after = (
-            self.light.irradiance(one).clamp_min(_DARKEST) for one in (normals, turned)
-        )
-        gains = (after / before).pow(1 / ENCODING).clamp(1 / LARGEST_GAIN, LARGEST_GAIN)
-        return torch.where(self.known.to(gains.device), gains, 1.0)
+        turned = F.normalize(torch.einsum("nji,nj->ni", to_rest, self.normals), dim=1)
+        place = moved.detach().cpu().float()
+        reach = reaching(place, self.light.directions, self._spacing * frames.growth)
+        before, after = self._falling(self.normals, self._reach), self._falling(turned, reach)
+        darkest = _DARKEST * float(self.light.radiance.mean())
+        change = (after.clamp_min(darkest) / before.clamp_min(darkest)).log() / ENCODING
+        weights = known[self._beside].to(change)
+        mean = (change[self._beside] * weights).sum(dim=1) / weights.sum(dim=1).clamp_min(1)
+        return mean.exp().clamp(1 / LARGEST_GAIN, LARGEST_GAIN).to(moved.device)
+
+    def _falling(self, normals: Tensor, reach: Tensor) -> Tensor:
+        """Light (N,) on points with normals (N, 3) that a share (N, D) of it reaches."""
+        return (irradiance_of(normals, self.light.directions) * reach) @ self.light.radiance
+
+    @cached_property
+    def _reach(self) -> Tensor:
+        """Share (N, D) that reaches the points at rest."""
+        return reaching(self.positions, self.light.directions, self._spacing)
+
+    @cached_property
+    def _beside(self) -> Tensor:
+        """Indices (N, 16) of the nearest points at rest, a point itself among them."""
+        return nearest(self.positions, self.positions, _BESIDE)[0]
+
+    @cached_property
+    def _spacing(self) -> float:
+        return spacing_of(self.positions)

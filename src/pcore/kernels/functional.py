@@ -12,10 +12,17 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.errors import InputError
-from pcore.kernels import cpu, cpu_attention, cpu_search, reference, reference_attention
+from pcore.kernels import (
+    cpu,
+    cpu_attention,
+    cpu_pull_back,
+    cpu_search,
+    reference,
+    reference_attention,
+)
 from pcore.kernels.backends import backend, of_attention, of_search, takes_cpu
-from pcore.kernels.layers import LayerRules, PulledBack
 from pcore.kernels.networks import Layers
+from pcore.kernels.ray_layers import LayerRules, PulledBack
 
 
 def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int) -> Tensor:
@@ -284,7 +291,7 @@ def pull_back(
         Neighbours and rays, nearest first in the rest state.
     """
     single = positions.dtype == torch.float32
-    work = cpu if single and backend(positions.device) == "cpu" else reference
+    work = cpu_pull_back if single and backend(positions.device) == "cpu" else reference
     with torch.no_grad():
         return work.pull_back(
             origins, directions, positions, rest, to_rest, candidates, k, layers, hidden

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from pcore.kernels.layers import LayerRules, PulledBack
+from pcore.kernels.ray_layers import LayerRules, PulledBack
 
 _CHUNK_ELEMENTS = 4_000_000
 SHORTEST = 1e-30
@@ -118,9 +118,10 @@ def pull_back(
     wanted = strangers == hidden
     order = torch.sort(squared.masked_fill(~wanted, math.inf), dim=-1, stable=True).indices[:, :k]
     counts = wanted.sum(dim=-1).clamp_max(order.shape[1])
-    # Slots that nothing fills repeat the first candidate.
+    # Slots that nothing fills repeat the nearest, or the first candidate where there is none.
+    nearest = order[:, :1].where(counts.unsqueeze(1) > 0, 0)
     empty = torch.arange(order.shape[1], device=order.device) >= counts.unsqueeze(1)
-    order = order.masked_fill(empty, 0)
+    order = order.where(~empty, nearest)
     rows = order.unsqueeze(-1)
     chosen = candidates.gather(1, order)
     return PulledBack(

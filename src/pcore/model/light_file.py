@@ -18,19 +18,18 @@ LIGHT_FILE = _FILE.name
 _TENSORS = ("directions", "radiance", "normals", "positions")
 
 
-def save_shading(path: Path, shading: Shading, positions: Tensor) -> None:
+def save_shading(path: Path, shading: Shading) -> None:
     """Write a light file; a crash at any moment leaves the old file or the new one.
 
     Args:
         path: where to, normally RUN/light.safetensors.
-        shading: the light and the normals.
-        positions: (N, 3) canonical points that the normals belong to, world units.
+        shading: the light, and the canonical points with their normals.
 
     Raises:
         OSError: the file cannot be written; the old one is untouched.
     """
     light = shading.light
-    tensors = (light.directions, light.radiance, shading.normals, positions)
+    tensors = (light.directions, light.radiance, shading.normals, shading.positions)
     _FILE.write(path, dict(zip(_TENSORS, tensors, strict=True)))
 
 
@@ -60,6 +59,6 @@ def load_shading(path: Path | str, positions: Tensor) -> Shading:
         )
     try:
         light = Light(directions=tensors["directions"], radiance=tensors["radiance"])
-        return Shading(light=light, normals=tensors["normals"])
+        return Shading(light=light, normals=tensors["normals"], positions=tensors["positions"])
     except InputError as error:
         raise CheckpointError(f"{path}: {error}; {_FILE.mend}") from error

@@ -17,8 +17,8 @@ from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels.functional import nearest_to_rays, pull_back
-from pcore.kernels.layers import PulledBack
-from pcore.model.strangers import rules
+from pcore.kernels.ray_layers import PulledBack
+from pcore.model.strangers import layer_rules
 
 _CANDIDATES = 1.25
 _MOST_CANDIDATES = 64
@@ -39,15 +39,15 @@ class Hidden:
     """What M rays may meet behind the foremost layer.
 
     Attributes:
-        strangers: (M,) bool, which of the rays have strangers.
-        rows: (M,) which they are of the rays below.
+        strangers: (M,) bool, which of them have strangers.
+        asked: (M,) which they are of the rays below.
         rays: (A,) world units.
         candidates: (A, c) indices into the cloud.
         frames: of the cloud.
     """
 
     strangers: Tensor
-    rows: Tensor
+    asked: Tensor
     rays: RayBundle
     candidates: Tensor
     frames: LocalFrames
@@ -126,7 +126,7 @@ def _pulled_back(
         found = nearest_to_rays(own.origins, own.directions, positions, count)
         candidates.index_copy_(0, _rays_of(alone, samples), found)
     some = some.flat()
-    layers = None if cutoff is None else rules(cutoff)
+    layers = None if cutoff is None else layer_rules(cutoff)
     found = pull_back(
         *(some.origins, some.directions, positions, frames.rest, frames.to_rest, candidates),
         k=k,
@@ -141,7 +141,7 @@ def _pulled_back(
     neighbours.index_copy_(0, near, found.neighbours[answered])
     hidden = Hidden(
         strangers=found.strangers[answered],
-        rows=answered,
+        asked=answered,
         rays=some,
         candidates=candidates,
         frames=frames,
@@ -153,18 +153,25 @@ def _pulled_back(
 def look_behind(
     cloud: PointCloud, hidden: Hidden, rows: Tensor, k: int, cutoff: float
 ) -> tuple[Tensor, RayBundle]:
-    """Find the strangers nearest to some rays (M,) of those that have any.
+    """Find the strangers nearest to some rays.
+
+    Args:
+        cloud: the points.
+        hidden: what M rays may meet behind the foremost layer.
+        rows: (L,) which of the M rays.
+        k: how many.
+        cutoff: distance beyond which a point gets no attention, world units.
 
     Returns:
-        Indices (M, k) into the cloud, and the rays (M, k) as those see them.
+        Indices (L, k) into the cloud, and the rays (L, k) as those see them.
     """
-    rows, frames = hidden.rows[rows], hidden.frames
-    rays = hidden.rays[rows]
+    asked, frames = hidden.asked[rows], hidden.frames
+    rays = hidden.rays[asked]
     found = pull_back(
         *(rays.origins, rays.directions, cloud.positions.detach(), frames.rest, frames.to_rest),
-        hidden.candidates[rows],
+        hidden.candidates[asked],
         k=min(k, len(cloud)),
-        layers=rules(cutoff),
+        layers=layer_rules(cutoff),
         hidden=True,
     )
     return found.neighbours, _muted(found, frames.rest, cutoff)

@@ -14,21 +14,21 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pcore.kernels.layers import LayerRules
+from pcore.kernels.ray_layers import LayerRules
 from pcore.model.attention import Attended
 
 _CLOSE = 0.2
-"""In cut-offs, which are 3 to 5 times as long as points are apart: so near to a ray is a point of
-any surface that it meets, and few where it passes a rim by."""
+"""In cut-offs, about as far as the points of `tiny` are apart: a ray that meets a surface has a
+point of it so near, one that passes its rim by seldom has."""
 _APART = 0.5
-"""In cut-offs: from farther than that the foremost point was never met. Both chosen on poses of our
-own (ADR 5)."""
+"""In cut-offs: a ray that passes the foremost point by more never met it. Both chosen on poses of
+our own (ADR 5)."""
 OPAQUE = 0.97
 """Behind such an opacity strangers are not looked at."""
 _LEAST = 1e-9
 
 
-def rules(cutoff: float) -> LayerRules:
+def layer_rules(cutoff: float) -> LayerRules:
     """What tells strangers, for a distance (world units) beyond which a point gets no attention."""
     return LayerRules(close=_CLOSE * cutoff, apart=_APART * cutoff, cutoff=cutoff)
 
@@ -46,8 +46,9 @@ def behind(
         strangers: (M, k) indices of those.
 
     Returns:
-        (R,) rays, with opacity and features of two layers, one behind the other; and indices (R, k)
-        of the points that have the weights: of both layers those with the greatest.
+        (R,) rays, with opacity, features and surface of two layers, one behind the other; and
+        indices (R, k) of the points that have the weights: of both layers those with the greatest,
+        which share what their layer has.
     """
     first = 1 - front.background[rows]
     second = front.background[rows] * (1 - back.background)
@@ -60,12 +61,21 @@ def behind(
         part = share.reshape(-1, *[1] * (here.dim() - 1))
         return here.index_copy(0, rows, (1 - part) * here[rows] + part * there)
 
+    k = neighbours.shape[1]
     part = share.unsqueeze(1)
     both = torch.cat([(1 - part) * front.weights[rows], part * back.weights], dim=1)
-    total = both.sum(dim=1, keepdim=True)
-    weights, kept = both.topk(neighbours.shape[1], dim=1)
-    weights = weights * (total / weights.sum(dim=1, keepdim=True).clamp_min(_LEAST))
-    met = torch.cat([neighbours[rows], strangers], dim=1).gather(1, kept)
+    kept, place = both.topk(k, dim=1)
+    of_back = place >= k
+    # What the points of a layer that are left out had goes to those that stay.
+    has = torch.where(of_back, both[:, k:].sum(1, keepdim=True), both[:, :k].sum(1, keepdim=True))
+    left = torch.where(
+        of_back,
+        (kept * of_back).sum(1, keepdim=True),
+        (kept * ~of_back).sum(1, keepdim=True),
+    )
+    weights = kept * has / left.clamp_min(torch.finfo(kept.dtype).tiny)
+    weights = weights / weights.sum(1, keepdim=True).clamp_min(_LEAST)
+    met = torch.cat([neighbours[rows], strangers], dim=1).gather(1, place)
     layered = {name: mixed(name) for name in ("features", "surface", "behind")}
     return replace(
         front,

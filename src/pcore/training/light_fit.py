@@ -21,7 +21,7 @@ from torch.nn import functional as F
 
 from pcore.data.scene import View
 from pcore.errors import InputError
-from pcore.geometry.light import ENCODING, Light, Shading, irradiance_of
+from pcore.geometry.light import ENCODING, Light, Shading, irradiance_of, reaching, spacing_of
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 from pcore.model.passes import Picture
@@ -77,7 +77,10 @@ def fit_shading(
         InputError: too few points have a normal that views agree on.
     """
     observed = observe(papr, cloud, views, progress=progress)
-    return Shading(light=fit_light(observed), normals=observed.normals)
+    positions = cloud.positions.detach().cpu()
+    reach = reaching(positions, sphere(DIRECTIONS), spacing_of(positions))
+    light = fit_light(observed, reach)
+    return Shading(light=light, normals=observed.normals, positions=positions)
 
 
 @torch.no_grad()
@@ -140,13 +143,26 @@ def _shrunk(rgba: Tensor, height: int, width: int) -> Tensor:
     )
 
 
-def fit_light(observed: Observed, *, materials: int = MATERIALS, smooth: float = SMOOTH) -> Light:
+def fit_light(
+    observed: Observed,
+    reach: Tensor | None = None,
+    *,
+    materials: int = MATERIALS,
+    smooth: float = SMOOTH,
+) -> Light:
     """Estimate the light from normals and colours of points: non-negative least squares.
 
-    Brightness b of a point of material m is modelled as a_m E(n), E the light's irradiance. Given
+    Brightness b of a point of material m is modelled as a_m E, E the light that falls on it. Given
     the materials' a_m, the radiance solves a robust least squares problem in relative errors, with
     a penalty on differences between neighbouring directions; given the light, points are grouped
     by hue and by what is left of their brightness. A few rounds of both, deterministic.
+
+    Args:
+        observed: what photos say about N points.
+        reach: (N, D) share of the light from `sphere(DIRECTIONS)` that reaches them past the
+            others; None: all of it.
+        materials: how many.
+        smooth: weight of the penalty.
 
     Raises:
         InputError: too few points with a normal.
@@ -160,6 +176,8 @@ def fit_light(observed: Observed, *, materials: int = MATERIALS, smooth: float =
         )
     directions = sphere(DIRECTIONS)
     falling = irradiance_of(observed.normals[known].double(), directions)
+    if reach is not None:
+        falling = falling * reach[known]
     colors = observed.colors[known].double().clamp_min(0)
     bright = (colors + _DARKEST).pow(ENCODING).mean(dim=1)
     hue = 3 * colors / (colors.sum(dim=1, keepdim=True) + 4 * _DARKEST)

@@ -18,7 +18,8 @@ class LayerRules:
         close: largest distance of the foremost from the ray it sees.
         apart: distance of the foremost from the ray that a point sees, beyond which they never
             met it together.
-        cutoff: points farther than this from the ray they see are nobody's strangers.
+        cutoff: points farther than this from the ray they see get no attention, and are left where
+            they are, among the front.
     """
 
     close: float
@@ -31,7 +32,7 @@ class PulledBack:
     """R rays as points see them in the rest state.
 
     Attributes:
-        neighbours: (R, k) indices of points, nearest first; a slot without a point repeats one.
+        neighbours: (R, k) indices of points, nearest first; slots without a point repeat the first.
         origins: (R, k, 3) of the rays of the rest state, world units.
         directions: (R, k, 3) of unit length.
         counts: (R,) slots that hold a point.
