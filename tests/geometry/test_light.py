@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from pcore.errors import InputError
-from pcore.geometry.light import ENCODING, LARGEST_GAIN, Light, Shading
+from pcore.geometry import light as light_module
+from pcore.geometry.light import ENCODING, LARGEST_GAIN, Light, Shading, reaching
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.training.light_fit import sphere
@@ -23,6 +24,20 @@ def turn(angle: float) -> torch.Tensor:
 def frames_of(maps: torch.Tensor) -> LocalFrames:
     """Frames of points that were moved by linear maps (N, 3, 3)."""
     return LocalFrames(rest=torch.zeros(len(maps), 3), to_rest=torch.linalg.inv(maps))
+
+
+@pytest.fixture
+def each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No point hides another, and none has a say in another's brightness."""
+    monkeypatch.setattr(light_module, "_BESIDE", 1)
+    monkeypatch.setattr(light_module, "_AROUND", 1.0)
+
+
+def gains_of(light: Light, normals: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
+    """Gains of points far from one another, each moved by a linear map of its own."""
+    positions = 100.0 * torch.arange(len(maps))[:, None] * torch.tensor([[1.0, 0.3, 0.1]])
+    shading = Shading(light=light, normals=normals, positions=positions)
+    return shading.gains(frames_of(maps), positions)
 
 
 def even(radiance: float = 1.0) -> Light:
@@ -48,49 +63,101 @@ def test_one_lamp_follows_the_cosine() -> None:
     torch.testing.assert_close(found, 4 * 3.0 * torch.tensor([1.0, 0.5, 0.0]))
 
 
+@pytest.mark.usefixtures("each_alone")
 def test_gains_are_the_ratio_of_light_as_photos_store_it() -> None:
     light = lamp(UP[0])
-    shading = Shading(light=light, normals=UP.expand(3, 3))
     maps = torch.stack([torch.eye(3), turn(math.radians(60)), turn(math.radians(-120))])
     after = light.irradiance(maps @ UP[0])
     expected = (after / after[0]).pow(1 / ENCODING)
-    torch.testing.assert_close(shading.gains(frames_of(maps)), expected)
+    torch.testing.assert_close(gains_of(light, UP.expand(3, 3), maps), expected)
     assert expected[2] < expected[1] < expected[0] == 1
 
 
+@pytest.mark.usefixtures("each_alone")
 def test_a_normal_follows_the_transposed_inverse() -> None:
     """A plane that faces (1, 0, 1) and is stretched along x faces more along z."""
     normal = torch.tensor([[1.0, 0.0, 1.0]]) / math.sqrt(2)
     stretched = torch.tensor([[0.5, 0.0, 1.0]]) / math.sqrt(1.25)
     light = lamp(UP[0])
-    shading = Shading(light=light, normals=normal)
-    found = shading.gains(frames_of(torch.diag(torch.tensor([2.0, 1.0, 1.0]))[None]))
+    found = gains_of(light, normal, torch.diag(torch.tensor([2.0, 1.0, 1.0]))[None])
     expected = light.irradiance(stretched) / light.irradiance(normal)
     torch.testing.assert_close(found, expected.pow(1 / ENCODING))
 
 
-@pytest.mark.parametrize("scale", [0.25, 1.0, 3.0])
-def test_growth_and_moves_change_no_light(scale: float) -> None:
-    normals = torch.nn.functional.normalize(torch.randn(20, 3), dim=1)
-    found = Shading(light=lamp(UP[0]), normals=normals).gains(
-        frames_of(scale * torch.eye(3).expand(20, 3, 3))
-    )
-    torch.testing.assert_close(found, torch.ones(20), rtol=0, atol=1e-5)
-
-
+@pytest.mark.usefixtures("each_alone")
 def test_no_turn_matters_in_the_same_light_from_everywhere() -> None:
     normals = torch.nn.functional.normalize(torch.randn(20, 3), dim=1)
     maps = torch.stack([turn(angle) for angle in torch.linspace(0.1, 3, 20).tolist()])
-    found = Shading(light=even(), normals=normals).gains(frames_of(maps))
+    found = gains_of(even(), normals, maps)
     torch.testing.assert_close(found, torch.ones(20), rtol=0, atol=0.02)
 
 
+@pytest.mark.usefixtures("each_alone")
 def test_points_without_a_normal_stay_and_gains_are_bounded() -> None:
     light = Light(directions=UP, radiance=torch.ones(1))
-    shading = Shading(light=light, normals=torch.cat([UP, -UP, torch.zeros(1, 3)]))
-    assert shading.known.tolist() == [True, True, False]
-    found = shading.gains(frames_of(turn(math.pi).expand(3, 3, 3)))
+    normals = torch.cat([UP, -UP, torch.zeros(1, 3)])
+    found = gains_of(light, normals, turn(math.pi).expand(3, 3, 3))
     assert found.tolist() == pytest.approx([1 / LARGEST_GAIN, LARGEST_GAIN, 1.0])
+
+
+def ball(count: int = 2000) -> torch.Tensor:
+    return sphere(count)
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+def test_growth_and_moves_change_no_light(scale: float) -> None:
+    """With shadows and all: a half-open shell shades itself as before."""
+    points = ball()[ball()[:, 2] < 0.5]
+    shading = Shading(light=lamp(UP[0]), normals=points, positions=points)
+    frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3) / scale)
+    for shift in (torch.zeros(3), torch.tensor([8.0, -4.0, 2.0])):
+        found = shading.gains(frames, scale * points + shift)
+        # Rounding puts a point into the next cell of a shadow map now and then.
+        assert float((found - 1).abs().max()) < 0.02
+        assert float((found - 1).abs().mean()) < 1e-3
+
+
+def test_neighbours_say_how_points_without_a_normal_change() -> None:
+    """The mean, of the logarithm, over the nearest points at rest whose normal is known."""
+    points = ball(400)
+    normals = points.clone()
+    normals[::3] = 0
+    shading = Shading(light=lamp(UP[0], 3.0), normals=normals, positions=points)
+    assert shading.known.float().mean() < 0.7
+    back = turn(math.pi / 2).T
+    frames = LocalFrames(rest=points, to_rest=back.expand(400, 3, 3))
+    found = shading.gains(frames, points @ back)
+    known, others = found[shading.known], found[~shading.known]
+    assert float(others.log().std()) > 0.7 * float(known.log().std())
+    beside = light_module.nearest(points, points, 2)[0][~shading.known, 1]
+    assert float((others / found[beside]).log().abs().mean()) < 0.1
+    alone = Shading(light=lamp(UP[0]), normals=torch.zeros(400, 3), positions=points)
+    assert torch.equal(alone.gains(frames, points @ back), torch.ones(400))
+
+
+def test_what_an_edit_uncovers_becomes_brighter_and_what_it_covers_darker() -> None:
+    """A plate in the light of one lamp above; a lid over one half of it moves to the other."""
+    steps = torch.arange(-20, 20) * 0.05 + 0.025
+    grid = torch.cartesian_prod(steps, steps)
+    plate = torch.cat([grid, torch.zeros(len(grid), 1)], dim=1)
+    lid = plate[grid[:, 0] < 0] + torch.tensor([0.0, 0.0, 0.8])
+    points = torch.cat([plate, lid])
+    light = Light(directions=UP, radiance=torch.ones(1))
+    shading = Shading(light=light, normals=UP.expand(len(points), 3), positions=points)
+    moved = points.clone()
+    moved[len(plate) :, 0] += 1.0
+    frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3))
+    found = shading.gains(frames, moved)
+    inside = (grid.abs() < 0.8).all(dim=1) & (grid[:, 0].abs() > 0.2)
+    left, right = inside & (grid[:, 0] < 0), inside & (grid[:, 0] > 0)
+    # Forty percent of the light come round other surfaces.
+    brighter = (1 / 0.4) ** (1 / ENCODING)
+    torch.testing.assert_close(found[: len(plate)][left], torch.full((int(left.sum()),), brighter))
+    torch.testing.assert_close(
+        found[: len(plate)][right], torch.full((int(right.sum()),), 1 / brighter)
+    )
+    torch.testing.assert_close(found[len(plate) :], torch.ones(len(lid)))
+    assert reaching(points, UP, 0.06)[: len(plate)][left].eq(0.4).all()
 
 
 def test_a_light_is_checked() -> None:
@@ -99,11 +166,12 @@ def test_a_light_is_checked() -> None:
     for radiance in (torch.tensor([-1.0]), torch.tensor([0.0]), torch.tensor([math.nan])):
         with pytest.raises(InputError, match="radiance of 0 or more, and some of it above 0"):
             Light(directions=UP, radiance=radiance)
-    with pytest.raises(InputError, match=r"normals \(N, 3\)"):
-        Shading(light=even(), normals=torch.zeros(4))
-    shading = Shading(light=even(), normals=UP)
+    for normals, positions in ((torch.zeros(4), torch.zeros(4)), (UP, torch.zeros(2, 3))):
+        with pytest.raises(InputError, match=r"normals \(N, 3\) and positions \(N, 3\)"):
+            Shading(light=even(), normals=normals, positions=positions)
+    shading = Shading(light=even(), normals=UP, positions=UP)
     with pytest.raises(InputError, match=r"frames of its 1 points, got 2; .*`pcore light RUN`"):
-        shading.gains(frames_of(torch.eye(3).expand(2, 3, 3)))
+        shading.gains(frames_of(torch.eye(3).expand(2, 3, 3)), torch.zeros(2, 3))
 
 
 def test_a_cloud_keeps_its_gains_until_it_moves() -> None:

@@ -19,7 +19,8 @@ def path(tmp_path: Path) -> Path:
     light = Light(directions=torch.eye(3), radiance=torch.tensor([0.0, 1.0, 2.0]))
     normals = torch.nn.functional.normalize(torch.randn(7, 3), dim=1)
     normals[2] = 0
-    save_shading(tmp_path / LIGHT_FILE, Shading(light=light, normals=normals), POINTS)
+    shading = Shading(light=light, normals=normals, positions=POINTS)
+    save_shading(tmp_path / LIGHT_FILE, shading)
     return tmp_path / LIGHT_FILE
 
 
@@ -43,6 +44,7 @@ def test_everything_comes_back(path: Path) -> None:
     for where in (path, path.parent):
         found = load_shading(where, POINTS)
         assert torch.equal(found.normals, normals)
+        assert torch.equal(found.positions, POINTS)
         assert torch.equal(found.light.directions, torch.eye(3))
         assert found.light.radiance.tolist() == [0.0, 1.0, 2.0]
 

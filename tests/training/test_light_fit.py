@@ -1,14 +1,15 @@
 """The light of a scene is found from what points show, whatever their paint."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 from torch.nn import functional as F
 
 from pcore.errors import InputError
-from pcore.geometry.light import ENCODING, Light
-from pcore.training.light_fit import Observed, fit_light, sphere
+from pcore.geometry.light import ENCODING, Light, irradiance_of
+from pcore.training.light_fit import DIRECTIONS, Observed, fit_light, sphere
 
 PAINTS = torch.tensor([[0.1, 0.1, 0.1], [0.8, 0.8, 0.8], [0.5, 0.2, 0.1], [0.1, 0.3, 0.5]])
 LAMP = F.normalize(torch.tensor([1.0, -2.0, 2.0]), dim=0)
@@ -47,6 +48,28 @@ def test_the_light_is_found_whatever_the_paint(share: float) -> None:
     assert float((found - expected).square().mean().sqrt()) < 0.25 * float(expected.std())
     toward = sphere(500)[found.argmax()]
     assert math.degrees(math.acos(float(toward @ LAMP))) < 15
+
+
+def test_what_is_hidden_from_points_is_not_taken_for_darkness() -> None:
+    """The lamp reaches half of the points only: told so, the light is found; else it is not."""
+    light = studio(1.0)
+    seen = painted_ball(light, noise=0.0)
+    shaded = torch.arange(len(seen.normals)) % 2 == 1
+    to_lamp = light.directions @ LAMP > 0.7
+    reach = torch.ones(len(seen.normals), len(light.directions))
+    reach[shaded] = torch.where(to_lamp, 0.3, 1.0)
+    falling = irradiance_of(seen.normals, light.directions)
+    share = ((falling * reach) @ light.radiance) / (falling @ light.radiance).clamp_min(1e-6)
+    dark = replace(seen, colors=seen.colors * share.pow(1 / ENCODING)[:, None])
+    known = torch.ones(len(seen.normals), DIRECTIONS)
+    known[shaded] = torch.where(sphere(DIRECTIONS) @ LAMP > 0.7, 0.3, 1.0)
+    expected = shape_of(light)
+    told, untold = (
+        float((shape_of(found) - expected).square().mean().sqrt() / expected.std())
+        for found in (fit_light(dark, known), fit_light(dark))
+    )
+    assert told < 0.25
+    assert untold > 1.3 * told
 
 
 def test_the_same_light_from_everywhere_is_found_even() -> None:
