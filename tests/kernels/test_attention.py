@@ -280,6 +280,9 @@ def test_few_rays_encode_their_own_points_alone(rays: int, monkeypatch: pytest.M
     few = len(inputs["neighbours"].unique())
     assert encoded == [few if rays < 50 else 200]
     compare((found, []), (with_gradient, []))
+    encoded.clear()
+    proximity_attention(**inputs, rules=RULES)
+    assert encoded == [200], "a training does not wait to know which points are asked for"
 
 
 def test_strided_inputs() -> None:

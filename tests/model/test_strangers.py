@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 
+import pcore.model.papr as papr_module
 import pcore.model.sight as sight_module
 import tiny_scene
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
 from pcore.kernels.ray_layers import LayerRules
 from pcore.model.attention import Attended
 from pcore.model.config import ReferenceOrigin
 from pcore.model.papr import Papr
-from pcore.model.sight import look, look_behind
+from pcore.model.sight import Hidden, look, look_behind
 from pcore.model.strangers import behind, layer_rules
 
 CUTOFF = 0.2
@@ -117,10 +121,99 @@ def test_what_the_front_lets_through_is_seen_behind_it() -> None:
     assert 0.05 < float(front.mean()) < 0.95
     expected = front + (1 - front) * back
     torch.testing.assert_close(1 - out.background, expected, atol=1e-5, rtol=0)
-    # Of twelve points with a weight six are kept: the parts of the layers remain close.
+    # Of twelve points with a weight six are kept; they share what their layer has.
     share = (out.weights * (near < SHEET)).sum(dim=-1)
-    assert float((share - (1 - front) * back / expected).abs().max()) < 0.2
+    torch.testing.assert_close(share, (1 - front) * back / expected, atol=1e-5, rtol=0)
     torch.testing.assert_close(out.weights.sum(dim=-1), torch.ones_like(share))
+
+
+def half_transparent() -> tuple[Papr, PointCloud]:
+    """Sheets that let light through; the one behind was stretched along x."""
+    cloud = two_sheets(0.3)
+    frames = cloud.frames
+    assert frames is not None
+    to_rest = frames.to_rest.clone()
+    to_rest[:SHEET, 0, 0] = 0.5
+    stretched = LocalFrames(rest=frames.rest, to_rest=to_rest)
+    papr = Papr(replace(CONFIG, background_score=2.0)).eval()
+    return papr, cloud.moved(cloud.positions, stretched)
+
+
+def wide_camera() -> Camera:
+    """It sees past the sheets on all sides."""
+    pose = torch.eye(4)
+    pose[2, 3] = 3.0
+    return Camera.from_fov(pose, width=20, height=20, angle_x=0.6)
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_rays_meet_together_what_each_meets_alone(samples: int) -> None:
+    """Some miss everything, some come near and miss, some have strangers, some have none."""
+    papr, cloud = half_transparent()
+    rays = wide_camera().rays(places=grid_places(samples)).flat()
+    pixels = RayBundle(
+        origins=rays.origins.reshape(-1, samples, 3),
+        directions=rays.directions.reshape(-1, samples, 3),
+    )
+    with torch.no_grad():
+        sight = look(cloud, pixels, CONFIG.neighbours, CUTOFF)
+        together, near = papr.attend(cloud, pixels)
+    hidden = sight.hidden
+    assert hidden is not None
+    assert 0 < len(hidden.asked) < len(hidden.rays.origins) < len(rays.origins)
+    assert 0 < int(hidden.strangers.sum()) < len(hidden.strangers)
+    for pixel in range(0, len(pixels.origins), 7):
+        with torch.no_grad():
+            alone, points = papr.attend(cloud, pixels[pixel : pixel + 1])
+        rows = slice(pixel * samples, (pixel + 1) * samples)
+        for name, found in vars(alone).items():
+            expected = getattr(together, name)[rows]
+            torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-4, msg=name)
+        met = alone.weights.sum(dim=1) > 0
+        assert torch.equal(points[met], near[rows][met])
+
+
+def test_rays_that_are_opaque_look_no_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second look costs; behind an opaque front it shows nothing."""
+    asked: list[int] = []
+    whole = papr_module.look_behind
+
+    def counted(cloud: PointCloud, hidden: Hidden, rows: torch.Tensor, *rest: Any) -> Any:
+        asked.append(len(rows))
+        return whole(cloud, hidden, rows, *rest)
+
+    monkeypatch.setattr(papr_module, "look_behind", counted)
+    with torch.no_grad():
+        Papr(CONFIG).eval().attend(two_sheets(0.3), camera().rays().flat())
+    assert asked == []
+    papr, cloud = half_transparent()
+    with torch.no_grad():
+        papr.attend(cloud, camera().rays().flat())
+    assert asked == [256]
+
+
+def test_a_threshold_holds_in_both_layers() -> None:
+    """Opacity is exact; features are those of the points above it."""
+    papr, cloud = half_transparent()
+    rays = camera().rays().flat()
+    with torch.no_grad():
+        exact, _ = papr.attend(cloud, rays)
+        fast, _ = papr.attend(cloud, rays, threshold=0.9)
+        sight = look(cloud, rays, CONFIG.neighbours, CUTOFF)
+        assert sight.hidden is not None
+        everyone = torch.arange(256)
+        others, seen = look_behind(cloud, sight.hidden, everyone, CONFIG.neighbours, CUTOFF)
+        layers = [
+            papr.attention(cloud, rays, points, lines.slid(torch.zeros(3), 1.5), 0.9)
+            for points, lines in ((sight.neighbours, sight.seen), (others, seen))
+        ]
+    torch.testing.assert_close(fast.background, exact.background)
+    assert not torch.allclose(fast.features, exact.features, atol=1e-3)
+    front, back = layers
+    first, second = 1 - front.background, front.background * (1 - back.background)
+    share = (second / (first + second)).unsqueeze(1)
+    expected = (1 - share) * front.features + share * back.features
+    torch.testing.assert_close(fast.features, expected, atol=1e-5, rtol=1e-4)
 
 
 def test_slots_without_a_point_are_mute(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -205,6 +298,11 @@ def test_of_two_layers_the_points_with_the_greatest_weights_are_kept() -> None:
     # Half of each: 0.45, 0.05, 0 and 0.1, 0.35, 0.05.
     assert met.tolist() == [[0, 6, 5]]
     assert found.weights[0].tolist() == pytest.approx([0.5, 0.35 / 0.9, 0.1 / 0.9])
+    # A layer that keeps no point leaves its share to the other.
+    front, back = layer(0.9, [0.4, 0.3, 0.3]), layer(0.0, [0.5, 0.3, 0.2])
+    found, met = behind(front, points, torch.tensor([0]), back, strangers)
+    assert met.tolist() == [[5, 6, 7]]
+    assert found.weights[0].tolist() == pytest.approx([0.5, 0.3, 0.2])
 
 
 def test_rules_are_in_cutoffs() -> None:
