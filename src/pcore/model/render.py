@@ -41,7 +41,8 @@ _ATTENTION_BYTES = {"cuda": 2 * 2**30}
 _LEAST_ATTENTION_BYTES = 512 * 2**20
 """What a chunk of rays may take. A GPU needs more of them at once to be busy: a picture of
 800 x 800 pixels at the sizes of `paper` is 31 chunks there, and would be 123. The kernels of the
-CPU need about a third of this; every chunk has its fixed costs, for edits several times."""
+CPU need about a third of this. Every chunk costs some milliseconds whatever its size, of an edit
+several times as many."""
 TILE = 256
 _SOLID = 0.5
 _STEEPEST = math.tan(math.radians(80))
@@ -61,13 +62,14 @@ def render(
     cancel: Callable[[], bool] | None = None,
     progress: Progress | None = None,
 ) -> Picture:
-    """Render what a camera sees; equal to one forward pass over all rays for any chunk and tile.
+    """Render what a camera sees; colours are those of one forward pass, for any chunk and tile.
 
     A picture whose pixels are another size than the photos' is sampled so that the renderer network
     sees the size it knows (`pcore.model.raster`).
 
-    With several rays per pixel the surface point is that of the ray whose distance is the middle
-    one (the nearer of two).
+    The surface point of a ray is the mean over one layer of points (`pcore.model.surface`); with
+    several rays per pixel it is that of the ray whose distance is the middle one (the nearer of
+    two).
 
     Args:
         papr: the networks, on any device; the work is done there.
