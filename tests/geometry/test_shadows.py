@@ -85,8 +85,10 @@ def test_points_without_a_spacing_hide_nothing() -> None:
         assert (unshadowed(points, UP, 0.0) == 1).all()
 
 
-def test_a_stray_point_costs_no_more_than_a_map_has_cells(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And what lies close together shares cells then."""
+def test_a_stray_point_makes_maps_coarse_and_nothing_dark(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slope that lies in one cell does not hide itself."""
     monkeypatch.setattr("pcore.geometry.shadows._FINEST", 64)
-    points = torch.cat([plate(0.0), torch.tensor([[1e4, 0.0, 0.0]])])
+    slope = plate(0.0)
+    slope[:, 2] = slope[:, 0]
+    points = torch.cat([slope, torch.tensor([[1e4, 0.0, 0.0]])])
     assert (unshadowed(points, UP, STEP)[:1600] == 1).all()

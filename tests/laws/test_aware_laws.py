@@ -22,6 +22,7 @@ from pcore.kernels.reference import encode
 from pcore.model.config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
 from pcore.model.papr import Papr, Rendering
 from pcore.model.render import render
+from pcore.model.surface import surface_points
 
 CONFIG = PaprConfig(
     neighbours=5,
@@ -97,6 +98,28 @@ def test_similarities_give_the_canonical_picture(
     hit = canonical.weights.sum(dim=-1) > 0
     expected = deformation(canonical.surface)
     torch.testing.assert_close(deformed.surface[hit], expected[hit], rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+@torch.no_grad()
+def test_similarities_move_the_surface_that_pictures_show(scale: float) -> None:
+    """Layers are as thick as at rest, and the order along a ray is the same."""
+    turn = rigid((0.2, 1.0, -0.4), 0.9, (0.3, -0.2, 0.1), (0.1, 0.0, 0.0))
+    deformation = Compose(uniform_scale(scale), turn)
+    papr = Papr(replace(CONFIG, neighbours=8, cutoff=0.3, reference=REFERENCE)).eval()
+    rest, moved = ball(), deformed_cloud(ball(), deformation)
+    rays = camera().rays().flat()
+    seen = carried(rays, *affine(deformation))
+    found, expected = (
+        surface_points(cloud, lines, *papr.attend(cloud, lines), 0.3)
+        for cloud, lines in ((moved, seen), (rest, rays))
+    )
+    hit = ~expected.isnan().any(dim=1)
+    assert torch.equal(found.isnan(), expected.isnan())
+    means = papr.attend(rest, rays)[0].surface
+    layered = (means - expected)[hit].norm(dim=1) > 0.05
+    assert 0.05 < float(layered.float().mean()) < 0.95, "front and back answer some of the rays"
+    torch.testing.assert_close(found[hit], deformation(expected)[hit], rtol=0, atol=1e-4)
 
 
 @ORIGINS

@@ -34,7 +34,8 @@ def unshadowed(points: Tensor, directions: Tensor, spacing: float) -> Tensor:
     side = float((upper - lower).norm())
     if side == 0 or spacing <= 0:
         return shares
-    step = max(_CELL * spacing, side / _FINEST)
+    spacing = max(spacing, side / _FINEST / _CELL)
+    step = _CELL * spacing
     cells = (side / step + 5) ** 2
     together = max(1, int(_ELEMENTS / max(cells, len(points))))
     middle = (lower + upper) / 2
