@@ -21,9 +21,9 @@ def turn(angle: float) -> torch.Tensor:
     return torch.tensor([[1.0, 0, 0], [0, cos, -sin], [0, sin, cos]])
 
 
-def frames_of(maps: torch.Tensor) -> LocalFrames:
-    """Frames of points that were moved by linear maps (N, 3, 3)."""
-    return LocalFrames(rest=torch.zeros(len(maps), 3), to_rest=torch.linalg.inv(maps))
+def frames_of(maps: torch.Tensor, rest: torch.Tensor) -> LocalFrames:
+    """Frames of points (N, 3) that were moved by linear maps (N, 3, 3)."""
+    return LocalFrames(rest=rest, to_rest=torch.linalg.inv(maps))
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def gains_of(light: Light, normals: torch.Tensor, maps: torch.Tensor) -> torch.T
     """Gains of points far from one another, each moved by a linear map of its own."""
     positions = 100.0 * torch.arange(len(maps))[:, None] * torch.tensor([[1.0, 0.3, 0.1]])
     shading = Shading(light=light, normals=normals, positions=positions)
-    return shading.gains(frames_of(maps), positions)
+    return shading.gains(frames_of(maps, positions), positions)
 
 
 def even(radiance: float = 1.0) -> Light:
@@ -135,6 +135,45 @@ def test_neighbours_say_how_points_without_a_normal_change() -> None:
     assert torch.equal(alone.gains(frames, points @ back), torch.ones(400))
 
 
+def test_the_mean_is_that_of_known_normals_on_the_same_side() -> None:
+    """Word for word, on a thin plate of which every third normal is unknown."""
+    steps = torch.arange(-5, 5) * 0.1
+    grid = torch.cartesian_prod(steps, steps)
+    sides = [torch.cat([grid, torch.full((100, 1), height)], dim=1) for height in (0.02, -0.02)]
+    points = torch.cat(sides)
+    normals = torch.cat([UP, -UP]).repeat_interleave(100, dim=0)
+    normals[::3] = 0
+    light = Light(directions=torch.cat([UP, -UP]), radiance=torch.tensor([3.0, 1.0]))
+    shading = Shading(light=light, normals=normals, positions=points)
+    back = turn(math.pi / 3).T
+    found = shading.gains(frames_of(back.T.expand(200, 3, 3), points), points @ back)
+    near = light_module.nearest(points, points, 16)[0]
+    falling = light.irradiance(normals @ back) / light.irradiance(normals)
+    # Nothing of a plate shades itself from straight above or below, turned by so little.
+    change = falling.clamp_min(1e-9).log() / ENCODING
+    for point in (0, 1, 57, 144, 199):
+        kept = [
+            i
+            for i in near[point].tolist()
+            if shading.known[i] and float(normals[i] @ normals[point]) >= 0
+        ]
+        expected = float(change[kept].mean().exp())
+        assert float(found[point]) == pytest.approx(expected, abs=0.03), point
+    upper, lower = (found[part][shading.known[part]] for part in (slice(0, 100), slice(100, 200)))
+    assert float(upper.max()) < float(lower.min()) + 1e-3 or float(lower.max()) < float(upper.min())
+
+
+def test_turning_in_the_same_light_from_everywhere_hardly_matters_with_shadows() -> None:
+    """A bowl: what one of its sides hides of the sky another hid before."""
+    points = ball()[ball()[:, 2] < 0.3]
+    inside = -points
+    shading = Shading(light=even(), normals=inside, positions=points)
+    back = turn(0.7).T
+    found = shading.gains(frames_of(back.T.expand(len(points), 3, 3), points), points @ back)
+    assert float(found.log().abs().mean()) < 0.01
+    assert float(found.log().abs().max()) < 0.06
+
+
 def test_what_an_edit_uncovers_becomes_brighter_and_what_it_covers_darker() -> None:
     """A plate in the light of one lamp above; a lid over one half of it moves to the other."""
     steps = torch.arange(-20, 20) * 0.05 + 0.025
@@ -169,9 +208,21 @@ def test_a_light_is_checked() -> None:
     for normals, positions in ((torch.zeros(4), torch.zeros(4)), (UP, torch.zeros(2, 3))):
         with pytest.raises(InputError, match=r"normals \(N, 3\) and positions \(N, 3\)"):
             Shading(light=even(), normals=normals, positions=positions)
-    shading = Shading(light=even(), normals=UP, positions=UP)
-    with pytest.raises(InputError, match=r"frames of its 1 points, got 2; .*`pcore light RUN`"):
-        shading.gains(frames_of(torch.eye(3).expand(2, 3, 3)), torch.zeros(2, 3))
+    with pytest.raises(InputError, match=r"expected float32 on the CPU, got torch.float64"):
+        Shading(light=even(), normals=UP, positions=UP.double())
+    shading, still = Shading(light=even(), normals=UP, positions=UP), torch.eye(3)
+    for frames, moved in (
+        (frames_of(still.expand(2, 3, 3), torch.zeros(2, 3)), torch.zeros(2, 3)),
+        (frames_of(still[None], UP), torch.zeros(2, 3)),
+    ):
+        with pytest.raises(InputError, match=r"of its 1 points.*got \d and 2; .*`pcore light RUN`"):
+            shading.gains(frames, moved)
+    with pytest.raises(
+        InputError, match="the points that the light was estimated with, got others"
+    ):
+        shading.gains(frames_of(still[None], UP + 1), UP)
+    with pytest.raises(InputError, match="finite points, got NaN or infinity in 1 of 1"):
+        shading.gains(frames_of(still[None], UP), UP * math.nan)
 
 
 def test_a_cloud_keeps_its_gains_until_it_moves() -> None:

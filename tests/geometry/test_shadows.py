@@ -85,6 +85,23 @@ def test_points_without_a_spacing_hide_nothing() -> None:
         assert (unshadowed(points, UP, 0.0) == 1).all()
 
 
+def test_what_is_less_deep_than_a_surface_is_thick_is_lit() -> None:
+    for spacings, share in ((2.5, 1.0), (5.0, 0.0)):
+        points = torch.cat([plate(0.0), plate(spacings * STEP, side=20)])
+        found = unshadowed(points, UP, STEP)[:1600, 0]
+        assert (found[points[:1600, :2].abs().amax(dim=1) < 0.4] == share).all()
+
+
+def test_maps_have_no_more_cells_than_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a stray point far away a lid lies within the surface of a coarse map."""
+    points = torch.cat([plate(0.0), plate(1.0, side=20)])
+    far = torch.cat([points, torch.tensor([[1e3, 0.0, 0.0]])])
+    middle = points[:1600, :2].abs().amax(dim=1) < 0.4
+    assert (unshadowed(points, UP, STEP)[:1600, 0][middle] == 0).all()
+    monkeypatch.setattr("pcore.geometry.shadows._FINEST", 64)
+    assert (unshadowed(far, UP, STEP)[:1600, 0][middle] == 1).all()
+
+
 def test_a_stray_point_makes_maps_coarse_and_nothing_dark(monkeypatch: pytest.MonkeyPatch) -> None:
     """A slope that lies in one cell does not hide itself."""
     monkeypatch.setattr("pcore.geometry.shadows._FINEST", 64)

@@ -2,14 +2,18 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 from torch.nn import functional as F
 
 from pcore.errors import InputError
-from pcore.geometry.light import ENCODING, Light, irradiance_of
-from pcore.training.light_fit import DIRECTIONS, Observed, fit_light, sphere
+from pcore.geometry.light import ENCODING, Light, irradiance_of, reaching
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.visibility import cloud_spacing
+from pcore.training import light_fit
+from pcore.training.light_fit import DIRECTIONS, Observed, fit_light, fit_shading, sphere
 
 PAINTS = torch.tensor([[0.1, 0.1, 0.1], [0.8, 0.8, 0.8], [0.5, 0.2, 0.1], [0.1, 0.3, 0.5]])
 LAMP = F.normalize(torch.tensor([1.0, -2.0, 2.0]), dim=0)
@@ -70,6 +74,40 @@ def test_what_is_hidden_from_points_is_not_taken_for_darkness() -> None:
     )
     assert told < 0.25
     assert untold > 1.3 * told
+    with pytest.raises(InputError, match=r"expected shares \(4000, 96\), got \(4000, 300\)"):
+        fit_light(dark, reach)
+
+
+def test_shares_belong_to_the_points_whose_normal_is_known() -> None:
+    """Points without a normal, here the first half, do not shift those of the others."""
+    seen = painted_ball(studio(1.0), noise=0.0)
+    half = len(seen.normals) // 2
+    normals = seen.normals.clone()
+    normals[:half] = 0
+    reach = torch.rand(2 * half, DIRECTIONS).clamp_min(0.3)
+    found = fit_light(replace(seen, normals=normals), reach)
+    rest = Observed(
+        normals=seen.normals[half:], colors=seen.colors[half:], attention=seen.attention[half:]
+    )
+    torch.testing.assert_close(found.radiance, fit_light(rest, reach[half:]).radiance)
+
+
+def test_a_shading_is_fitted_with_what_points_hide(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And keeps the points that it belongs to."""
+    seen = painted_ball(studio(), count=1500)
+    cloud = PointCloud(
+        positions=F.normalize(torch.randn(1500, 3), dim=1),
+        features=torch.zeros(1500, 1),
+        influence=torch.ones(1500),
+    )
+    monkeypatch.setattr(light_fit, "observe", lambda *_, **__: seen)
+    papr: Any = None
+    found = fit_shading(papr, cloud, [])
+    assert torch.equal(found.positions, cloud.positions)
+    reach = reaching(cloud.positions, sphere(DIRECTIONS), cloud_spacing(cloud.positions))
+    assert float(reach.min()) < 0.5, "half of a ball is hidden from any direction"
+    assert torch.equal(found.light.radiance, fit_light(seen, reach).radiance)
+    assert not torch.equal(found.light.radiance, fit_light(seen).radiance)
 
 
 def test_the_same_light_from_everywhere_is_found_even() -> None:

@@ -70,8 +70,9 @@ class AnimateCommand:
     """How deformed points are seen: aware of the deformation, or plain as in the paper."""
 
     light: LightChoice = None
-    """still: the light stays where it is; baked: every point keeps the brightness of the photos.
-    Default: still where the run has a light (`pcore light`) and rays are aware, else baked."""
+    """still: the light and its shadows stay where they are; baked: every point keeps the brightness
+    of the photos. Default: still where the run has a light (`pcore light`) and rays are aware, else
+    baked."""
 
     samples: Samples = None
     """Rays per pixel: 1, 4, 9, ...; default: those of the model."""

@@ -59,9 +59,9 @@ class RenderCommand:
     """Also write normals of the surface as pictures; with --raw in world axes as well."""
 
     light: LightChoice = None
-    """still: the light stays where it is, and what turns away from it becomes darker; baked: every
-    point keeps the brightness of the photos, as in the paper. Default: still where the run has a
-    light (`pcore light`) and rays are aware, else baked."""
+    """still: the light and its shadows stay where they are, and what turns away from it becomes
+    darker; baked: every point keeps the brightness of the photos, as in the paper. Default: still
+    where the run has a light (`pcore light`) and rays are aware, else baked."""
 
     samples: Samples = None
     """Rays per pixel: 1, 4, 9, ...; default: those of the model (4 of `tiny` and `fast`, 1 of

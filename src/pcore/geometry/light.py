@@ -64,6 +64,11 @@ def irradiance_of(normals: Tensor, directions: Tensor) -> Tensor:
     return (normals @ directions.to(normals).T).clamp_min(0) * (4.0 / len(directions))
 
 
+def known_normals(normals: Tensor) -> Tensor:
+    """(N,) bool, which normals (N, 3) are known: of unit length, not zero."""
+    return normals.square().sum(dim=1) > 0.25
+
+
 def reaching(points: Tensor, directions: Tensor, spacing: float) -> Tensor:
     """Share (N, D) of the light from D directions that reaches points (N, 3) past the others.
 
@@ -84,7 +89,7 @@ class Shading:
     Attributes:
         light: that of the photos.
         normals: (N, 3) unit normals of the canonical points, world axes; zero where none is known.
-        positions: (N, 3) canonical points, world units.
+        positions: (N, 3) canonical points, world units; all float32 on the CPU.
     """
 
     light: Light
@@ -98,30 +103,31 @@ class Shading:
                 f"shading: expected normals (N, 3) and positions (N, 3), got {shapes[0]} and "
                 f"{shapes[1]}"
             )
+        for one in (self.normals, self.positions):
+            if one.dtype != torch.float32 or one.device.type != "cpu":
+                raise InputError(
+                    f"shading: expected float32 on the CPU, got {one.dtype} on {one.device}"
+                )
 
     @property
     def known(self) -> Tensor:
         """(N,) bool, the points whose normal is known."""
-        return self.normals.square().sum(dim=1) > 0.25
+        return known_normals(self.normals)
 
     def gains(self, frames: LocalFrames, moved: Tensor) -> Tensor:
         """Factor (N,) on the stored brightness of every deformed point.
 
-        It is the mean, of the logarithm, over a point's neighbours at rest whose normal is known;
-        1 where none is.
+        It is the mean, of the logarithm, over a point's neighbours at rest whose normal is known
+        and does not point the other way; 1 where there are none.
 
         Args:
             frames: local frames of the deformed points, which say how their normals turn.
-            moved: (N, 3) the deformed points, world units.
+            moved: (N, 3) the deformed points, finite, world units.
 
         Raises:
-            InputError: frames or points of another number.
+            InputError: frames of other points, points of another number, NaN or infinity.
         """
-        if not len(frames.rest) == len(moved) == len(self.normals):
-            raise InputError(
-                f"shading: expected frames of its {len(self.normals)} points, got "
-                f"{len(frames.rest)}; estimate the light anew (`pcore light RUN`)"
-            )
+        self._check(frames, moved)
         to_rest, known = frames.to_rest.detach().cpu().float(), self.known
         # A normal turns by the transposed inverse of the local map, which the frames hold.
         turned = F.normalize(torch.einsum("nji,nj->ni", to_rest, self.normals), dim=1)
@@ -130,9 +136,29 @@ class Shading:
         before, after = self._falling(self.normals, self._reach), self._falling(turned, reach)
         darkest = _DARKEST * float(self.light.radiance.mean())
         change = (after.clamp_min(darkest) / before.clamp_min(darkest)).log() / ENCODING
-        weights = known[self._beside].to(change)
+        # The other side of a thin sheet is in another light; unknown normals are zero.
+        alike = torch.einsum("nkc,nc->nk", self.normals[self._beside], self.normals) >= 0
+        weights = (known[self._beside] & alike).to(change)
         mean = (change[self._beside] * weights).sum(dim=1) / weights.sum(dim=1).clamp_min(1)
         return mean.exp().clamp(1 / LARGEST_GAIN, LARGEST_GAIN).to(moved.device)
+
+    def _check(self, frames: LocalFrames, moved: Tensor) -> None:
+        counts = len(frames.rest), len(moved)
+        if counts != (len(self.normals),) * 2:
+            raise InputError(
+                f"shading: expected frames of its {len(self.normals)} points and where they are, "
+                f"got {counts[0]} and {counts[1]}; estimate the light anew (`pcore light RUN`)"
+            )
+        if not torch.equal(frames.rest.detach().cpu().float(), self.positions):
+            raise InputError(
+                "shading: expected frames from the points that the light was estimated with, got "
+                "others; deform the canonical cloud"
+            )
+        bad = int((~torch.isfinite(moved).all(dim=1)).sum())
+        if bad:
+            raise InputError(
+                f"shading: expected finite points, got NaN or infinity in {bad} of {len(moved)}"
+            )
 
     def _falling(self, normals: Tensor, reach: Tensor) -> Tensor:
         """Light (N,) on points with normals (N, 3) that a share (N, D) of it reaches."""

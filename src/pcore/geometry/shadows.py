@@ -52,9 +52,9 @@ def _lit(points: Tensor, directions: Tensor, step: float, thick: float) -> Tenso
     up = torch.linalg.cross(directions, right)
     height = directions @ points.T
     column, row = ((one @ points.T / step).floor().long() for one in (right, up))
-    # Two cells of nothing around: one that a point at the rim covers, one that is looked at.
-    column, row = column - column.min() + 2, row - row.min() + 2
-    size = int(column.max()) + 3, int(row.max()) + 3
+    # One cell of nothing around, which points at the rim cover and look at.
+    column, row = column - column.min() + 1, row - row.min() + 1
+    size = int(column.max()) + 2, int(row.max()) + 2
     flat = column * size[1] + row
     top = height.new_full((len(directions), size[0] * size[1]), -torch.inf)
     top.scatter_reduce_(1, flat, height, "amax")

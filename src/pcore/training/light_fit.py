@@ -1,7 +1,8 @@
 """Estimate the light of a scene from its training photos and a trained model.
 
 A surface shows its own brightness times the light that falls on it. Points of one material differ
-by the light alone, so brightness as a function of the normal tells the light. Normals and colours
+by the light alone, so brightness as a function of the normal, and of what other points hide, tells
+the light. Normals and colours
 of the points are means over the training views that see them; materials are found by hue and by
 what brightness the light leaves unexplained, in turns with the light.
 """
@@ -21,7 +22,15 @@ from torch.nn import functional as F
 
 from pcore.data.scene import View
 from pcore.errors import InputError
-from pcore.geometry.light import ENCODING, Light, Shading, irradiance_of, reaching, spacing_of
+from pcore.geometry.light import (
+    ENCODING,
+    Light,
+    Shading,
+    irradiance_of,
+    known_normals,
+    reaching,
+    spacing_of,
+)
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 from pcore.model.passes import Picture
@@ -165,9 +174,9 @@ def fit_light(
         smooth: weight of the penalty.
 
     Raises:
-        InputError: too few points with a normal.
+        InputError: too few points with a normal, or shares of another shape.
     """
-    known = observed.normals.square().sum(dim=1) > 0.25
+    known = known_normals(observed.normals)
     count = int(known.sum())
     if count < _LEAST_KNOWN:
         raise InputError(
@@ -177,6 +186,10 @@ def fit_light(
     directions = sphere(DIRECTIONS)
     falling = irradiance_of(observed.normals[known].double(), directions)
     if reach is not None:
+        if reach.shape != (len(known), DIRECTIONS):
+            raise InputError(
+                f"light: expected shares ({len(known)}, {DIRECTIONS}), got {tuple(reach.shape)}"
+            )
         falling = falling * reach[known]
     colors = observed.colors[known].double().clamp_min(0)
     bright = (colors + _DARKEST).pow(ENCODING).mean(dim=1)
