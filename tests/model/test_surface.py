@@ -50,10 +50,13 @@ def depths_of(cloud: PointCloud, weights: list[list[float]], cutoff: float | Non
 
 def test_two_layers_are_not_averaged() -> None:
     cloud = cloud_at([3.0, 0.0, 0.1, 3.1])
-    weights = [[0.2, 0.3, 0.3, 0.2], [0.3, 0.2, 0.2, 0.3], [0.5, 0.0, 0.0, 0.5]]
-    assert depths_of(cloud, weights, 0.5) == pytest.approx([0.05, 3.05, 3.05])
-    assert depths_of(cloud, weights, None) == pytest.approx([1.25, 1.85, 3.05])
-    assert depths_of(cloud, weights, 10.0) == pytest.approx([1.25, 1.85, 3.05])
+    # What is in front counts from a fifth of the weight on.
+    weights = [[0.35, 0.15, 0.15, 0.35], [0.4, 0.09, 0.09, 0.42], [0.5, 0.0, 0.0, 0.5]]
+    behind = (0.4 * 3.0 + 0.42 * 3.1) / 0.82
+    assert depths_of(cloud, weights, 0.5) == pytest.approx([0.05, behind, 3.05])
+    means = [2.15, 2.511, 3.05]
+    assert depths_of(cloud, weights, None) == pytest.approx(means)
+    assert depths_of(cloud, weights, 10.0) == pytest.approx(means)
 
 
 def test_one_layer_is_its_mean() -> None:
@@ -78,12 +81,12 @@ def test_layers_are_as_thick_as_at_rest() -> None:
     assert small == pytest.approx([0.2])
     frames = LocalFrames(rest=rest.positions, to_rest=torch.eye(3).expand(3, 3, 3) / 10)
     assert depths_of(rest.moved(10 * rest.positions, frames), weights, 0.5) == pytest.approx([2.0])
-    assert depths_of(rest.moved(10 * rest.positions), weights, 0.5) == pytest.approx([4.0])
+    assert depths_of(rest.moved(10 * rest.positions), weights, 0.5) == pytest.approx([0.0])
 
 
 def test_what_lies_nearer_along_the_ray_comes_first_also_in_other_orders() -> None:
     cloud = cloud_at([2.0, 1.0, 0.0])
-    assert depths_of(cloud, [[0.4, 0.2, 0.4]], 0.5) == pytest.approx([1.0])
+    assert depths_of(cloud, [[0.7, 0.2, 0.1]], 0.5) == pytest.approx([1.0])
 
 
 def test_no_gradient_and_no_change_of_what_the_losses_see() -> None:
