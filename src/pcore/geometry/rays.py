@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from pcore.errors import InputError
 
@@ -79,3 +80,9 @@ class RayBundle:
             origins=self.origins + (ahead - distance) * self.directions,
             directions=self.directions,
         )
+
+
+def perpendicular(directions: Tensor) -> Tensor:
+    """One unit vector (N, 3) at right angles to each of some unit directions (N, 3)."""
+    least = F.one_hot(directions.abs().argmin(dim=-1), 3).to(directions)
+    return F.normalize(torch.linalg.cross(directions, least), dim=-1)

@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from pcore.geometry.rays import perpendicular
+
 _CELL = 0.6
 """Side of the cells of a shadow map in spacings; a point covers nine of them."""
 _THICK = 3.5
@@ -47,8 +49,7 @@ def unshadowed(points: Tensor, directions: Tensor, spacing: float) -> Tensor:
 
 def _lit(points: Tensor, directions: Tensor, step: float, thick: float) -> Tensor:
     """Share (D, N) of the cells around points that nothing covers from directions (D, 3)."""
-    least = F.one_hot(directions.abs().argmin(dim=1), 3).to(directions)
-    right = F.normalize(torch.linalg.cross(directions, least), dim=1)
+    right = perpendicular(directions)
     up = torch.linalg.cross(directions, right)
     height = directions @ points.T
     column, row = ((one @ points.T / step).floor().long() for one in (right, up))

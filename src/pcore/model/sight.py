@@ -15,7 +15,7 @@ from torch.nn import functional as F
 
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.rays import RayBundle
+from pcore.geometry.rays import RayBundle, perpendicular
 from pcore.kernels.functional import nearest_to_rays, pull_back
 from pcore.kernels.ray_layers import PulledBack
 from pcore.model.strangers import layer_rules
@@ -187,9 +187,7 @@ def _muted(found: PulledBack, rest: Tensor, cutoff: float | None) -> RayBundle:
     slots = torch.arange(k, device=empty.device)
     slot = torch.nonzero(slots >= found.counts[empty].unsqueeze(1))
     pairs = empty[slot[:, 0]] * k + slot[:, 1]
-    direction = seen.directions.flatten(0, 1)[pairs]
-    least = F.one_hot(direction.abs().argmin(dim=-1), 3).to(direction)
-    beside = F.normalize(torch.linalg.cross(direction, least), dim=-1)
+    beside = perpendicular(seen.directions.flatten(0, 1)[pairs])
     away = rest[found.neighbours.flatten()[pairs]] + _AWAY * cutoff * beside
     origins = seen.origins.flatten(0, 1).index_copy(0, pairs, away).view_as(seen.origins)
     return RayBundle(origins=origins, directions=seen.directions)
