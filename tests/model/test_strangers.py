@@ -100,7 +100,7 @@ def test_all_neighbours_are_of_the_front(monkeypatch: pytest.MonkeyPatch) -> Non
     assert sight.hidden is not None
     assert sight.hidden.strangers.all()
     assert (sight.neighbours >= SHEET).all()
-    others, _ = look_behind(cloud, sight.hidden, torch.arange(9), CONFIG.neighbours, CUTOFF)
+    others, _ = look_behind(cloud, sight.hidden, torch.arange(9), CONFIG.neighbours)
     assert (others < SHEET).all()
 
 
@@ -113,7 +113,7 @@ def test_what_the_front_lets_through_is_seen_behind_it() -> None:
         sight = look(cloud, rays, CONFIG.neighbours, CUTOFF)
         assert sight.hidden is not None
         everyone = torch.arange(len(rays.origins))
-        others, seen = look_behind(cloud, sight.hidden, everyone, CONFIG.neighbours, CUTOFF)
+        others, seen = look_behind(cloud, sight.hidden, everyone, CONFIG.neighbours)
         front, back = (
             1 - papr.attention(cloud, rays, points, lines.slid(torch.zeros(3), 1.5)).background
             for points, lines in ((sight.neighbours, sight.seen), (others, seen))
@@ -202,7 +202,7 @@ def test_a_threshold_holds_in_both_layers() -> None:
         sight = look(cloud, rays, CONFIG.neighbours, CUTOFF)
         assert sight.hidden is not None
         everyone = torch.arange(256)
-        others, seen = look_behind(cloud, sight.hidden, everyone, CONFIG.neighbours, CUTOFF)
+        others, seen = look_behind(cloud, sight.hidden, everyone, CONFIG.neighbours)
         layers = [
             papr.attention(cloud, rays, points, lines.slid(torch.zeros(3), 1.5), 0.9)
             for points, lines in ((sight.neighbours, sight.seen), (others, seen))
@@ -233,7 +233,7 @@ def test_slots_without_a_point_are_mute(monkeypatch: pytest.MonkeyPatch) -> None
     assert sight.hidden is not None
     rows = torch.nonzero(sight.hidden.strangers).squeeze(-1)
     assert len(rows) > 0
-    others, seen = look_behind(few, sight.hidden, rows, CONFIG.neighbours, CUTOFF)
+    others, seen = look_behind(few, sight.hidden, rows, CONFIG.neighbours)
     rest = frames.rest[kept][others]
     along = ((rest - seen.origins) * seen.directions).sum(dim=-1, keepdim=True)
     answers = (rest - seen.origins - along * seen.directions).norm(dim=-1) <= CUTOFF

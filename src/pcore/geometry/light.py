@@ -128,18 +128,14 @@ class Shading:
             InputError: frames of other points, points of another number, NaN or infinity.
         """
         self._check(frames, moved)
-        to_rest, known = frames.to_rest.detach().cpu().float(), self.known
+        to_rest = frames.to_rest.detach().cpu().float()
         # A normal turns by the transposed inverse of the local map, which the frames hold.
         turned = F.normalize(torch.einsum("nji,nj->ni", to_rest, self.normals), dim=1)
         place = moved.detach().cpu().float()
-        reach = reaching(place, self.light.directions, self._spacing * frames.growth)
-        before, after = self._falling(self.normals, self._reach), self._falling(turned, reach)
-        darkest = _DARKEST * float(self.light.radiance.mean())
-        change = (after.clamp_min(darkest) / before.clamp_min(darkest)).log() / ENCODING
-        # The other side of a thin sheet is in another light; unknown normals are zero.
-        alike = torch.einsum("nkc,nc->nk", self.normals[self._beside], self.normals) >= 0
-        weights = (known[self._beside] & alike).to(change)
-        mean = (change[self._beside] * weights).sum(dim=1) / weights.sum(dim=1).clamp_min(1)
+        light = self._falling(place, turned, self._spacing * frames.growth)
+        change = (light / self._at_rest).log() / ENCODING
+        beside, counts = self._beside
+        mean = (change[beside] * counts).sum(dim=1) / counts.sum(dim=1).clamp_min(1)
         return mean.exp().clamp(1 / LARGEST_GAIN, LARGEST_GAIN).to(moved.device)
 
     def _check(self, frames: LocalFrames, moved: Tensor) -> None:
@@ -160,19 +156,28 @@ class Shading:
                 f"shading: expected finite points, got NaN or infinity in {bad} of {len(moved)}"
             )
 
-    def _falling(self, normals: Tensor, reach: Tensor) -> Tensor:
-        """Light (N,) on points with normals (N, 3) that a share (N, D) of it reaches."""
-        return (irradiance_of(normals, self.light.directions) * reach) @ self.light.radiance
+    def _falling(self, points: Tensor, normals: Tensor, spacing: float) -> Tensor:
+        """Light (N,) on points (N, 3), so far apart, with normals (N, 3); never nothing at all."""
+        reach = reaching(points, self.light.directions, spacing)
+        falling = irradiance_of(normals, self.light.directions) * reach
+        darkest = _DARKEST * float(self.light.radiance.mean())
+        return (falling @ self.light.radiance).clamp_min(darkest)
 
     @cached_property
-    def _reach(self) -> Tensor:
-        """Share (N, D) that reaches the points at rest."""
-        return reaching(self.positions, self.light.directions, self._spacing)
+    def _at_rest(self) -> Tensor:
+        """Light (N,) on the points at rest."""
+        return self._falling(self.positions, self.normals, self._spacing)
 
     @cached_property
-    def _beside(self) -> Tensor:
-        """Indices (N, 16) of the nearest points at rest, a point itself among them."""
-        return nearest(self.positions, self.positions, _BESIDE)[0]
+    def _beside(self) -> tuple[Tensor, Tensor]:
+        """Indices (N, 16) of the nearest points at rest, a point itself among them, and 1 or 0.
+
+        1 counts: the normal is known and does not point the other way, as that of the other side of
+        a thin sheet would, which is in another light.
+        """
+        beside = nearest(self.positions, self.positions, _BESIDE)[0]
+        alike = torch.einsum("nkc,nc->nk", self.normals[beside], self.normals) >= 0
+        return beside, (self.known[beside] & alike).to(self.normals)
 
     @cached_property
     def _spacing(self) -> float:

@@ -38,12 +38,12 @@ def unshadowed(points: Tensor, directions: Tensor, spacing: float) -> Tensor:
         return shares
     spacing = max(spacing, side / _FINEST / _CELL)
     step = _CELL * spacing
-    cells = (side / step + 5) ** 2
+    cells = (side / step + 4) ** 2
     together = max(1, int(_ELEMENTS / max(cells, len(points))))
-    middle = (lower + upper) / 2
+    points = points - (lower + upper) / 2
     for part in torch.arange(len(directions)).split(together):
         some = directions[part]
-        shares[:, part.to(points.device)] = _lit(points - middle, some, step, _THICK * spacing).T
+        shares[:, part.to(points.device)] = _lit(points, some, step, _THICK * spacing).T
     return shares
 
 

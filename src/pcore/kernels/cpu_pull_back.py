@@ -34,9 +34,9 @@ def pull_back(
     chosen = torch.empty(rays, k, dtype=torch.int64)
     seen_from, seen_along = torch.empty(rays, k, 3), torch.empty(rays, k, 3)
     counts, strangers = torch.empty(rays, dtype=torch.int64), torch.empty(rays, dtype=torch.bool)
-    close, apart, cutoff = -1.0, 0.0, 0.0  # Nothing is close enough to be the foremost.
+    limits = np.array([-1.0, 0.0, 0.0])  # Nothing is close enough to be the foremost.
     if layers is not None:
-        close, apart, cutoff = layers.close**2, layers.apart**2, layers.cutoff**2
+        limits = np.array([layers.close, layers.apart, layers.cutoff]) ** 2
     _pull_back(
         as_float32(origins),
         as_float32(directions),
@@ -44,9 +44,7 @@ def pull_back(
         as_float32(rest),
         as_float32(to_rest),
         candidates.contiguous().numpy(),
-        np.float32(close),
-        np.float32(apart),
-        np.float32(cutoff),
+        limits.astype(np.float32),
         hidden,
         chosen.numpy(),
         seen_from.numpy(),
@@ -71,9 +69,7 @@ def _pull_back(
     rest: np.ndarray,
     to_rest: np.ndarray,
     candidates: np.ndarray,
-    close: np.float32,
-    apart: np.float32,
-    cutoff: np.float32,
+    limits: np.ndarray,
     hidden: bool,
     chosen: np.ndarray,
     seen_from: np.ndarray,
@@ -86,37 +82,18 @@ def _pull_back(
         origin, direction = origins[ray], directions[ray]
         squared = np.empty(candidates.shape[1], dtype=np.float32)
         depth = np.empty(candidates.shape[1], dtype=np.float32)
-        foremost, least = -1, np.float32(np.inf)
-        for c in range(candidates.shape[1]):
-            point = candidates[ray, c]
-            here = positions[point]
-            x, y, z, u, v, w = _at_rest(origin, direction, here, to_rest[point])
-            squared[c] = _squared_distance(x, y, z, u, v, w)
-            depth[c] = (
-                (here[0] - origin[0]) * direction[0]
-                + (here[1] - origin[1]) * direction[1]
-                + (here[2] - origin[2]) * direction[2]
-            )
-            # What lies behind the origin hides nothing.
-            if squared[c] <= close and 0 < depth[c] < least:
-                foremost, least = c, depth[c]
+        foremost = _foremost(
+            origin, direction, positions, to_rest, candidates[ray], limits[0], squared, depth
+        )
         bits = squared.view(np.int32)
         best = np.full(k, np.iinfo(np.int64).max)
         count, met = 0, False
         for c in range(candidates.shape[1]):
             stranger = False
-            if foremost >= 0 and depth[c] > least and squared[c] <= cutoff:
-                point = candidates[ray, c]
-                ahead = rest[candidates[ray, foremost]]
-                x, y, z = (
-                    rest[point, 0] - ahead[0],
-                    rest[point, 1] - ahead[1],
-                    rest[point, 2] - ahead[2],
-                )
-                # Between points close to each other, both close to the ray, nothing is apart.
-                if max(x * x + y * y + z * z, squared[c]) > np.float32(0.25) * apart:
-                    a, b, d, u, v, w = _at_rest(origin, direction, positions[point], to_rest[point])
-                    stranger = _squared_distance(x + a, y + b, z + d, u, v, w) > apart
+            if foremost >= 0 and depth[c] > depth[foremost] and squared[c] <= limits[2]:
+                point, ahead = candidates[ray, c], rest[candidates[ray, foremost]]
+                there = positions[point], rest[point], to_rest[point]
+                stranger = _apart(origin, direction, *there, ahead, squared[c], limits[1])
             met |= stranger
             if stranger == hidden:
                 count += 1
@@ -135,6 +112,55 @@ def _pull_back(
             chosen[ray, s] = point
             start[0], start[1], start[2] = here[0] + x, here[1] + y, here[2] + z
             ahead[0], ahead[1], ahead[2] = u / length, v / length, w / length
+
+
+@numba.njit(cache=True)
+def _foremost(
+    origin: np.ndarray,
+    direction: np.ndarray,
+    positions: np.ndarray,
+    to_rest: np.ndarray,
+    candidates: np.ndarray,
+    close: np.float32,
+    squared: np.ndarray,
+    depth: np.ndarray,
+) -> int:
+    """Fill squared distances at rest and depths (c,); return which is the foremost, or -1."""
+    foremost, least = -1, np.float32(np.inf)
+    for c in range(len(candidates)):
+        point = candidates[c]
+        here = positions[point]
+        x, y, z, u, v, w = _at_rest(origin, direction, here, to_rest[point])
+        squared[c] = _squared_distance(x, y, z, u, v, w)
+        depth[c] = (
+            (here[0] - origin[0]) * direction[0]
+            + (here[1] - origin[1]) * direction[1]
+            + (here[2] - origin[2]) * direction[2]
+        )
+        # What lies behind the origin hides nothing.
+        if squared[c] <= close and 0 < depth[c] < least:
+            foremost, least = c, depth[c]
+    return foremost
+
+
+@numba.njit(cache=True)
+def _apart(
+    origin: np.ndarray,
+    direction: np.ndarray,
+    position: np.ndarray,
+    rest: np.ndarray,
+    to_rest: np.ndarray,
+    ahead: np.ndarray,
+    squared: np.float32,
+    limit: np.float32,
+) -> bool:
+    """Whether the ray that a point sees passes the foremost one `ahead` farther than a limit."""
+    x, y, z = rest[0] - ahead[0], rest[1] - ahead[1], rest[2] - ahead[2]
+    # Between points close to each other, both close to the ray, nothing is apart.
+    if max(x * x + y * y + z * z, squared) <= np.float32(0.25) * limit:
+        return False
+    a, b, c, u, v, w = _at_rest(origin, direction, position, to_rest)
+    return _squared_distance(x + a, y + b, z + c, u, v, w) > limit
 
 
 @numba.njit(cache=True)

@@ -138,13 +138,13 @@ class Papr(nn.Module):
         if config.cutoff is not None:
             lines, neighbours = lines[sight.near], neighbours[sight.near]
         met = self._attend_to(cloud, lines, neighbours, sight.seen, threshold)
-        if sight.hidden is None or config.cutoff is None:
+        if sight.hidden is None:
             return sight, met
         seen_through = sight.hidden.strangers & (met.background > 1 - OPAQUE)
         rows = torch.nonzero(seen_through).squeeze(-1)
         if len(rows) == 0:
             return sight, met
-        others, seen = look_behind(cloud, sight.hidden, rows, config.neighbours, config.cutoff)
+        others, seen = look_behind(cloud, sight.hidden, rows, config.neighbours)
         back = self._attend_to(cloud, lines[rows], others, seen, threshold)
         met, neighbours = behind(met, neighbours, rows, back, others)
         neighbours = sight.neighbours.index_copy(0, sight.near, neighbours)

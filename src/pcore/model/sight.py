@@ -17,7 +17,7 @@ from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle, perpendicular
 from pcore.kernels.functional import nearest_to_rays, pull_back
-from pcore.kernels.ray_layers import PulledBack
+from pcore.kernels.ray_layers import LayerRules, PulledBack
 from pcore.model.strangers import layer_rules
 
 _CANDIDATES = 1.25
@@ -44,6 +44,7 @@ class Hidden:
         rays: (A,) world units.
         candidates: (A, c) indices into the cloud.
         frames: of the cloud.
+        layers: what tells strangers.
     """
 
     strangers: Tensor
@@ -51,6 +52,7 @@ class Hidden:
     rays: RayBundle
     candidates: Tensor
     frames: LocalFrames
+    layers: LayerRules
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,13 +129,8 @@ def _pulled_back(
         candidates.index_copy_(0, _rays_of(alone, samples), found)
     some = some.flat()
     layers = None if cutoff is None else layer_rules(cutoff)
-    found = pull_back(
-        *(some.origins, some.directions, positions, frames.rest, frames.to_rest, candidates),
-        k=k,
-        layers=layers,
-    )
-    seen = _muted(found, frames.rest, cutoff)
-    if cutoff is None:
+    found, seen = _chosen(positions, frames, some, candidates, k, layers)
+    if cutoff is None or layers is None:
         return Sight(neighbours=found.neighbours, near=_rays_of(met, samples), seen=seen)
     answered = _reached(frames.rest, found.neighbours, seen[:, 0], cutoff)
     near = _rays_of(met, samples)[answered]
@@ -145,13 +142,14 @@ def _pulled_back(
         rays=some,
         candidates=candidates,
         frames=frames,
+        layers=layers,
     )
     return Sight(neighbours=neighbours, near=near, seen=seen[answered], hidden=hidden)
 
 
 @torch.no_grad()
 def look_behind(
-    cloud: PointCloud, hidden: Hidden, rows: Tensor, k: int, cutoff: float
+    cloud: PointCloud, hidden: Hidden, rows: Tensor, k: int
 ) -> tuple[Tensor, RayBundle]:
     """Find the strangers nearest to some rays.
 
@@ -160,37 +158,46 @@ def look_behind(
         hidden: what M rays may meet behind the foremost layer.
         rows: (L,) which of the M rays.
         k: how many.
-        cutoff: distance beyond which a point gets no attention, world units.
 
     Returns:
         Indices (L, k) into the cloud, and the rays (L, k) as those see them.
     """
-    asked, frames = hidden.asked[rows], hidden.frames
-    rays = hidden.rays[asked]
+    asked = hidden.asked[rows]
+    rays, candidates = hidden.rays[asked], hidden.candidates[asked]
+    positions, k = cloud.positions.detach(), min(k, len(cloud))
+    found, seen = _chosen(positions, hidden.frames, rays, candidates, k, hidden.layers, hidden=True)
+    return found.neighbours, seen
+
+
+def _chosen(
+    positions: Tensor,
+    frames: LocalFrames,
+    rays: RayBundle,
+    candidates: Tensor,
+    k: int,
+    layers: LayerRules | None,
+    *,
+    hidden: bool = False,
+) -> tuple[PulledBack, RayBundle]:
+    """What `pull_back` keeps of the candidates (R, c) of rays (R,), and the rays as they see them.
+
+    Those (R, k) of slots without a point pass far beside the point that they repeat.
+    """
+    points = positions, frames.rest, frames.to_rest
     found = pull_back(
-        *(rays.origins, rays.directions, cloud.positions.detach(), frames.rest, frames.to_rest),
-        hidden.candidates[asked],
-        k=min(k, len(cloud)),
-        layers=layer_rules(cutoff),
-        hidden=True,
+        rays.origins, rays.directions, *points, candidates, k=k, layers=layers, hidden=hidden
     )
-    return found.neighbours, _muted(found, frames.rest, cutoff)
-
-
-def _muted(found: PulledBack, rest: Tensor, cutoff: float | None) -> RayBundle:
-    """The rays (R, k) as points see them; those of slots without a point pass far beside."""
     seen = RayBundle(origins=found.origins, directions=found.directions)
-    k = seen.shape[1]
     empty = torch.nonzero(found.counts < k).squeeze(-1)
-    if cutoff is None or len(empty) == 0:
-        return seen
+    if layers is None or len(empty) == 0:
+        return found, seen
     slots = torch.arange(k, device=empty.device)
     slot = torch.nonzero(slots >= found.counts[empty].unsqueeze(1))
     pairs = empty[slot[:, 0]] * k + slot[:, 1]
     beside = perpendicular(seen.directions.flatten(0, 1)[pairs])
-    away = rest[found.neighbours.flatten()[pairs]] + _AWAY * cutoff * beside
+    away = frames.rest[found.neighbours.flatten()[pairs]] + _AWAY * layers.cutoff * beside
     origins = seen.origins.flatten(0, 1).index_copy(0, pairs, away).view_as(seen.origins)
-    return RayBundle(origins=origins, directions=seen.directions)
+    return found, RayBundle(origins=origins, directions=seen.directions)
 
 
 def _rays_of(pixels: Tensor, samples: int) -> Tensor:

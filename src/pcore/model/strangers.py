@@ -65,15 +65,11 @@ def behind(
     part = share.unsqueeze(1)
     both = torch.cat([(1 - part) * front.weights[rows], part * back.weights], dim=1)
     kept, place = both.topk(k, dim=1)
-    of_back = place >= k
+    layer = (place >= k).long()
     # What the points of a layer that are left out had goes to those that stay.
-    has = torch.where(of_back, both[:, k:].sum(1, keepdim=True), both[:, :k].sum(1, keepdim=True))
-    left = torch.where(
-        of_back,
-        (kept * of_back).sum(1, keepdim=True),
-        (kept * ~of_back).sum(1, keepdim=True),
-    )
-    weights = kept * has / left.clamp_min(torch.finfo(kept.dtype).tiny)
+    had = both.unflatten(1, (2, k)).sum(dim=2)
+    left = torch.zeros_like(had).scatter_add(1, layer, kept)
+    weights = kept * (had / left.clamp_min(torch.finfo(kept.dtype).tiny)).gather(1, layer)
     weights = weights / weights.sum(1, keepdim=True).clamp_min(_LEAST)
     met = torch.cat([neighbours[rows], strangers], dim=1).gather(1, place)
     layered = {name: mixed(name) for name in ("features", "surface", "behind")}

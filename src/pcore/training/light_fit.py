@@ -2,9 +2,9 @@
 
 A surface shows its own brightness times the light that falls on it. Points of one material differ
 by the light alone, so brightness as a function of the normal, and of what other points hide, tells
-the light. Normals and colours
-of the points are means over the training views that see them; materials are found by hue and by
-what brightness the light leaves unexplained, in turns with the light.
+the light. Normals and colours of the points are means over the training views that see them;
+materials are found by hue and by what brightness the light leaves unexplained, in turns with the
+light.
 """
 
 from __future__ import annotations
