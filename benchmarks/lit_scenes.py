@@ -5,9 +5,11 @@
     BLENDER benchmarks/lit_scenes.py shoot OUT                       # pictures, some minutes
 
 BLENDER is the Python of an environment with `pip install bpy==4.5.4 numpy`; the other one is of
-pcore. Cameras are those of SCENE (spot of the test data here). Makes OUT/figure, OUT/suzanne, in
-the layout of evaluation sets, for choices that must not be made on the benchmark's own states: a
-figure with limbs in soft light of several lamps, and Blender's monkey in hard light of one.
+pcore. Cameras are those of SCENE (spot of the test data here). Makes OUT/figure, OUT/suzanne,
+OUT/speckled, in the layout of evaluation sets, for choices that must not be made on the benchmark's
+own states: a figure with limbs in soft light of several lamps, Blender's monkey in hard light of
+one, and the figure again, in other poses, with speckled paint among lamps so near that they light
+its sides differently. `--only NAME` shoots one of them.
 """
 
 from __future__ import annotations
@@ -24,7 +26,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-OBJECTS = ("figure", "suzanne")
+OBJECTS = ("figure", "suzanne", "speckled")
+LIGHTS: dict[str, tuple[float, list[tuple[str, float, tuple[float, float, float], float]]]] = {
+    "figure": (0.45, [("SUN", 2.2, (2, -1.5, 2.5), 0.3), ("AREA", 90, (-3, 1, 1), 2.0)]),
+    "suzanne": (0.25, [("SUN", 3.2, (-1.5, -2, 2), 0.3)]),
+    "speckled": (0.15, [("AREA", 130, (1.8, -2.2, 2.2), 1.0), ("AREA", 30, (-3, -1, 1), 2.5)]),
+}
+"""Strength of the sky, and lamps: kind, energy, place, size (angle of suns)."""
 _BONES: tuple[tuple[tuple[float, float, float], tuple[float, float, float], float], ...] = (
     ((0, 0, -0.15), (0, 0, 0.3), 0.17),  # Torso.
     ((0, 0, 0.52), (0, 0, 0.56), 0.14),
@@ -47,6 +55,7 @@ def main() -> None:
     parser.add_argument("step", choices=("mesh", "pose", "shoot"))
     parser.add_argument("out", type=Path)
     parser.add_argument("--cameras", type=Path)
+    parser.add_argument("--only", choices=OBJECTS, help="the object to shoot")
     wish = parser.parse_args()
     wish.out.mkdir(parents=True, exist_ok=True)
     if wish.step == "mesh":
@@ -54,9 +63,10 @@ def main() -> None:
     elif wish.step == "pose":
         make_figure(wish.out / "figure", wish.cameras)
         make_suzanne(wish.out / "suzanne", wish.out / "suzanne.npz", wish.cameras)
+        make_speckled(wish.out / "speckled", wish.cameras)
     else:
-        for name in OBJECTS:
-            shoot(wish.out / name, soft=name == "figure")
+        for name in [wish.only] if wish.only else OBJECTS:
+            shoot(wish.out / name, LIGHTS[name])
 
 
 def save_monkey(path: Path) -> None:
@@ -99,15 +109,7 @@ def make_figure(out: Path, cameras: Path) -> None:
     """A figure of rounded limbs: seven paints, three formulas and two poses."""
     vertices, faces = _limbs()
     scale, center = _size(vertices)
-    x, _, z = vertices.T
-    color = np.full(vertices.shape, (0.75, 0.55, 0.4))
-    shirt = (z < 0.28) & (z > -0.25) & (np.abs(x) < 0.3)
-    color[shirt] = 0.2, 0.35, 0.7
-    color[z < -0.25] = 0.3, 0.3, 0.32
-    color[z < -0.72] = 0.6, 0.2, 0.12
-    color[(np.sin(40 * z) > 0.3) & shirt] = 0.8, 0.75, 0.3
-    color[z > 0.58] = 0.35, 0.2, 0.1
-    color[(np.abs(x) > 0.45) & (z > 0.2)] = 0.8, 0.2, 0.2
+    color = _clothes(vertices)
     poses = {
         name: (pose(vertices) - center) * scale
         for name, pose in (("cheerful", _cheerful), ("stroll", _stroll))
@@ -119,6 +121,44 @@ def make_figure(out: Path, cameras: Path) -> None:
         "taperz": _record("TAPER", "Z", 0.5, vertices),
     }
     _write(out, cameras, vertices, faces, color, records, poses)
+
+
+def make_speckled(out: Path, cameras: Path) -> None:
+    """The figure in other poses, its paint speckled at three sizes: two formulas, two poses."""
+    vertices, faces = _limbs()
+    scale, center = _size(vertices)
+    random = np.random.default_rng(1)
+    speckles = np.zeros(len(vertices))
+    for size in (9.0, 20.0, 45.0):
+        waves = random.normal(size=(24, 3)) * size
+        phases = random.uniform(0, 2 * np.pi, 24)
+        speckles += np.cos(vertices @ waves.T + phases).mean(axis=1) * np.sqrt(2 * 24)
+    color = np.clip(_clothes(vertices) * np.exp(0.2 * speckles)[:, None], 0.02, 0.95)
+    poses = {
+        name: (pose(vertices) - center) * scale
+        for name, pose in (("crouch", _crouch), ("salute", _salute))
+    }
+    vertices = (vertices - center) * scale
+    records = {
+        "twist60x": _record("TWIST", "X", 1.05, vertices),
+        "bend45y": _record("BEND", "Y", 0.8, vertices),
+        "grow16": {"type": "scale", "factor": 1.6},
+    }
+    _write(out, cameras, vertices, faces, color, records, poses)
+
+
+def _clothes(vertices: Array) -> Array:
+    """Seven paints (V, 3), linear."""
+    x, _, z = vertices.T
+    color = np.full(vertices.shape, (0.75, 0.55, 0.4))
+    shirt = (z < 0.28) & (z > -0.25) & (np.abs(x) < 0.3)
+    color[shirt] = 0.2, 0.35, 0.7
+    color[z < -0.25] = 0.3, 0.3, 0.32
+    color[z < -0.72] = 0.6, 0.2, 0.12
+    color[(np.sin(40 * z) > 0.3) & shirt] = 0.8, 0.75, 0.3
+    color[z > 0.58] = 0.35, 0.2, 0.1
+    color[(np.abs(x) > 0.45) & (z > 0.2)] = 0.8, 0.2, 0.2
+    return color
 
 
 def _limbs() -> tuple[Array, NDArray[np.int64]]:
@@ -155,6 +195,25 @@ def _stroll(vertices: Array) -> Array:
     moved = _turned(moved, right, (-0.17, 0, 0.3), 1.2, 2)
     moved = _turned(moved, hip * (x > 0), (0.13, 0, -0.22), -0.6, 0)
     return _turned(moved, hip * (x < 0), (-0.13, 0, -0.22), 0.7, 0)
+
+
+def _crouch(vertices: Array) -> Array:
+    x, _, z = vertices.T
+    arm, hip = z > 0.1, _ramp(-z, 0.18, 0.32)
+    left, right = _ramp(x, 0.14, 0.24) * arm, _ramp(-x, 0.14, 0.24) * arm
+    moved = _turned(vertices, hip, (0, 0, -0.22), -1.2, 0)
+    moved = _turned(moved, left, (0.17, 0, 0.3), -0.9, 2)
+    return _turned(moved, right, (-0.17, 0, 0.3), 0.9, 2)
+
+
+def _salute(vertices: Array) -> Array:
+    x, _, z = vertices.T
+    arm, hip = z > 0.1, _ramp(-z, 0.18, 0.32)
+    left, right = _ramp(x, 0.14, 0.24) * arm, _ramp(-x, 0.14, 0.24) * arm
+    moved = _turned(vertices, left, (0.17, 0, 0.3), -0.8, 1)
+    moved = _turned(moved, right, (-0.17, 0, 0.3), -1.0, 1)
+    moved = _turned(moved, _ramp(z, 0.36, 0.46) * (np.abs(x) < 0.2), (0, 0, 0.4), 0.7, 2)
+    return _turned(moved, hip * (x < 0), (-0.13, 0, -0.22), -0.8, 0)
 
 
 def _ramp(values: Array, low: float, high: float) -> Array:
@@ -219,7 +278,10 @@ def _write(
         (out / name).mkdir(exist_ok=True)
         record = records.get(name, {"type": "animation"})
         (out / name / "deformation.json").write_text(json.dumps(record), encoding="utf-8")
-        shutil.copy(cameras / "transforms_test.json", out / name)
+        wish = json.loads((cameras / "transforms_test.json").read_text(encoding="utf-8"))
+        half = np.tan(wish["camera_angle_x"] / 2) * record.get("factor", 1.0)
+        wish["camera_angle_x"] = 2 * float(np.arctan(half))
+        (out / name / "transforms_test.json").write_text(json.dumps(wish), encoding="utf-8")
     for split in ("train", "test"):
         shutil.copy(cameras / f"transforms_{split}.json", out)
     single = {name: mesh.astype(np.float32) for name, mesh in meshes.items()}
@@ -227,7 +289,9 @@ def _write(
     np.savez(out.parent / f"{out.name}_colors.npz", colors=color)
 
 
-def shoot(out: Path, *, soft: bool) -> None:
+def shoot(
+    out: Path, light: tuple[float, list[tuple[str, float, tuple[float, float, float], float]]]
+) -> None:
     """Render all views of all states at 100 x 100 pixels with Cycles."""
     import bpy  # pyright: ignore[reportMissingImports]
     import mathutils  # pyright: ignore[reportMissingImports]
@@ -247,7 +311,7 @@ def shoot(out: Path, *, soft: bool) -> None:
     scene.world = bpy.data.worlds.new("sky")
     scene.world.use_nodes = True
     sky = scene.world.node_tree.nodes["Background"].inputs
-    sky[0].default_value, sky[1].default_value = (0.8, 0.9, 1.0, 1.0), 0.45 if soft else 0.25
+    sky[0].default_value, sky[1].default_value = (0.8, 0.9, 1.0, 1.0), light[0]
 
     def lamp(kind: str, energy: float, place: tuple[float, float, float], size: float) -> None:
         light = bpy.data.lights.new(kind, kind)
@@ -258,11 +322,8 @@ def shoot(out: Path, *, soft: bool) -> None:
         thing.rotation_euler = mathutils.Vector(place).to_track_quat("Z", "Y").to_euler()
         scene.collection.objects.link(thing)
 
-    if soft:
-        lamp("SUN", 2.2, (2, -1.5, 2.5), 0.3)
-        lamp("AREA", 90, (-3, 1, 1), 2.0)
-    else:
-        lamp("SUN", 3.2, (-1.5, -2, 2), 0.3)
+    for one in light[1]:
+        lamp(*one)
     mesh = bpy.data.meshes.new("object")
     mesh.from_pydata(meshes["canonical"].tolist(), [], meshes["faces"].tolist())
     paint = np.c_[colors, np.ones(len(colors))].astype(np.float32)

@@ -14,26 +14,34 @@ import tiny_scene
 from pcore.cli.main import main
 from pcore.editing.apply import deformed_cloud
 from pcore.editing.script import load_edit
-from pcore.geometry.light import Light, Shading
+from pcore.geometry.light import Light, sphere
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.light_file import LIGHT_FILE, load_shading, save_shading
 from pcore.model.papr import Papr
 from pcore.model.render import render
-from pcore.training.light_fit import sphere
+from pcore.model.shading import Shading
 
 TURN = {"version": 2, "edits": [{"type": "rigid", "axis": "x", "angle_deg": 120}]}
 
 
 def lamp_from_above() -> Light:
     directions = sphere(40)
-    return Light(directions=directions, radiance=0.1 + (4 * directions[:, 2] - 2).exp())
+    return Light(
+        directions=directions,
+        radiance=0.1 + (4 * directions[:, 2] - 2).exp(),
+        nearness=torch.zeros(40),
+        center=torch.zeros(3),
+    )
 
 
 def write_light(run: Path, cloud: PointCloud) -> Shading:
     """A light from above; the points lie on a ball, which says how they face."""
     normals = torch.nn.functional.normalize(cloud.positions, dim=1)
     positions = cloud.positions.detach()
-    shading = Shading(light=lamp_from_above(), normals=normals, positions=positions)
+    bright = torch.full((len(positions),), 0.3)
+    shading = Shading(
+        light=lamp_from_above(), normals=normals, positions=positions, brightness=bright
+    )
     save_shading(run / LIGHT_FILE, shading)
     return shading
 

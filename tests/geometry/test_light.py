@@ -1,4 +1,4 @@
-"""A light that stands still: what it gives to surfaces, and how turned points change."""
+"""A light that stands in the world: what its lamps give to surfaces, near ones and far ones."""
 
 import math
 
@@ -6,234 +6,113 @@ import pytest
 import torch
 
 from pcore.errors import InputError
-from pcore.geometry import light as light_module
-from pcore.geometry.light import ENCODING, LARGEST_GAIN, Light, Shading, reaching
-from pcore.geometry.local_frames import LocalFrames
-from pcore.geometry.point_cloud import PointCloud
-from pcore.training.light_fit import sphere
+from pcore.geometry.light import Light, sphere
 
 UP = torch.tensor([[0.0, 0.0, 1.0]])
 
 
-def turn(angle: float) -> torch.Tensor:
-    """About x, z towards -y."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    return torch.tensor([[1.0, 0, 0], [0, cos, -sin], [0, sin, cos]])
+def far(directions: torch.Tensor, radiance: torch.Tensor) -> Light:
+    still = torch.zeros(len(directions))
+    return Light(directions=directions, radiance=radiance, nearness=still, center=torch.zeros(3))
 
 
-def frames_of(maps: torch.Tensor, rest: torch.Tensor) -> LocalFrames:
-    """Frames of points (N, 3) that were moved by linear maps (N, 3, 3)."""
-    return LocalFrames(rest=rest, to_rest=torch.linalg.inv(maps))
+def tilted(degrees: float) -> torch.Tensor:
+    angle = math.radians(degrees)
+    return torch.tensor([[0.0, math.sin(angle), math.cos(angle)]])
 
 
-@pytest.fixture
-def each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No point hides another, and none has a say in another's brightness."""
-    monkeypatch.setattr(light_module, "_BESIDE", 1)
-    monkeypatch.setattr(light_module, "_AROUND", 1.0)
-
-
-def gains_of(light: Light, normals: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
-    """Gains of points far from one another, each moved by a linear map of its own."""
-    positions = 100.0 * torch.arange(len(maps))[:, None] * torch.tensor([[1.0, 0.3, 0.1]])
-    shading = Shading(light=light, normals=normals, positions=positions)
-    return shading.gains(frames_of(maps, positions), positions)
-
-
-def even(radiance: float = 1.0) -> Light:
-    return Light(directions=sphere(400), radiance=torch.full((400,), radiance))
-
-
-def lamp(direction: torch.Tensor, share: float = 0.5) -> Light:
-    """All directions the same, and one more as bright as `share` of everything."""
-    directions = torch.cat([sphere(400), direction.reshape(1, 3)])
-    radiance = torch.cat([torch.ones(400), torch.tensor([share * 400])])
-    return Light(directions=directions, radiance=radiance)
+def test_directions_are_even() -> None:
+    directions = sphere(192)
+    torch.testing.assert_close(directions.norm(dim=1), torch.ones(192))
+    assert float(directions.mean(dim=0).norm()) < 1e-3
+    closest = (directions @ directions.T - 2 * torch.eye(192)).amax(dim=1)
+    assert float(closest.max() - closest.min()) < 0.02
 
 
 def test_the_same_light_from_everywhere_gives_every_surface_one() -> None:
     normals = torch.nn.functional.normalize(torch.randn(50, 3), dim=1)
-    torch.testing.assert_close(even().irradiance(normals), torch.ones(50), rtol=0, atol=0.02)
+    even = far(sphere(400), torch.ones(400))
+    torch.testing.assert_close(even.irradiance(normals), torch.ones(50), rtol=0, atol=0.02)
 
 
-def test_one_lamp_follows_the_cosine() -> None:
-    light = Light(directions=UP, radiance=torch.tensor([3.0]))
-    normals = turn(math.radians(60)) @ UP[0]
-    found = light.irradiance(torch.stack([UP[0], normals, -UP[0]]))
-    torch.testing.assert_close(found, 4 * 3.0 * torch.tensor([1.0, 0.5, 0.0]))
+def test_one_far_lamp_follows_the_cosine_wherever_the_surface_is() -> None:
+    light = far(UP, torch.tensor([3.0]))
+    normals = torch.cat([UP, tilted(60), -UP])
+    expected = 4 * 3.0 * torch.tensor([1.0, 0.5, 0.0])
+    torch.testing.assert_close(light.irradiance(normals), expected)
+    for place in (torch.zeros(3, 3), torch.tensor([[5.0, -2.0, 9.0]]).expand(3, 3)):
+        torch.testing.assert_close(light.falling(place, normals)[:, 0], expected)
 
 
-@pytest.mark.usefixtures("each_alone")
-def test_gains_are_the_ratio_of_light_as_photos_store_it() -> None:
-    light = lamp(UP[0])
-    maps = torch.stack([torch.eye(3), turn(math.radians(60)), turn(math.radians(-120))])
-    after = light.irradiance(maps @ UP[0])
-    expected = (after / after[0]).pow(1 / ENCODING)
-    torch.testing.assert_close(gains_of(light, UP.expand(3, 3), maps), expected)
-    assert expected[2] < expected[1] < expected[0] == 1
-
-
-@pytest.mark.usefixtures("each_alone")
-def test_a_normal_follows_the_transposed_inverse() -> None:
-    """A plane that faces (1, 0, 1) and is stretched along x faces more along z."""
-    normal = torch.tensor([[1.0, 0.0, 1.0]]) / math.sqrt(2)
-    stretched = torch.tensor([[0.5, 0.0, 1.0]]) / math.sqrt(1.25)
-    light = lamp(UP[0])
-    found = gains_of(light, normal, torch.diag(torch.tensor([2.0, 1.0, 1.0]))[None])
-    expected = light.irradiance(stretched) / light.irradiance(normal)
-    torch.testing.assert_close(found, expected.pow(1 / ENCODING))
-
-
-@pytest.mark.usefixtures("each_alone")
-def test_no_turn_matters_in_the_same_light_from_everywhere() -> None:
-    normals = torch.nn.functional.normalize(torch.randn(20, 3), dim=1)
-    maps = torch.stack([turn(angle) for angle in torch.linspace(0.1, 3, 20).tolist()])
-    found = gains_of(even(), normals, maps)
-    torch.testing.assert_close(found, torch.ones(20), rtol=0, atol=0.02)
-
-
-@pytest.mark.usefixtures("each_alone")
-def test_points_without_a_normal_stay_and_gains_are_bounded() -> None:
-    light = Light(directions=UP, radiance=torch.ones(1))
-    normals = torch.cat([UP, -UP, torch.zeros(1, 3)])
-    found = gains_of(light, normals, turn(math.pi).expand(3, 3, 3))
-    assert found.tolist() == pytest.approx([1 / LARGEST_GAIN, LARGEST_GAIN, 1.0])
-
-
-def ball(count: int = 2000) -> torch.Tensor:
-    return sphere(count)
-
-
-@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
-def test_growth_and_moves_change_no_light(scale: float) -> None:
-    """With shadows and all: a half-open shell shades itself as before."""
-    points = ball()[ball()[:, 2] < 0.5]
-    shading = Shading(light=lamp(UP[0]), normals=points, positions=points)
-    frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3) / scale)
-    for shift in (torch.zeros(3), torch.tensor([8.0, -4.0, 2.0])):
-        found = shading.gains(frames, scale * points + shift)
-        # Rounding puts a point into the next cell of a shadow map now and then.
-        assert float((found - 1).abs().max()) < 0.02
-        assert float((found - 1).abs().mean()) < 1e-3
-
-
-def test_neighbours_say_how_points_without_a_normal_change() -> None:
-    """The mean, of the logarithm, over the nearest points at rest whose normal is known."""
-    points = ball(400)
-    normals = points.clone()
-    normals[::3] = 0
-    shading = Shading(light=lamp(UP[0], 3.0), normals=normals, positions=points)
-    assert shading.known.float().mean() < 0.7
-    back = turn(math.pi / 2).T
-    frames = LocalFrames(rest=points, to_rest=back.expand(400, 3, 3))
-    found = shading.gains(frames, points @ back)
-    known, others = found[shading.known], found[~shading.known]
-    assert float(others.log().std()) > 0.7 * float(known.log().std())
-    beside = light_module.nearest(points, points, 2)[0][~shading.known, 1]
-    assert float((others / found[beside]).log().abs().mean()) < 0.1
-    alone = Shading(light=lamp(UP[0]), normals=torch.zeros(400, 3), positions=points)
-    assert torch.equal(alone.gains(frames, points @ back), torch.ones(400))
-
-
-def test_the_mean_is_that_of_known_normals_on_the_same_side() -> None:
-    """Word for word, on a thin plate of which every third normal is unknown."""
-    steps = torch.arange(-5, 5) * 0.1
-    grid = torch.cartesian_prod(steps, steps)
-    sides = [torch.cat([grid, torch.full((100, 1), height)], dim=1) for height in (0.02, -0.02)]
-    points = torch.cat(sides)
-    normals = torch.cat([UP, -UP]).repeat_interleave(100, dim=0)
-    normals[::3] = 0
-    light = Light(directions=torch.cat([UP, -UP]), radiance=torch.tensor([3.0, 1.0]))
-    shading = Shading(light=light, normals=normals, positions=points)
-    back = turn(math.pi / 3).T
-    found = shading.gains(frames_of(back.T.expand(200, 3, 3), points), points @ back)
-    near = light_module.nearest(points, points, 16)[0]
-    falling = light.irradiance(normals @ back) / light.irradiance(normals)
-    # Nothing of a plate shades itself from straight above or below, turned by so little.
-    change = falling.clamp_min(1e-9).log() / ENCODING
-    for point in (0, 1, 57, 144, 199):
-        kept = [
-            i
-            for i in near[point].tolist()
-            if shading.known[i] and float(normals[i] @ normals[point]) >= 0
-        ]
-        expected = float(change[kept].mean().exp())
-        assert float(found[point]) == pytest.approx(expected, abs=0.03), point
-    upper, lower = (found[part][shading.known[part]] for part in (slice(0, 100), slice(100, 200)))
-    assert float(upper.max()) < float(lower.min()) + 1e-3 or float(lower.max()) < float(upper.min())
-
-
-def test_turning_in_the_same_light_from_everywhere_hardly_matters_with_shadows() -> None:
-    """A bowl: what one of its sides hides of the sky another hid before."""
-    points = ball()[ball()[:, 2] < 0.3]
-    inside = -points
-    shading = Shading(light=even(), normals=inside, positions=points)
-    back = turn(0.7).T
-    found = shading.gains(frames_of(back.T.expand(len(points), 3, 3), points), points @ back)
-    assert float(found.log().abs().mean()) < 0.01
-    assert float(found.log().abs().max()) < 0.06
-
-
-def test_what_an_edit_uncovers_becomes_brighter_and_what_it_covers_darker() -> None:
-    """A plate in the light of one lamp above; a lid over one half of it moves to the other."""
-    steps = torch.arange(-20, 20) * 0.05 + 0.025
-    grid = torch.cartesian_prod(steps, steps)
-    plate = torch.cat([grid, torch.zeros(len(grid), 1)], dim=1)
-    lid = plate[grid[:, 0] < 0] + torch.tensor([0.0, 0.0, 0.8])
-    points = torch.cat([plate, lid])
-    light = Light(directions=UP, radiance=torch.ones(1))
-    shading = Shading(light=light, normals=UP.expand(len(points), 3), positions=points)
-    moved = points.clone()
-    moved[len(plate) :, 0] += 1.0
-    frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3))
-    found = shading.gains(frames, moved)
-    inside = (grid.abs() < 0.8).all(dim=1) & (grid[:, 0].abs() > 0.2)
-    left, right = inside & (grid[:, 0] < 0), inside & (grid[:, 0] > 0)
-    # Forty percent of the light come round other surfaces.
-    brighter = (1 / 0.4) ** (1 / ENCODING)
-    torch.testing.assert_close(found[: len(plate)][left], torch.full((int(left.sum()),), brighter))
-    torch.testing.assert_close(
-        found[: len(plate)][right], torch.full((int(right.sum()),), 1 / brighter)
+@pytest.mark.parametrize("distance", [2.0, 5.0])
+def test_a_near_lamp_follows_cosines_and_the_square_of_the_distance(distance: float) -> None:
+    """Word for word, for a lamp above a centre that is not the origin."""
+    center = torch.tensor([1.0, 2.0, 3.0])
+    light = Light(
+        directions=UP,
+        radiance=torch.tensor([2.0]),
+        nearness=torch.tensor([1 / distance]),
+        center=center,
     )
-    torch.testing.assert_close(found[len(plate) :], torch.ones(len(lid)))
-    assert reaching(points, UP, 0.06)[: len(plate)][left].eq(0.4).all()
+    lamp = center + distance * UP[0]
+    normals = torch.cat([UP, tilted(40), tilted(-70)])
+    for offset in (torch.zeros(3), torch.tensor([0.4, -0.3, 0.5]), torch.tensor([0.0, 0.9, -1.0])):
+        place = center + offset
+        towards = lamp - place
+        length = float(towards.norm())
+        received = (normals @ towards / length).clamp_min(0)
+        sent = float(UP[0] @ towards) / length
+        expected = 4 * 2.0 * received * sent * (distance / length) ** 2
+        found = light.falling(place.expand(3, 3), normals)[:, 0]
+        torch.testing.assert_close(found, expected)
+
+
+def test_a_lamp_that_goes_away_becomes_a_far_one() -> None:
+    normals, places = torch.cat([UP, tilted(50)]), torch.tensor([[0.5, 0.2, 0.4], [0.0, -1.0, 0.3]])
+    light = Light(
+        directions=UP,
+        radiance=torch.ones(1),
+        nearness=torch.tensor([1e-6]),
+        center=torch.zeros(3),
+    )
+    expected = far(UP, torch.ones(1)).falling(places, normals)
+    torch.testing.assert_close(light.falling(places, normals), expected, rtol=1e-4, atol=1e-4)
+
+
+def test_nothing_behind_a_lamp_is_lit_and_nothing_beside_it_is_blinding() -> None:
+    light = Light(
+        directions=UP, radiance=torch.ones(1), nearness=torch.ones(1), center=torch.zeros(3)
+    )
+    places = torch.tensor([[0.0, 0.0, 1.5], [0.0, 0.0, 1.0 - 1e-4]])
+    found = light.falling(places, torch.cat([-UP, UP]))[:, 0]
+    assert found[0] == 0
+    assert 0 < float(found[1]) < 4 * 0.2**-4
+
+
+def test_a_scaled_world_is_lit_the_same() -> None:
+    light = Light(
+        directions=sphere(20),
+        radiance=torch.rand(20),
+        nearness=0.3 * torch.rand(20),
+        center=torch.tensor([0.1, -0.2, 0.3]),
+    )
+    places, normals = torch.randn(30, 3), torch.nn.functional.normalize(torch.randn(30, 3), dim=1)
+    for factor in (0.5, 2.0):
+        found = light.scaled(factor).falling(factor * places, normals)
+        torch.testing.assert_close(found, light.falling(places, normals))
+    assert not torch.allclose(light.falling(2 * places, normals), light.falling(places, normals))
 
 
 def test_a_light_is_checked() -> None:
-    with pytest.raises(InputError, match=r"directions \(D, 3\) and radiance \(D,\), got \(1, 3\)"):
-        Light(directions=UP, radiance=torch.ones(2))
+    one, center = torch.ones(1), torch.zeros(3)
+    for radiance, nearness in ((torch.ones(2), one), (one, torch.ones(2))):
+        with pytest.raises(InputError, match=r"radiance \(D,\) and nearness \(D,\), got \(1, 3\)"):
+            Light(directions=UP, radiance=radiance, nearness=nearness, center=center)
     for radiance in (torch.tensor([-1.0]), torch.tensor([0.0]), torch.tensor([math.nan])):
         with pytest.raises(InputError, match="radiance of 0 or more, and some of it above 0"):
-            Light(directions=UP, radiance=radiance)
-    for normals, positions in ((torch.zeros(4), torch.zeros(4)), (UP, torch.zeros(2, 3))):
-        with pytest.raises(InputError, match=r"normals \(N, 3\) and positions \(N, 3\)"):
-            Shading(light=even(), normals=normals, positions=positions)
-    with pytest.raises(InputError, match=r"expected float32 on the CPU, got torch.float64"):
-        Shading(light=even(), normals=UP, positions=UP.double())
-    shading, still = Shading(light=even(), normals=UP, positions=UP), torch.eye(3)
-    for frames, moved in (
-        (frames_of(still.expand(2, 3, 3), torch.zeros(2, 3)), torch.zeros(2, 3)),
-        (frames_of(still[None], UP), torch.zeros(2, 3)),
-    ):
-        with pytest.raises(InputError, match=r"of its 1 points.*got \d and 2; .*`pcore light RUN`"):
-            shading.gains(frames, moved)
-    with pytest.raises(
-        InputError, match="the points that the light was estimated with, got others"
-    ):
-        shading.gains(frames_of(still[None], UP + 1), UP)
-    with pytest.raises(InputError, match="finite points, got NaN or infinity in 1 of 1"):
-        shading.gains(frames_of(still[None], UP), UP * math.nan)
-
-
-def test_a_cloud_keeps_its_gains_until_it_moves() -> None:
-    cloud = PointCloud(
-        positions=torch.zeros(2, 3), features=torch.zeros(2, 4), influence=torch.ones(2)
-    )
-    lit = cloud.lit(torch.tensor([2.0, 0.5]))
-    assert cloud.gains is None
-    for same in (lit, lit.detached(), lit.to("cpu")):
-        assert same.gains is not None
-        assert same.gains.tolist() == [2.0, 0.5]
-    assert lit.moved(torch.ones(2, 3)).gains is None, "they belong to where the points were"
-    with pytest.raises(InputError, match=r"gains of its 2 points, got \(3,\)"):
-        cloud.lit(torch.ones(3))
+            Light(directions=UP, radiance=radiance, nearness=one, center=center)
+    for nearness in (-one, math.nan * one, math.inf * one):
+        with pytest.raises(InputError, match=r"nearness of 0 \(far away\) or more, and finite"):
+            Light(directions=UP, radiance=one, nearness=nearness, center=center)
+    with pytest.raises(InputError, match=r"center \(3,\), got \(2,\)"):
+        Light(directions=UP, radiance=one, nearness=one, center=torch.zeros(2))

@@ -8,18 +8,26 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from pcore.errors import CheckpointError
-from pcore.geometry.light import Light, Shading
+from pcore.geometry.light import Light
 from pcore.model.light_file import LIGHT_FILE, load_shading, save_shading
+from pcore.model.shading import Shading
 
 POINTS = torch.rand(7, 3, generator=torch.Generator().manual_seed(1))
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    light = Light(directions=torch.eye(3), radiance=torch.tensor([0.0, 1.0, 2.0]))
+    light = Light(
+        directions=torch.eye(3),
+        radiance=torch.tensor([0.0, 1.0, 2.0]),
+        nearness=torch.tensor([0.0, 0.1, 0.3]),
+        center=torch.tensor([1.0, 2.0, 3.0]),
+    )
     normals = torch.nn.functional.normalize(torch.randn(7, 3), dim=1)
     normals[2] = 0
-    shading = Shading(light=light, normals=normals, positions=POINTS)
+    shading = Shading(
+        light=light, normals=normals, positions=POINTS, brightness=torch.arange(7) / 7
+    )
     save_shading(tmp_path / LIGHT_FILE, shading)
     return tmp_path / LIGHT_FILE
 
@@ -47,6 +55,9 @@ def test_everything_comes_back(path: Path) -> None:
         assert torch.equal(found.positions, POINTS)
         assert torch.equal(found.light.directions, torch.eye(3))
         assert found.light.radiance.tolist() == [0.0, 1.0, 2.0]
+        assert torch.equal(found.light.nearness, torch.tensor([0.0, 0.1, 0.3]))
+        assert found.light.center.tolist() == [1.0, 2.0, 3.0]
+        assert torch.equal(found.brightness, torch.arange(7) / 7)
 
 
 def test_missing_and_damaged(path: Path) -> None:
@@ -56,9 +67,11 @@ def test_missing_and_damaged(path: Path) -> None:
 
 
 def test_another_format_or_version(path: Path) -> None:
-    rewrite(path, {"version": "2"})
-    assert "version 1, got 'pcore-light' of version '2'" in error_of(path)
-    rewrite(path, {"format": "pcore-model", "version": "1"})
+    rewrite(path, {"version": "1"})
+    said = error_of(path)
+    assert "version 2, got 'pcore-light' of version '1'" in said
+    assert "`pcore light RUN`" in said, "a light of before has no distances: how to get one"
+    rewrite(path, {"format": "pcore-model", "version": "2"})
     assert "got 'pcore-model'" in error_of(path)
 
 
@@ -72,5 +85,7 @@ def test_bad_numbers(path: Path) -> None:
     assert "NaN or infinity in radiance" in error_of(path)
     rewrite(path, radiance=torch.tensor([0.0, -1.0, 1.0]))
     assert "radiance of 0 or more" in error_of(path)
-    rewrite(path, radiance=torch.ones(3), normals=torch.ones(7, 2))
+    rewrite(path, radiance=torch.ones(3), nearness=-torch.ones(3))
+    assert "nearness of 0 (far away) or more" in error_of(path)
+    rewrite(path, nearness=torch.zeros(3), normals=torch.ones(7, 2))
     assert "normals (N, 3)" in error_of(path)

@@ -16,8 +16,8 @@ from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.data.scene import Scene
-    from pcore.geometry.light import Shading
     from pcore.geometry.point_cloud import PointCloud
+    from pcore.model.shading import Shading
 
 LightName = Literal["still", "baked"]
 LightChoice = Annotated[LightName | None, optional("{still,baked}")]

@@ -6,8 +6,8 @@ import torch
 
 from pcore.deform.base import Deformation, Identity
 from pcore.deform.local_frames import analytic_frames
-from pcore.geometry.light import Shading
 from pcore.geometry.point_cloud import PointCloud
+from pcore.model.shading import Shading
 
 
 def deformed_cloud(

@@ -16,10 +16,10 @@ from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
 from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
-from pcore.geometry.light import Shading
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
+from pcore.model.shading import Shading
 
 Value = float | int | None
 Progress = Callable[[int, int], None]
@@ -239,14 +239,14 @@ def carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
             moved = state.move(rest.cpu())
             frames = _frames(state, rest.cpu(), moved) if method.aware else None
             known[key] = method.cloud.detached().moved(moved, frames).to(rest.device)
-    return {m.name: _lit(known[id(m.cloud), m.aware], m.shading) for m in methods}
+    return {m.name: _lit(known[id(m.cloud), m.aware], m.shading, state) for m in methods}
 
 
-def _lit(cloud: PointCloud, shading: Shading | None) -> PointCloud:
+def _lit(cloud: PointCloud, shading: Shading | None, state: State) -> PointCloud:
     """Light a moved cloud anew; where nothing moved there are no frames, and nothing changes."""
     if shading is None or cloud.frames is None:
         return cloud
-    return cloud.lit(shading.gains(cloud.frames, cloud.positions))
+    return cloud.lit(shading.gains(cloud.frames, cloud.positions, world=state.world))
 
 
 def _health(

@@ -66,6 +66,7 @@ class State:
         frames: local frames of canonical points (N, 3) that were moved to (N, 3): from the formula
             of the state where it has one, else estimated from the move; None without a move.
         object_size: diagonal of the bounding box in this state, world units; None without a mesh.
+        world: factor by which the truth scales all of the world, lamps and cameras too.
         handles: diagnoses of the edits by anchors that make the state, for canonical points (N, 3);
             None where no edit makes it.
     """
@@ -76,6 +77,7 @@ class State:
     move: Callable[[Tensor], Tensor]
     frames: Callable[[Tensor, Tensor], LocalFrames | None]
     object_size: float | None
+    world: float = 1.0
     handles: Callable[[Tensor], tuple[HandleDiagnosis, ...]] | None = None
 
     @property
@@ -185,6 +187,7 @@ class SceneStates:
             move=_carried_by(uniform_scale(scale)),
             frames=_by_formula(uniform_scale(scale)),
             object_size=None if self._size is None else scale * self._size,
+            world=scale,
         )
 
     def _shot(self, view: View, state: str | None) -> Shot:

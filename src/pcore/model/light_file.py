@@ -1,4 +1,4 @@
-"""The file `light.safetensors` beside a model: the light of its photos, normals of its points."""
+"""The file `light.safetensors` beside a model: the light of its photos and what it falls on."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ import torch
 from torch import Tensor
 
 from pcore.errors import CheckpointError, InputError
-from pcore.geometry.light import Light, Shading
+from pcore.geometry.light import Light
 from pcore.model.companion import Companion
+from pcore.model.shading import Shading
 
 _FILE = Companion(
-    noun="light", version="1", mend="estimate it anew with `pcore light RUN`, or delete the file"
+    noun="light", version="2", mend="estimate it anew with `pcore light RUN`, or delete the file"
 )
 LIGHT_FILE = _FILE.name
-_TENSORS = ("directions", "radiance", "normals", "positions")
+_LIGHT = ("directions", "radiance", "nearness", "center")
+_POINTS = ("normals", "positions", "brightness")
+_TENSORS = (*_LIGHT, *_POINTS)
 
 
 def save_shading(path: Path, shading: Shading) -> None:
@@ -23,14 +26,13 @@ def save_shading(path: Path, shading: Shading) -> None:
 
     Args:
         path: where to, normally RUN/light.safetensors.
-        shading: the light, and the canonical points with their normals.
+        shading: the light, and the canonical points that it falls on.
 
     Raises:
         OSError: the file cannot be written; the old one is untouched.
     """
-    light = shading.light
-    tensors = (light.directions, light.radiance, shading.normals, shading.positions)
-    _FILE.write(path, dict(zip(_TENSORS, tensors, strict=True)))
+    light = {name: getattr(shading.light, name) for name in _LIGHT}
+    _FILE.write(path, light | {name: getattr(shading, name) for name in _POINTS})
 
 
 def load_shading(path: Path | str, positions: Tensor) -> Shading:
@@ -58,7 +60,7 @@ def load_shading(path: Path | str, positions: Tensor) -> Shading:
             f"{len(positions)} others; {_FILE.mend}"
         )
     try:
-        light = Light(directions=tensors["directions"], radiance=tensors["radiance"])
-        return Shading(light=light, normals=tensors["normals"], positions=tensors["positions"])
+        light = Light(**{name: tensors[name] for name in _LIGHT})
+        return Shading(light=light, **{name: tensors[name] for name in _POINTS})
     except InputError as error:
         raise CheckpointError(f"{path}: {error}; {_FILE.mend}") from error

@@ -1,80 +1,63 @@
 """Estimate the light of a scene from its training photos and a trained model.
 
-A surface shows its own brightness times the light that falls on it. Points of one material differ
-by the light alone, so brightness as a function of the normal, and of what other points hide, tells
-the light. Normals and colours of the points are means over the training views that see them;
-materials are found by hue and by what brightness the light leaves unexplained, in turns with the
-light.
+A surface shows its own brightness times the light that falls on it. Two points of one paint differ
+by the light alone, so the ratios of their brightnesses tell the light. Which points are of one
+paint nobody says: pairs are compared that lie near one another or have like colours, and those that
+differ for another reason pull no harder than the rest.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
-from scipy.optimize import nnls
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from torch import Tensor
-from torch.nn import functional as F
 
 from pcore.data.scene import View
 from pcore.errors import InputError
-from pcore.geometry.light import (
-    ENCODING,
-    Light,
-    Shading,
-    irradiance_of,
-    known_normals,
-    reaching,
-    spacing_of,
-)
+from pcore.geometry.light import ENCODING, Light, falling_of, known_normals, sphere
+from pcore.geometry.neighbours import nearest
 from pcore.geometry.point_cloud import PointCloud
+from pcore.kernels.shadows import Shadows, shadows_of
 from pcore.model.papr import Papr
-from pcore.model.passes import Picture
-from pcore.model.render import normals
+from pcore.model.shading import Shading, hidden_share, spacing_of
+from pcore.training.light_photos import Observed, Progress, observe
 
-DIRECTIONS = 96
-MATERIALS = 6
-"""Surfaces of a brightness of their own."""
-SMOOTH = 0.005
-"""Weight of differences between neighbouring directions. Chosen with the two numbers above on two
-objects and deformations of our own, rendered with other lights than the benchmark's (ADR 11)."""
-_LARGEST_SIDE = 200
-_SOLID = 0.9
-_ALIKE = 0.8
-"""Shortest mean of the unit normals that views see at a point of one surface."""
-_SEEN = 0.5
+DIRECTIONS = 192
+SMOOTH = 5e-5
+"""Weight of differences, of the logarithm, between neighbouring directions."""
+ALIKE = 1e-2
+"""Weight of differences between the lamps' nearness, a share of the largest."""
+FAR = 1e-4
+"""Weight of that share itself: a lamp is far away unless the photos say something else. All three,
+and what follows, chosen on objects and deformations of our own, rendered with other lights than the
+benchmark's (ADR 11)."""
+_NEAREST = 2.8
+"""No lamp is nearer to the centre than so many radii of the object."""
+_DISTANCES = (0.0, 0.23, 0.35, 0.47, 0.62, 0.8, 1.0)
+"""Shares of the largest nearness at which the lamps' light is computed; between, it is mixed."""
+_BESIDE, _LIKE, _PAIRS = 64, 600, 8
+"""Every point is compared with 8 of the 64 nearest ones and 8 of the 600 of the likest hue."""
+_HUES = 0.12
+_ROBUST = 0.1
+"""Stored brightness, as a ratio, beyond which a difference is more likely one of paint."""
+_STEPS, _RATE = 300, 0.04
+_MOST_POINTS = 6000
 _LEAST_KNOWN = 50
-_DARKEST = 0.005
-_LEAST_LIGHT = 1e-3
-_ROUNDS = 12
+_DARKEST = 1e-3
 
-
-@dataclass(frozen=True, kw_only=True)
-class Observed:
-    """What photos say about N points.
-
-    Attributes:
-        normals: (N, 3) unit, outwards; zero where views do not agree on one.
-        colors: (N, 3) mean colour.
-        attention: (N,) sum of the weights that the pixels of all views gave a point.
-    """
-
-    normals: Tensor
-    colors: Tensor
-    attention: Tensor
-
-
-Progress = Callable[[int, int], None]
+IntArray = NDArray[np.int64]
 
 
 def fit_shading(
     papr: Papr, cloud: PointCloud, views: Sequence[View], *, progress: Progress | None = None
 ) -> Shading:
-    """Estimate light and normals.
+    """Estimate light, normals and brightness of the points of a run.
 
     Args:
         papr: a trained model.
@@ -86,204 +69,214 @@ def fit_shading(
         InputError: too few points have a normal that views agree on.
     """
     observed = observe(papr, cloud, views, progress=progress)
-    positions = cloud.positions.detach().cpu()
-    reach = reaching(positions, sphere(DIRECTIONS), spacing_of(positions))
-    light = fit_light(observed, reach)
-    return Shading(light=light, normals=observed.normals, positions=positions)
+    positions = cloud.positions.detach().cpu().float()
+    spacing = spacing_of(positions)
+    shadows = shadows_of(positions, observed.normals, sphere(DIRECTIONS), spacing)
+    return Shading(
+        light=fit_light(observed, positions, shadows),
+        normals=observed.normals,
+        positions=positions,
+        brightness=brightness_of(observed, positions),
+    )
 
 
-@torch.no_grad()
-def observe(
-    papr: Papr, cloud: PointCloud, views: Sequence[View], *, progress: Progress | None = None
-) -> Observed:
-    """Mean normals and colours of canonical points over views, on the CPU.
+def brightness_of(observed: Observed, positions: Tensor) -> Tensor:
+    """Linear brightness (N,) of points (N, 3); what no view saw has that of the nearest one seen.
 
-    Views are looked at with at most 200 pixels a side; their number of rays per pixel is one.
+    Args:
+        observed: what photos say about the points.
+        positions: of the points, world units.
     """
-    device = next(papr.parameters()).device
-    cloud = cloud.detached().lit(None).to(device)
-    sums = torch.zeros(len(cloud), 7)
-    for number, view in enumerate(views, start=1):
-        _look(papr, cloud, view, sums)
-        if progress is not None:
-            progress(number, len(views))
-    normal, color, attention = sums[:, :3], sums[:, 3:6], sums[:, 6]
-    known = (attention > _SEEN) & (normal.norm(dim=1) > _ALIKE * attention)
-    return Observed(
-        normals=F.normalize(normal, dim=1) * known[:, None],
-        colors=color / attention.clamp_min(1e-9)[:, None],
-        attention=attention,
-    )
-
-
-def _look(papr: Papr, cloud: PointCloud, view: View, sums: Tensor) -> None:
-    """Add normal, colour and 1 of every pixel to its points, by the weights of their attention."""
-    largest = max(view.camera.width, view.camera.height)
-    stride = math.ceil(largest / _LARGEST_SIDE)
-    camera = view.camera.resized(view.camera.width // stride, view.camera.height // stride)
-    rgba = _shrunk(view.rgba(), camera.height, camera.width)
-    rays = camera.rays().flat()
-    device = cloud.positions.device
-    parts = [
-        papr.attend(cloud, rays[part].to(device))
-        for part in torch.arange(len(rays.origins)).split(8192)
-    ]
-    shape = camera.height, camera.width
-    alpha = (1 - torch.cat([one.background for one, _ in parts])).reshape(shape).cpu()
-    surface = torch.cat([one.surface for one, _ in parts]).reshape(*shape, 3).cpu()
-    weights = torch.cat([one.weights for one, _ in parts]).reshape(*shape, -1).cpu()
-    points = torch.cat([near for _, near in parts]).reshape(*shape, -1).cpu()
-    picture = Picture(rgb=rgba[..., :3], alpha=alpha, depth=camera.depth(surface), surface=surface)
-    normal = normals(picture, camera)
-    used = ~normal.isnan().any(dim=-1) & (alpha > _SOLID)
-    if view.has_alpha:
-        used &= rgba[..., 3] > _SOLID
-    seen = torch.cat([normal, rgba[..., :3], torch.ones(*shape, 1)], dim=-1)[used]
-    share = weights[used].unsqueeze(-1) * seen.unsqueeze(1)
-    sums.index_add_(0, points[used].flatten(), share.flatten(0, 1))
-
-
-def _shrunk(rgba: Tensor, height: int, width: int) -> Tensor:
-    """Area mean of straight colours (H, W, 4), which only count where they are solid anyway."""
-    if rgba.shape[:2] == (height, width):
-        return rgba
-    return F.interpolate(rgba.permute(2, 0, 1)[None], (height, width), mode="area")[0].permute(
-        1, 2, 0
-    )
+    bright = observed.colors.clamp_min(0).pow(ENCODING).mean(dim=1)
+    seen = observed.attention > 0
+    if bool(seen.all()) or not bool(seen.any()):
+        return bright
+    bright[~seen] = bright[seen][nearest(positions[seen], positions[~seen], 1)[0][:, 0]]
+    return bright
 
 
 def fit_light(
     observed: Observed,
-    reach: Tensor | None = None,
+    positions: Tensor,
+    shadows: Shadows,
     *,
-    materials: int = MATERIALS,
     smooth: float = SMOOTH,
+    alike: float = ALIKE,
+    far: float = FAR,
 ) -> Light:
-    """Estimate the light from normals and colours of points: non-negative least squares.
+    """Estimate the light from how bright points are: robust least squares over pairs of them.
 
-    Brightness b of a point of material m is modelled as a_m E, E the light that falls on it. Given
-    the materials' a_m, the radiance solves a robust least squares problem in relative errors, with
-    a penalty on differences between neighbouring directions; given the light, points are grouped
-    by hue and by what is left of their brightness. A few rounds of both, deterministic.
+    The light on a point is a sum over D directions: of the lamp there, or of the brightness of what
+    hides it, which the photos show. Radiance and distance of the lamps are chosen so that the
+    logarithm of brightness over light differs little between two points of a pair. Distances of
+    the lamps are drawn towards their mean. Deterministic; seconds.
 
     Args:
         observed: what photos say about N points.
-        reach: (N, D) share of the light from `sphere(DIRECTIONS)` that reaches them past the
-            others; None: all of it.
-        materials: how many.
-        smooth: weight of the penalty.
+        positions: (N, 3) of the points, world units.
+        shadows: what the points hide from one another, towards `sphere(DIRECTIONS)`.
+        smooth: weight of differences between neighbouring directions.
+        alike: weight of differences between distances.
+        far: weight of nearness.
 
     Raises:
-        InputError: too few points with a normal, or shares of another shape.
+        InputError: too few points with a normal, or shadows of other points or directions.
     """
-    known = known_normals(observed.normals)
-    count = int(known.sum())
-    if count < _LEAST_KNOWN:
+    known = known_normals(observed.normals).nonzero()[:, 0]
+    if len(known) < _LEAST_KNOWN:
         raise InputError(
             f"light: expected at least {_LEAST_KNOWN} points with a normal that the training views "
-            f"agree on, got {count} of {len(known)}; train longer, or do without (--light baked)"
+            f"agree on, got {len(known)} of {len(observed.normals)}; train longer, or do without "
+            "(--light baked)"
         )
+    expected = len(positions), DIRECTIONS
+    if tuple(shadows.open.shape) != expected:
+        raise InputError(f"light: expected shadows {expected}, got {tuple(shadows.open.shape)}")
+    center = (positions.amin(dim=0) + positions.amax(dim=0)) / 2
+    radius = float((positions - center).norm(dim=1).max())
+    random = np.random.default_rng(0)
+    if len(known) > _MOST_POINTS:
+        chosen = random.choice(len(known), _MOST_POINTS, replace=False)
+        known = known[torch.from_numpy(np.sort(chosen))]
+    sent = _Sent.of(observed, positions, shadows, known, (center, 1 / (_NEAREST * radius)))
+    pairs = _pairs(positions[known], observed.colors[known], random)
+    trust = observed.attention[known].sqrt()
+    radiance, nearness = _descend(sent, pairs, trust / trust.mean(), smooth, alike, far)
+    return Light(
+        directions=sphere(DIRECTIONS),
+        radiance=radiance,
+        nearness=nearness / (_NEAREST * radius),
+        center=center,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Sent:
+    """Light on K points.
+
+    Attributes:
+        lamps: (K, G * D) from lamps of radiance 1 at each of G distances.
+        bounced: (K,) off other points.
+        brightness: (K,) that the photos show.
+        unit: a usual brightness.
+    """
+
+    lamps: Tensor
+    bounced: Tensor
+    brightness: Tensor
+    unit: float
+
+    @staticmethod
+    def of(
+        observed: Observed,
+        positions: Tensor,
+        shadows: Shadows,
+        chosen: Tensor,
+        reach: tuple[Tensor, float],
+    ) -> _Sent:
+        """Compute it for the points of some indices (K,).
+
+        Args:
+            observed: what photos say about all points.
+            positions: (N, 3) all of them.
+            shadows: of all of them.
+            chosen: which count.
+            reach: centre of the light and the largest nearness.
+        """
+        directions, bright = sphere(DIRECTIONS), brightness_of(observed, positions)
+        normals, open_ = observed.normals[chosen], shadows.open[chosen]
+        offsets = positions[chosen] - reach[0]
+        lamps = [
+            open_ * falling_of(offsets, normals, directions, torch.full((DIRECTIONS,), q))
+            for q in (share * reach[1] for share in _DISTANCES)
+        ]
+        mine = Shadows(open=open_, hider=shadows.hider[chosen])
+        share = hidden_share(normals, directions, mine)
+        return _Sent(
+            lamps=torch.cat(lamps, dim=1),
+            bounced=(share * bright[mine.hider]).sum(dim=1),
+            brightness=bright[chosen],
+            unit=max(float(bright[chosen].median()), 1e-4),
+        )
+
+    def paint(self, radiance: Tensor, nearness: Tensor) -> Tensor:
+        """Log of what the points (K,) show by themselves, given the lamps (D,) and (D,)."""
+        light = self.lamps @ (_mixed(nearness) * radiance).flatten() + self.bounced
+        least = _DARKEST * self.unit
+        return (self.brightness + least).log() - (light + least).log()
+
+
+def _mixed(nearness: Tensor) -> Tensor:
+    """Weights (G, D) of the distances for shares (D,) of the largest nearness: linear between."""
+    steps = torch.tensor(_DISTANCES)
+    below = (torch.searchsorted(steps, nearness.detach(), right=True) - 1).clamp(0, len(steps) - 2)
+    part = (nearness - steps[below]) / (steps[below + 1] - steps[below])
+    weights = torch.zeros(len(steps), len(nearness))
+    weights = weights.scatter(0, below[None], (1 - part)[None])
+    return weights.scatter_add(0, below[None] + 1, part[None])
+
+
+def _descend(
+    sent: _Sent, pairs: _Pairs, trust: Tensor, smooth: float, alike: float, far: float
+) -> tuple[Tensor, Tensor]:
+    """Radiance (D,) and nearness (D,), a share of the largest, that explain pairs best."""
     directions = sphere(DIRECTIONS)
-    falling = irradiance_of(observed.normals[known].double(), directions)
-    if reach is not None:
-        if reach.shape != (len(known), DIRECTIONS):
-            raise InputError(
-                f"light: expected shares ({len(known)}, {DIRECTIONS}), got {tuple(reach.shape)}"
-            )
-        falling = falling * reach[known]
-    colors = observed.colors[known].double().clamp_min(0)
-    bright = (colors + _DARKEST).pow(ENCODING).mean(dim=1)
-    hue = 3 * colors / (colors.sum(dim=1, keepdim=True) + 4 * _DARKEST)
-    trust = observed.attention[known].double().sqrt()
-    trust = trust / trust.mean()
-    penalty = smooth * _differences(directions)
-    radiance, groups = torch.ones(DIRECTIONS).double(), _Groups(materials)
-    member = torch.ones(count, 1).double()
-    for _ in range(_ROUNDS):
-        for _ in range(2):
-            light = (falling @ radiance).clamp_min(_LEAST_LIGHT)
-            weights, own = _materials((bright / light).log(), member, trust)
-            radiance = _solve(falling, bright / own.exp(), weights / light.square(), penalty)
-        left = (bright / (falling @ radiance).clamp_min(_LEAST_LIGHT)).log() / ENCODING
-        member = groups(torch.cat([hue, left[:, None]], dim=1))
-    return Light(directions=directions, radiance=radiance.float())
+    beside = (directions @ directions.T).topk(7, dim=1).indices[:, 1:]
+    weights = pairs.weights * trust[pairs.first] * trust[pairs.second]
+    weights = weights / weights.mean()
+    log_radiance = torch.full((DIRECTIONS,), math.log(2 * sent.unit), requires_grad=True)
+    logit = torch.full((DIRECTIONS,), -0.94, requires_grad=True)
+    optimizer = torch.optim.Adam([log_radiance, logit], lr=_RATE)
+    with torch.enable_grad():
+        for _ in range(_STEPS):
+            radiance, nearness = log_radiance.exp(), logit.sigmoid()
+            paint = sent.paint(radiance, nearness) / ENCODING
+            off = (paint[pairs.first] - paint[pairs.second]) / _ROBUST
+            loss = _ROBUST**2 * (weights * ((1 + off.square()).sqrt() - 1)).mean()
+            loss = loss + smooth * (log_radiance[:, None] - log_radiance[beside]).square().mean()
+            share = (radiance / radiance.sum()).detach()
+            mean = (share * nearness).sum()
+            loss = loss + alike * (share * (nearness - mean).square()).sum()
+            loss = loss + far * (share * nearness.square()).sum()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+    return log_radiance.detach().exp(), logit.detach().sigmoid()
 
 
-def sphere(count: int) -> Tensor:
-    """Directions (D, 3) evenly over the sphere: a spiral whose steps turn by the golden angle."""
-    step = torch.arange(count, dtype=torch.float64) + 0.5
-    z = 1 - 2 * step / count
-    turn, flat = math.pi * (1 + math.sqrt(5)) * step, (1 - z * z).sqrt()
-    return torch.stack([flat * turn.cos(), flat * turn.sin(), z], dim=1).float()
+@dataclass(frozen=True, kw_only=True)
+class _Pairs:
+    """Points that may be of one paint: indices (M,), (M,), and how much a pair counts (M,)."""
+
+    first: Tensor
+    second: Tensor
+    weights: Tensor
 
 
-def _differences(directions: Tensor, neighbours: int = 6) -> Tensor:
-    """Quadratic form (D, D) of squared differences between neighbours, their mean."""
-    count = len(directions)
-    near = (directions @ directions.T).topk(neighbours + 1, dim=1).indices[:, 1:]
-    rows = torch.eye(count).double().repeat_interleave(neighbours, dim=0)
-    rows = rows - torch.eye(count).double()[near.flatten()]
-    return rows.T @ rows / len(rows)
+def _pairs(positions: Tensor, colors: Tensor, random: np.random.Generator) -> _Pairs:
+    """Pair every point with some near it and some of like hue; hues that differ count less."""
+    hue = _hues(colors)
+    chosen = [
+        _drawn(positions.double().numpy(), _BESIDE, random),
+        _drawn(hue.numpy(), _LIKE, random),
+    ]
+    second = torch.from_numpy(np.concatenate(chosen, axis=1).ravel())
+    first = torch.arange(len(hue)).repeat_interleave(len(second) // len(hue))
+    apart = (hue[first] - hue[second]).square().sum(dim=1)
+    return _Pairs(first=first, second=second, weights=(-apart / _HUES**2).exp().float())
 
 
-def _materials(left: Tensor, member: Tensor, trust: Tensor) -> tuple[Tensor, Tensor]:
-    """Weights (N,) of robust least squares, and the log brightness (N,) of points' materials."""
-    weights = own = trust
-    for _ in range(3):
-        sums = (member.T @ weights).clamp_min(1e-9)
-        own = member @ ((member.T @ (left * weights)) / sums)
-        off = (left - own).abs()
-        # Huber: what is off by more than 1.5 medians pulls no harder than that.
-        weights = trust / (off / (1.5 * off.median()).clamp_min(1e-9)).clamp_min(1.0)
-    return weights, own
+def _hues(colors: Tensor) -> Tensor:
+    """Hues (N, 2) of stored colours (N, 3): logarithms of linear shares, whatever the light."""
+    linear = colors.double().clamp_min(0).pow(ENCODING) + 0.005
+    shares = (linear / linear.sum(dim=1, keepdim=True)).log()
+    third, root = math.cos(2 * math.pi / 3), math.sin(2 * math.pi / 3)
+    return shares @ torch.tensor([[1.0, 0.0], [third, root], [third, -root]]).double()
 
 
-def _solve(falling: Tensor, target: Tensor, weights: Tensor, penalty: Tensor) -> Tensor:
-    """Radiance (D,), at least 0 and 1 on average, whose light is nearest to the target (N,)."""
-    count, ridge = len(target), 1e-4 / len(penalty)
-    scaled = falling * weights[:, None]
-    matrix = scaled.T @ falling / count + penalty + ridge * torch.eye(len(penalty)).double()
-    pull = (scaled.T @ target / count + ridge).unsqueeze(1)
-    solve: Any = nnls
-    try:
-        root = torch.linalg.cholesky(matrix)
-        right = torch.linalg.solve_triangular(root, pull, upper=False)[:, 0]
-        found = solve(root.T.numpy(), right.numpy())[0]
-    except RuntimeError as error:  # Not positive definite, or no end of iterations.
-        raise InputError(
-            f"light: the equations have no solution ({error}); do without (--light baked)"
-        ) from error
-    radiance = torch.from_numpy(np.asarray(found))
-    return radiance / radiance.mean().clamp_min(1e-9)
-
-
-class _Groups:
-    """k-means whose centres go on from where they were."""
-
-    def __init__(self, count: int) -> None:
-        self._count, self._centers = count, torch.zeros(0)
-
-    def __call__(self, values: Tensor) -> Tensor:
-        """Members (N, G), one-hot, of values (N, C)."""
-        if len(self._centers) == 0:
-            self._centers = self._spread(values)
-        member = torch.zeros(0)
-        for _ in range(5):
-            nearest = torch.cdist(values, self._centers).argmin(dim=1)
-            member = F.one_hot(nearest, len(self._centers)).to(values)
-            sizes = member.sum(dim=0)[:, None]
-            means = member.T @ values / sizes.clamp_min(1)
-            self._centers = torch.where(sizes > 0, means, self._centers)
-        return member
-
-    def _spread(self, values: Tensor) -> Tensor:
-        """Draw values far from one another (k-means++)."""
-        generator = torch.Generator().manual_seed(0)
-        chosen = values[:1]
-        while len(chosen) < self._count:
-            far = torch.cdist(values, chosen).amin(dim=1).square()
-            if float(far.sum()) == 0:
-                break
-            drawn = torch.multinomial(far, 1, generator=generator)
-            chosen = torch.cat([chosen, values[drawn]])
-        return chosen
+def _drawn(values: NDArray[np.float64], among: int, random: np.random.Generator) -> IntArray:
+    """For every row of values (N, C) some of the rows (N, 8) that are nearest to it."""
+    among = min(among, len(values))
+    near = KDTree(values).query(values, k=among)[1]
+    slots = random.integers(1, among, size=(len(values), _PAIRS))
+    return np.take_along_axis(near, slots, axis=1)

@@ -1,0 +1,192 @@
+"""How the light on points changes when an edit moves them.
+
+Photos have the light baked into their colours, and an edit carries it along: a side that is turned
+downwards stays as bright as it was. With an estimate of the light, every deformed point gets the
+factor by which the light on it changes (docs/guide/light.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from pcore.errors import InputError
+from pcore.geometry.light import ENCODING, Light, falling_of, known_normals
+from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.neighbours import nearest
+from pcore.geometry.visibility import cloud_spacing
+from pcore.kernels.shadows import Shadows, shadows_of
+
+LARGEST_GAIN = 2.5
+"""No point becomes brighter or darker by more than this factor: beyond, an estimate is no help."""
+_DARKEST = 1e-3
+_BOUNCES = 3
+"""How often what hides light is lit anew itself."""
+_BESIDE = 8
+"""Points whose changes are averaged. Chosen on objects of our own (ADR 11)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shading:
+    """What it takes to light deformed points anew.
+
+    Attributes:
+        light: that of the photos.
+        normals: (N, 3) unit normals of the canonical points, world axes; zero where none is known.
+        positions: (N, 3) canonical points, world units.
+        brightness: (N,) of the canonical points in the photos, linear, in the units of the light's
+            radiance, at least 0; all float32 on the CPU.
+    """
+
+    light: Light
+    normals: Tensor
+    positions: Tensor
+    brightness: Tensor
+
+    def __post_init__(self) -> None:
+        shapes = [tuple(one.shape) for one in (self.normals, self.positions, self.brightness)]
+        if shapes[0][1:] != (3,) or shapes != [shapes[0], shapes[0], shapes[0][:1]]:
+            raise InputError(
+                "shading: expected normals (N, 3), positions (N, 3) and brightness (N,), got "
+                f"{shapes[0]}, {shapes[1]} and {shapes[2]}"
+            )
+        for one in (self.normals, self.positions, self.brightness):
+            if one.dtype != torch.float32 or one.device.type != "cpu":
+                raise InputError(
+                    f"shading: expected float32 on the CPU, got {one.dtype} on {one.device}"
+                )
+        if not bool((self.brightness >= 0).all()):
+            raise InputError("shading: expected brightness of 0 or more")
+
+    @property
+    def known(self) -> Tensor:
+        """(N,) bool, the points whose normal is known."""
+        return known_normals(self.normals)
+
+    def gains(self, frames: LocalFrames, moved: Tensor, *, world: float = 1.0) -> Tensor:
+        """Factor (N,) on the stored brightness of every deformed point.
+
+        It is the mean, of the logarithm, over a point's neighbours at rest whose normal is known
+        and does not point the other way; 1 where there are none.
+
+        Args:
+            frames: local frames of the deformed points, which say how their normals turn.
+            moved: (N, 3) the deformed points, finite, world units.
+            world: factor by which the lamps are scaled about the origin meanwhile.
+
+        Raises:
+            InputError: frames of other points, points of another number, NaN or infinity.
+        """
+        self._check(frames, moved)
+        to_rest = frames.to_rest.detach().cpu().float()
+        # A normal turns by the transposed inverse of the local map, which the frames hold.
+        turned = F.normalize(torch.einsum("nji,nj->ni", to_rest, self.normals), dim=1)
+        place = moved.detach().cpu().float()
+        light, spacing = self.light.scaled(world), self._spacing * frames.growth
+        there = reaching(light, place, turned, shadows_of(place, turned, light.directions, spacing))
+        gains = torch.ones(len(place))
+        for _ in range(_BOUNCES):
+            falls = there.on(self.brightness * gains.pow(ENCODING))
+            gains = self._around((falls / self._at_rest).log() / ENCODING)
+        return gains.to(moved.device)
+
+    def _check(self, frames: LocalFrames, moved: Tensor) -> None:
+        counts = len(frames.rest), len(moved)
+        if counts != (len(self.normals),) * 2:
+            raise InputError(
+                f"shading: expected frames of its {len(self.normals)} points and where they are, "
+                f"got {counts[0]} and {counts[1]}; estimate the light anew (`pcore light RUN`)"
+            )
+        if not torch.equal(frames.rest.detach().cpu().float(), self.positions):
+            raise InputError(
+                "shading: expected frames from the points that the light was estimated with, got "
+                "others; deform the canonical cloud"
+            )
+        bad = int((~torch.isfinite(moved).all(dim=1)).sum())
+        if bad:
+            raise InputError(
+                f"shading: expected finite points, got NaN or infinity in {bad} of {len(moved)}"
+            )
+
+    def _around(self, change: Tensor) -> Tensor:
+        """Bounded factors (N,): means of changes (N,), logarithms, over neighbours at rest."""
+        beside, counts = self._beside
+        mean = (change[beside] * counts).sum(dim=1) / counts.sum(dim=1).clamp_min(1)
+        return mean.exp().clamp(1 / LARGEST_GAIN, LARGEST_GAIN)
+
+    @cached_property
+    def _at_rest(self) -> Tensor:
+        """Light (N,) on the points at rest."""
+        here, light = (self.positions, self.normals), self.light
+        shadows = shadows_of(*here, light.directions, self._spacing)
+        return reaching(light, *here, shadows).on(self.brightness)
+
+    @cached_property
+    def _beside(self) -> tuple[Tensor, Tensor]:
+        """Indices (N, 8) of the nearest points at rest, a point itself among them, and 1 or 0.
+
+        1 counts: the normal is known and does not point the other way, as that of the other side of
+        a thin sheet would, which is in another light.
+        """
+        beside = nearest(self.positions, self.positions, _BESIDE)[0]
+        alike = torch.einsum("nkc,nc->nk", self.normals[beside], self.normals) >= 0
+        return beside, (self.known[beside] & alike).to(self.normals)
+
+    @cached_property
+    def _spacing(self) -> float:
+        return spacing_of(self.positions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reaching:
+    """The light that reaches N points, one bounce off other points among it.
+
+    Attributes:
+        direct: (N,) from the lamps.
+        share: (N, D) of the brightness of what hides a lamp that falls on a point instead.
+        hider: (N, D) int32, what hides it.
+        least: light that every point has at least, so that ratios stay finite.
+    """
+
+    direct: Tensor
+    share: Tensor
+    hider: Tensor
+    least: float
+
+    def on(self, brightness: Tensor) -> Tensor:
+        """Light (N,) on the points when they are so bright (N,) themselves."""
+        bounced = (self.share * brightness[self.hider]).sum(dim=1)
+        return (self.direct + bounced).clamp_min(self.least)
+
+
+def reaching(light: Light, points: Tensor, normals: Tensor, shadows: Shadows) -> Reaching:
+    """Light on points (N, 3) with normals (N, 3): from where a lamp is hidden shines what hides it.
+
+    Args:
+        light: the lamps.
+        points: world units.
+        normals: unit; zero where none is known: nothing falls on those.
+        shadows: what the points hide from one another.
+    """
+    direct = (light.falling(points, normals) * shadows.open).sum(dim=1)
+    return Reaching(
+        direct=direct,
+        share=hidden_share(normals, light.directions, shadows),
+        hider=shadows.hider,
+        least=_DARKEST * float(light.radiance.mean()),
+    )
+
+
+def hidden_share(normals: Tensor, directions: Tensor, shadows: Shadows) -> Tensor:
+    """How much (N, D) of the light on normals (N, 3) other points of brightness 1 make up."""
+    still = torch.zeros(len(directions))
+    return falling_of(torch.zeros_like(normals), normals, directions, still) * (1 - shadows.open)
+
+
+def spacing_of(points: Tensor) -> float:
+    """How far points (N, 3) lie apart for `shadows_of`, world units; one alone hides nothing."""
+    return cloud_spacing(points) if len(points) > 1 else 0.0

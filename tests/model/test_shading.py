@@ -1,0 +1,283 @@
+"""How points change when an edit turns and moves them in a light that stands still."""
+
+import math
+
+import pytest
+import torch
+
+from pcore.errors import InputError
+from pcore.geometry.light import ENCODING, Light, sphere
+from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.neighbours import nearest
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model import shading as shading_module
+from pcore.model.shading import LARGEST_GAIN, Shading
+
+UP = torch.tensor([[0.0, 0.0, 1.0]])
+
+
+def turn(angle: float) -> torch.Tensor:
+    """About x, z towards -y."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return torch.tensor([[1.0, 0, 0], [0, cos, -sin], [0, sin, cos]])
+
+
+def frames_of(maps: torch.Tensor, rest: torch.Tensor) -> LocalFrames:
+    """Frames of points (N, 3) that were moved by linear maps (N, 3, 3)."""
+    return LocalFrames(rest=rest, to_rest=torch.linalg.inv(maps))
+
+
+@pytest.fixture
+def each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No point hides another, and none has a say in another's brightness."""
+    monkeypatch.setattr(shading_module, "_BESIDE", 1)
+    monkeypatch.setattr(shading_module, "spacing_of", lambda _: 0.0)
+
+
+def gains_of(light: Light, normals: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
+    """Gains of points far from one another, each moved by a linear map of its own."""
+    positions = 100.0 * torch.arange(len(maps))[:, None] * torch.tensor([[1.0, 0.3, 0.1]])
+    return shading_of(light, normals, positions).gains(frames_of(maps, positions), positions)
+
+
+def shading_of(
+    light: Light, normals: torch.Tensor, positions: torch.Tensor, brightness: float = 0.0
+) -> Shading:
+    """Black points, which shine on nothing, unless asked otherwise."""
+    bright = torch.full((len(positions),), brightness)
+    return Shading(light=light, normals=normals, positions=positions, brightness=bright)
+
+
+def far(directions: torch.Tensor, radiance: torch.Tensor) -> Light:
+    still = torch.zeros(len(directions))
+    return Light(directions=directions, radiance=radiance, nearness=still, center=torch.zeros(3))
+
+
+def even(radiance: float = 1.0) -> Light:
+    return far(sphere(400), torch.full((400,), radiance))
+
+
+def lamp(direction: torch.Tensor, share: float = 0.5) -> Light:
+    """All directions the same, and one more as bright as `share` of everything."""
+    directions = torch.cat([sphere(400), direction.reshape(1, 3)])
+    radiance = torch.cat([torch.ones(400), torch.tensor([share * 400])])
+    return far(directions, radiance)
+
+
+@pytest.mark.usefixtures("each_alone")
+def test_gains_are_the_ratio_of_light_as_photos_store_it() -> None:
+    light = lamp(UP[0])
+    maps = torch.stack([torch.eye(3), turn(math.radians(60)), turn(math.radians(-120))])
+    after = light.irradiance(maps @ UP[0])
+    expected = (after / after[0]).pow(1 / ENCODING)
+    torch.testing.assert_close(gains_of(light, UP.expand(3, 3), maps), expected)
+    assert expected[2] < expected[1] < expected[0] == 1
+
+
+@pytest.mark.usefixtures("each_alone")
+def test_a_normal_follows_the_transposed_inverse() -> None:
+    """A plane that faces (1, 0, 1) and is stretched along x faces more along z."""
+    normal = torch.tensor([[1.0, 0.0, 1.0]]) / math.sqrt(2)
+    stretched = torch.tensor([[0.5, 0.0, 1.0]]) / math.sqrt(1.25)
+    light = lamp(UP[0])
+    found = gains_of(light, normal, torch.diag(torch.tensor([2.0, 1.0, 1.0]))[None])
+    expected = light.irradiance(stretched) / light.irradiance(normal)
+    torch.testing.assert_close(found, expected.pow(1 / ENCODING))
+
+
+@pytest.mark.usefixtures("each_alone")
+def test_no_turn_matters_in_the_same_light_from_everywhere() -> None:
+    normals = torch.nn.functional.normalize(torch.randn(20, 3), dim=1)
+    maps = torch.stack([turn(angle) for angle in torch.linspace(0.1, 3, 20).tolist()])
+    found = gains_of(even(), normals, maps)
+    torch.testing.assert_close(found, torch.ones(20), rtol=0, atol=0.02)
+
+
+@pytest.mark.usefixtures("each_alone")
+def test_points_without_a_normal_stay_and_gains_are_bounded() -> None:
+    light = far(UP, torch.ones(1))
+    normals = torch.cat([UP, -UP, torch.zeros(1, 3)])
+    found = gains_of(light, normals, turn(math.pi).expand(3, 3, 3))
+    assert found.tolist() == pytest.approx([1 / LARGEST_GAIN, LARGEST_GAIN, 1.0])
+
+
+def ball(count: int = 2000) -> torch.Tensor:
+    return sphere(count)
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+def test_growth_and_moves_change_no_light(scale: float) -> None:
+    """With shadows and all: a half-open shell shades itself as before."""
+    points = ball()[ball()[:, 2] < 0.5]
+    shading = shading_of(lamp(UP[0]), points, points)
+    frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3) / scale)
+    for shift in (torch.zeros(3), torch.tensor([8.0, -4.0, 2.0])):
+        found = shading.gains(frames, scale * points + shift)
+        # Rounding puts a point into the next cell of a shadow map now and then.
+        assert float((found - 1).abs().max()) < 0.02
+        assert float((found - 1).abs().mean()) < 1e-3
+
+
+def test_neighbours_say_how_points_without_a_normal_change() -> None:
+    """The mean, of the logarithm, over the nearest points at rest whose normal is known."""
+    points = ball(2000)
+    normals = points.clone()
+    normals[::3] = 0
+    shading = shading_of(lamp(UP[0], 3.0), normals, points)
+    assert shading.known.float().mean() < 0.7
+    back = turn(math.pi / 2).T
+    frames = LocalFrames(rest=points, to_rest=back.expand(2000, 3, 3))
+    found = shading.gains(frames, points @ back)
+    known, others = found[shading.known], found[~shading.known]
+    assert float(others.log().std()) > 0.7 * float(known.log().std())
+    beside = nearest(points, points, 2)[0][~shading.known, 1]
+    assert float((others / found[beside]).log().abs().mean()) < 0.1
+    alone = shading_of(lamp(UP[0]), torch.zeros(2000, 3), points)
+    assert torch.equal(alone.gains(frames, points @ back), torch.ones(2000))
+
+
+def test_the_mean_is_that_of_known_normals_on_the_same_side() -> None:
+    """Word for word, on a thin plate of which every third normal is unknown."""
+    steps = torch.arange(-5, 5) * 0.1
+    grid = torch.cartesian_prod(steps, steps)
+    sides = [torch.cat([grid, torch.full((100, 1), height)], dim=1) for height in (0.02, -0.02)]
+    points = torch.cat(sides)
+    normals = torch.cat([UP, -UP]).repeat_interleave(100, dim=0)
+    normals[::3] = 0
+    light = far(torch.cat([UP, -UP]), torch.tensor([3.0, 1.0]))
+    shading = shading_of(light, normals, points)
+    back = turn(math.pi / 3).T
+    found = shading.gains(frames_of(back.T.expand(200, 3, 3), points), points @ back)
+    near = nearest(points, points, 8)[0]
+    falling = light.irradiance(normals @ back) / light.irradiance(normals)
+    # Nothing of a plate shades itself from straight above or below, turned by so little.
+    change = falling.clamp_min(1e-9).log() / ENCODING
+    for point in (0, 1, 57, 144, 199):
+        kept = [
+            i
+            for i in near[point].tolist()
+            if shading.known[i] and float(normals[i] @ normals[point]) >= 0
+        ]
+        expected = float(change[kept].mean().exp())
+        assert float(found[point]) == pytest.approx(expected, abs=0.03), point
+    upper, lower = (found[part][shading.known[part]] for part in (slice(0, 100), slice(100, 200)))
+    assert float(upper.max()) < float(lower.min()) + 1e-3 or float(lower.max()) < float(upper.min())
+
+
+def test_turning_in_the_same_light_from_everywhere_hardly_matters_with_shadows() -> None:
+    """A bowl: what one of its sides hides of the sky another hid before."""
+    points = ball()[ball()[:, 2] < 0.3]
+    inside = -points
+    shading = shading_of(even(), inside, points)
+    back = turn(0.7).T
+    found = shading.gains(frames_of(back.T.expand(len(points), 3, 3), points), points @ back)
+    assert float(found.log().abs().mean()) < 0.01
+    assert float(found.log().abs().max()) < 0.06
+
+
+STEPS = torch.arange(-20, 20) * 0.05 + 0.025
+GRID = torch.cartesian_prod(STEPS, STEPS)
+PLATE = torch.cat([GRID, torch.zeros(len(GRID), 1)], dim=1)
+INSIDE = (GRID.abs() < 0.8).all(dim=1) & (GRID[:, 0].abs() > 0.2)
+
+
+@pytest.mark.parametrize("brightness", [0.2, 0.5])
+def test_what_an_edit_uncovers_becomes_brighter_and_what_it_covers_darker(
+    brightness: float,
+) -> None:
+    """A plate in the light of one lamp above; a lid over one half of it moves to the other.
+
+    Below the lid the plate sees the lid in place of the lamp.
+    """
+    lid = PLATE[GRID[:, 0] < 0] + torch.tensor([0.0, 0.0, 0.8])
+    points = torch.cat([PLATE, lid])
+    shading = shading_of(far(UP, torch.ones(1)), UP.expand(len(points), 3), points, brightness)
+    moved = points.clone()
+    moved[len(PLATE) :, 0] += 1.0
+    frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3))
+    found = shading.gains(frames, moved)
+    left, right = INSIDE & (GRID[:, 0] < 0), INSIDE & (GRID[:, 0] > 0)
+    brighter = (1 / brightness) ** (1 / ENCODING)
+    torch.testing.assert_close(found[: len(PLATE)][left], torch.full((int(left.sum()),), brighter))
+    torch.testing.assert_close(
+        found[: len(PLATE)][right], torch.full((int(right.sum()),), 1 / brighter)
+    )
+    torch.testing.assert_close(found[len(PLATE) :], torch.ones(len(lid)))
+
+
+def test_what_hides_light_is_lit_anew_itself() -> None:
+    """A lid over a plate gets a roof: it becomes darker, and so does what it shines on."""
+    lid = PLATE + torch.tensor([0.0, 0.0, 0.8])
+    roof = PLATE + torch.tensor([5.0, 0.0, 1.6])
+    points = torch.cat([PLATE, lid, roof])
+    shading = shading_of(far(UP, torch.ones(1)), UP.expand(len(points), 3), points, 0.6)
+    moved = points.clone()
+    moved[2 * len(PLATE) :, 0] -= 5.0
+    frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3))
+    found = shading.gains(frames, moved).reshape(3, len(PLATE))[:, INSIDE]
+    darker = 0.6 ** (1 / ENCODING)
+    torch.testing.assert_close(found[0], torch.full_like(found[0], darker))
+    torch.testing.assert_close(found[1], torch.full_like(found[1], darker))
+    torch.testing.assert_close(found[2], torch.ones_like(found[2]))
+
+
+@pytest.mark.usefixtures("each_alone")
+def test_what_comes_nearer_to_a_lamp_becomes_brighter_unless_the_lamp_moves_along() -> None:
+    points = ball(300)
+    light = Light(
+        directions=UP,
+        radiance=torch.ones(1),
+        nearness=torch.tensor([0.2]),
+        center=torch.zeros(3),
+    )
+    shading = shading_of(light, points, points)
+    frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(300, 3, 3) / 2)
+    lit = points[:, 2] > 0.6
+    found = shading.gains(frames, 2 * points)
+    expected = (light.falling(2 * points, points) / light.falling(points, points))[:, 0]
+    torch.testing.assert_close(found[lit], expected[lit].pow(1 / ENCODING))
+    assert float(found.max()) > 1.25
+    torch.testing.assert_close(shading.gains(frames, 2 * points, world=2.0), torch.ones(300))
+
+
+def test_a_shading_is_checked() -> None:
+    one = torch.ones(1)
+    for normals, positions, bright in (
+        (torch.zeros(4), torch.zeros(4), one),
+        (UP, torch.zeros(2, 3), one),
+        (UP, UP, torch.ones(2)),
+    ):
+        with pytest.raises(InputError, match=r"positions \(N, 3\) and brightness \(N,\), got"):
+            Shading(light=even(), normals=normals, positions=positions, brightness=bright)
+    with pytest.raises(InputError, match=r"expected float32 on the CPU, got torch.float64"):
+        Shading(light=even(), normals=UP, positions=UP.double(), brightness=one)
+    for bad in (-one, math.nan * one):
+        with pytest.raises(InputError, match="brightness of 0 or more"):
+            Shading(light=even(), normals=UP, positions=UP, brightness=bad)
+    shading, still = shading_of(even(), UP, UP), torch.eye(3)
+    for frames, moved in (
+        (frames_of(still.expand(2, 3, 3), torch.zeros(2, 3)), torch.zeros(2, 3)),
+        (frames_of(still[None], UP), torch.zeros(2, 3)),
+    ):
+        with pytest.raises(InputError, match=r"of its 1 points.*got \d and 2; .*`pcore light RUN`"):
+            shading.gains(frames, moved)
+    with pytest.raises(
+        InputError, match="the points that the light was estimated with, got others"
+    ):
+        shading.gains(frames_of(still[None], UP + 1), UP)
+    with pytest.raises(InputError, match="finite points, got NaN or infinity in 1 of 1"):
+        shading.gains(frames_of(still[None], UP), UP * math.nan)
+
+
+def test_a_cloud_keeps_its_gains_until_it_moves() -> None:
+    cloud = PointCloud(
+        positions=torch.zeros(2, 3), features=torch.zeros(2, 4), influence=torch.ones(2)
+    )
+    lit = cloud.lit(torch.tensor([2.0, 0.5]))
+    assert cloud.gains is None
+    for same in (lit, lit.detached(), lit.to("cpu")):
+        assert same.gains is not None
+        assert same.gains.tolist() == [2.0, 0.5]
+    assert lit.moved(torch.ones(2, 3)).gains is None, "they belong to where the points were"
+    with pytest.raises(InputError, match=r"gains of its 2 points, got \(3,\)"):
+        cloud.lit(torch.ones(3))
