@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
@@ -111,6 +113,16 @@ def test_what_is_less_deep_than_a_surface_is_thick_is_lit(
         assert (found[points[:1600, :2].abs().amax(dim=1) < 0.4] == share).all()
 
 
+def test_a_thin_sheet_in_slanting_light_does_not_hide_itself() -> None:
+    """Its other side is nearer to the light some way up, and yet behind it."""
+    both = torch.cat([plate(0.0), plate(-0.4 * STEP)])
+    normals = torch.cat([UP.expand(1600, 3), -UP.expand(1600, 3)])
+    for angle in (30.0, 60.0, 80.0):
+        light = torch.tensor([[math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle))]])
+        assert (unshadowed(both, light, STEP, normals)[:1600] == 1).all()
+    assert (unshadowed(both, light, STEP)[:1600] < 1).any(), "without normals it does"
+
+
 def test_light_from_behind_a_surface_is_not_looked_for() -> None:
     normals = UP.expand(1600, 3)
     assert (unshadowed(plate(0.0), -UP, STEP, normals) == 0).all()
@@ -165,6 +177,7 @@ def test_it_is_what_loops_over_all_points_find() -> None:
                 assert found.open[point, look] == 0
                 continue
             above = height - depth * spacing > height[point]
+            above &= (points - points[point]) @ normals[point] >= 0
             closed, hides = 0, torch.zeros(150, dtype=torch.bool)
             for a in (-1, 0, 1):
                 for b in (-1, 0, 1):

@@ -13,7 +13,7 @@ from torch import Tensor
 from pcore.geometry.rays import perpendicular
 from pcore.kernels.numba_bridge import as_float32, use_torch_threads
 
-_CELL = 0.4
+_CELL = 0.5
 """Side of the cells of a shadow map in spacings; a point covers nine of them."""
 _BACK, _UNKNOWN, _FRONT = 1.0, 3.5, 8.0
 """Points of a surface lie in a shell, and do not hide what is less deep below it. In spacings: for
@@ -60,7 +60,7 @@ def shadows_of(points: Tensor, normals: Tensor, directions: Tensor, spacing: flo
 
     Across every direction lies a grid of cells. A point covers its cell and the eight around it; of
     the nine cells around a point those are open in which nothing is nearer to the light by more
-    than the thickness of a surface.
+    than the thickness of a surface, and before the plane of the point's own surface.
 
     Args:
         points: (N, 3) on the CPU, finite, world units.
@@ -86,6 +86,7 @@ def shadows_of(points: Tensor, normals: Tensor, directions: Tensor, spacing: flo
     use_torch_threads()
     _hide(
         as_float32(points - middle),
+        as_float32(normals),
         facing,
         unknown,
         as_float32(torch.stack([right, up, directions], dim=1)),
@@ -100,6 +101,7 @@ def shadows_of(points: Tensor, normals: Tensor, directions: Tensor, spacing: flo
 @numba.njit(cache=True, parallel=True)
 def _hide(
     points: np.ndarray,
+    normals: np.ndarray,
     facing: np.ndarray,
     unknown: np.ndarray,
     axes: np.ndarray,
@@ -114,20 +116,51 @@ def _hide(
         start, order, top = _sorted_by_cell(cells, shade, count)
         for point in range(len(points)):
             if facing[point, look] > 0 or unknown[point]:
-                covered, above = 0, height[point]
-                lowest = lowest_facing = point
+                covered, found = 0, (point, point)
                 for near in range(len(_COVERED)):
                     across, along = near // 5 - _REACH, near % 5 - _REACH
                     cell = cells[point] + across * width + along
-                    if top[cell] > above:
-                        covered |= _COVERED[near]
+                    if top[cell] > height[point]:
                         inside = order[start[cell] : start[cell + 1]]
-                        lowest = _lowest(inside, shade, above, lowest, point)
-                        lowest_facing = _lowest_facing(
-                            inside, shade, above, lowest_facing, point, facing[:, look]
+                        hides, found = _hiders(
+                            point, inside, points, normals, height, shade, facing[:, look], found
                         )
+                        if hides:
+                            covered |= _COVERED[near]
                 share[point, look] = (9 - _bits(covered)) / 9
-                hider[point, look] = lowest if lowest_facing == point else lowest_facing
+                hider[point, look] = found[0] if found[1] == point else found[1]
+
+
+@numba.njit(cache=True)
+def _hiders(
+    point: int,
+    inside: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    height: np.ndarray,
+    shade: np.ndarray,
+    facing: np.ndarray,
+    found: tuple[int, int],
+) -> tuple[bool, tuple[int, int]]:
+    """Whether any of some points hides the light from one.
+
+    Also the lowest of those that do and of those among them that face away from the light, the
+    ones found so far included; the point itself where there is none.
+    """
+    hides, (lowest, down) = False, found
+    here, normal = points[point], normals[point]
+    for other in inside:
+        if shade[other] > height[point]:
+            there = points[other]
+            ahead = normal[0] * (there[0] - here[0])
+            ahead += normal[1] * (there[1] - here[1]) + normal[2] * (there[2] - here[2])
+            if ahead >= 0:
+                hides = True
+                if lowest == point or shade[other] < shade[lowest]:
+                    lowest = other
+                if facing[other] < 0 and (down == point or shade[other] < shade[down]):
+                    down = other
+    return hides, (lowest, down)
 
 
 @numba.njit(cache=True)
@@ -140,32 +173,6 @@ def _thickness(facing: np.ndarray, unknown: np.ndarray, thick: np.ndarray) -> np
         else:
             depth[point] = thick[0] if facing[point] < 0 else thick[2]
     return depth
-
-
-@numba.njit(cache=True)
-def _lowest(inside: np.ndarray, height: np.ndarray, above: np.float32, best: int, none: int) -> int:
-    """Of some points and the best so far the lowest that is higher than `above`."""
-    for other in inside:
-        if height[other] > above and (best == none or height[other] < height[best]):
-            best = other
-    return best
-
-
-@numba.njit(cache=True)
-def _lowest_facing(
-    inside: np.ndarray,
-    height: np.ndarray,
-    above: np.float32,
-    best: int,
-    none: int,
-    facing: np.ndarray,
-) -> int:
-    """Do the same with those whose normals point away from the light, which is where they shine."""
-    for other in inside:
-        lower = best == none or height[other] < height[best]
-        if height[other] > above and lower and facing[other] < 0:
-            best = other
-    return best
 
 
 @numba.njit(cache=True)
