@@ -138,7 +138,15 @@ def test_info_tells_of_the_light(
 ) -> None:
     run, _, _, shading = made
     assert main(["info", str(run)]) == 0
-    assert "brightest on surfaces that face" in " ".join(capsys.readouterr().out.split())
+    said = " ".join(capsys.readouterr().out.split())
+    assert "brightest on surfaces that face" in said
+    assert "lamps are far away" in said
+    size = float((shading.positions.amax(dim=0) - shading.positions.amin(dim=0)).norm())
+    near = replace(shading.light, nearness=torch.full((40,), 1 / (2.5 * size)))
+    save_shading(run / LIGHT_FILE, replace(shading, light=near))
+    assert main(["info", str(run)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "lamps are 2.5 times the object's size away" in said
     save_shading(run / LIGHT_FILE, replace(shading, positions=shading.positions + 1))
     assert main(["info", str(run)]) == 0, "a stale light is no reason to say nothing"
     assert "cannot be used" in " ".join(capsys.readouterr().out.split())
@@ -184,6 +192,20 @@ def test_an_evaluation_shows_pictures_with_the_light_and_without(tmp_path: Path)
     assert psnr["canonical", "aware + light"] == psnr["canonical", "aware"]
     assert psnr["grown", "aware + light"] == pytest.approx(psnr["grown", "aware"], abs=1e-3)
     assert psnr["walk", "aware + light"] != psnr["walk", "aware"], "a shear turns normals"
+    shading = load_shading(run, cloud.positions)
+    near = replace(shading.light, nearness=torch.full((40,), 0.2))
+    save_shading(run / LIGHT_FILE, replace(shading, light=near))
+    words = ["eval", str(run), "--protocol", "standard", "--state", "scale:2", "grown"]
+    assert main([*words, "-o", str(tmp_path / "near")]) == 0
+    with (tmp_path / "near" / "images.csv").open(newline="") as file:
+        near_rows = list(csv.DictReader(file))
+    psnr = {
+        (row["state"], row["method"]): float(row["psnr"])
+        for row in near_rows
+        if row["view"] == "r_0"
+    }
+    assert psnr["scale:2", "aware + light"] == pytest.approx(psnr["scale:2", "aware"], abs=1e-3)
+    assert psnr["grown", "aware + light"] != pytest.approx(psnr["grown", "aware"], abs=1e-3)
     assert main(["eval", str(run), "--light", "baked", "-o", str(tmp_path / "baked")]) == 0
     assert "aware + light" not in (tmp_path / "baked" / "images.csv").read_text()
     shading = load_shading(run, cloud.positions)

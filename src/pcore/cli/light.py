@@ -96,18 +96,23 @@ def try_light(path: Path, scene: Scene, device: str, console: Console) -> None:
 
 
 def description(shading: Shading) -> str:
-    """Say where the most light comes from, how uneven it is, and how many points have a normal."""
+    """Say where the most light comes from and how far, how uneven it is, and who has a normal."""
     import torch
 
     light = shading.light
     # Of all ways a surface can face: the best and the worst lit.
     falling = light.irradiance(light.directions)
     x, y, z = (float(one) for one in light.directions[int(falling.argmax())])
-    ratio = float(falling.max() / falling.min().clamp_min(1e-3))
+    ratio = float(falling.max() / falling.min().clamp_min(1e-3 * falling.max()))
     known = float(shading.known.to(torch.float32).mean())
+    size = float((shading.positions.amax(dim=0) - shading.positions.amin(dim=0)).norm())
+    nearness = size * float((light.radiance * light.nearness).sum() / light.radiance.sum())
+    # Beyond that the light on an object varies by a few percent.
+    distance = f"{1 / nearness:.1f} times the object's size" if nearness > 0.02 else "far"
     return (
         f"brightest on surfaces that face ({x:.2f}, {y:.2f}, {z:.2f}), {ratio:.1f} times the light "
-        f"of the darkest; {100 * known:.0f} % of the points have a normal"
+        f"of the darkest; lamps are {distance} away; "
+        f"{100 * known:.0f} % of the points have a normal"
     )
 
 
