@@ -105,7 +105,8 @@ def description(shading: Shading) -> str:
     x, y, z = (float(one) for one in light.directions[int(falling.argmax())])
     ratio = float(falling.max() / falling.min().clamp_min(1e-3 * falling.max()))
     known = float(shading.known.to(torch.float32).mean())
-    size = float((shading.positions.amax(dim=0) - shading.positions.amin(dim=0)).norm())
+    shown = shading.positions[shading.known]
+    size = float((shown.amax(dim=0) - shown.amin(dim=0)).norm()) if len(shown) else 0.0
     nearness = size * float((light.radiance * light.nearness).sum() / light.radiance.sum())
     # Beyond that the light on an object varies by a few percent.
     distance = f"{1 / nearness:.1f} times the object's size" if nearness > 0.02 else "far"

@@ -16,6 +16,7 @@ from pcore.errors import InputError
 
 ENCODING = 2.2
 """Exponent between the brightness that a photo stores and light; that of sRGB, nearly."""
+_UNIT = 1e-3
 _CLOSEST = 0.2
 """No point gets nearer to a lamp than this share of the lamp's distance from the centre."""
 
@@ -37,8 +38,9 @@ class Light:
     center: Tensor
 
     def __post_init__(self) -> None:
-        shapes = [tuple(one.shape) for one in (self.directions, self.radiance, self.nearness)]
-        count = shapes[0][0]
+        parts = (self.directions, self.radiance, self.nearness)
+        shapes = [tuple(one.shape) for one in parts]
+        count = len(self.radiance) if self.radiance.ndim == 1 else 0
         if count == 0 or shapes != [(count, 3), (count,), (count,)]:
             raise InputError(
                 "light: expected directions (D, 3), radiance (D,) and nearness (D,), got "
@@ -46,10 +48,22 @@ class Light:
             )
         if tuple(self.center.shape) != (3,):
             raise InputError(f"light: expected center (3,), got {tuple(self.center.shape)}")
-        if not bool((self.radiance >= 0).all()) or float(self.radiance.sum()) <= 0:
-            raise InputError("light: expected radiance of 0 or more, and some of it above 0")
+        dtypes = {one.dtype for one in (*parts, self.center)}
+        if dtypes != {torch.float32}:
+            names = ", ".join(sorted(map(str, dtypes)))
+            raise InputError(f"light: expected float32 throughout, got {names}")
+        self._check_values()
+
+    def _check_values(self) -> None:
+        bright = self.radiance.isfinite() & (self.radiance >= 0)
+        if not bool(bright.all()) or float(self.radiance.sum()) <= 0:
+            raise InputError("light: expected finite radiance of 0 or more, and some of it above 0")
         if not bool(((self.nearness >= 0) & self.nearness.isfinite()).all()):
             raise InputError("light: expected nearness of 0 (far away) or more, and finite")
+        if not bool(((self.directions.norm(dim=1) - 1).abs() < _UNIT).all()):
+            raise InputError("light: expected directions of unit length")
+        if not bool(self.center.isfinite().all()):
+            raise InputError("light: expected a finite center")
 
     def falling(self, points: Tensor, normals: Tensor) -> Tensor:
         """Light (N, D) that each lamp sends to surfaces; the sum is 1 where all radiance is 1.
@@ -58,13 +72,13 @@ class Light:
             points: (N, 3) world units.
             normals: (N, 3) unit.
         """
-        return self.radiance.to(normals) * falling_of(
-            points - self.center.to(points), normals, self.directions, self.nearness
-        )
+        offsets = points.to(normals) - self.center.to(normals)
+        falling = falling_of(offsets, normals, self.directions, self.nearness)
+        return self.radiance.to(normals) * falling
 
     def irradiance(self, normals: Tensor) -> Tensor:
         """Light (N,) that falls on surfaces at the centre with normals (N, 3)."""
-        return self.falling(self.center.expand(len(normals), 3), normals).sum(dim=1)
+        return self.falling(self.center.to(normals).expand_as(normals), normals).sum(dim=1)
 
     def scaled(self, factor: float) -> Light:
         """Return the light of a world that is scaled about its origin, lamps and all."""

@@ -10,6 +10,7 @@ import torch
 from numba import prange
 from torch import Tensor
 
+from pcore.geometry.light import known_normals
 from pcore.geometry.rays import perpendicular
 from pcore.kernels.numba_bridge import as_float32, use_torch_threads
 
@@ -72,7 +73,7 @@ def shadows_of(points: Tensor, normals: Tensor, directions: Tensor, spacing: flo
     count, looks = len(points), len(directions)
     hider = torch.arange(count, dtype=torch.int32)[:, None].repeat(1, looks)
     facing = as_float32(normals @ directions.to(normals).T)
-    unknown = (normals.square().sum(dim=1) == 0).numpy()
+    unknown = (~known_normals(normals)).numpy()
     side = float((points.amax(dim=0) - points.amin(dim=0)).norm()) if count else 0.0
     if side == 0 or spacing <= 0:
         seen = torch.from_numpy((facing > 0) | unknown[:, None])
@@ -156,9 +157,9 @@ def _hiders(
             ahead += normal[1] * (there[1] - here[1]) + normal[2] * (there[2] - here[2])
             if ahead >= 0:
                 hides = True
-                if lowest == point or shade[other] < shade[lowest]:
+                if lowest == point or height[other] < height[lowest]:
                     lowest = other
-                if facing[other] < 0 and (down == point or shade[other] < shade[down]):
+                if facing[other] < 0 and (down == point or height[other] < height[down]):
                     down = other
     return hides, (lowest, down)
 

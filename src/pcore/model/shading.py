@@ -7,6 +7,7 @@ factor by which the light on it changes (docs/guide/light.md).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +24,7 @@ from pcore.kernels.shadows import Shadows, shadows_of
 
 LARGEST_GAIN = 2.5
 """No point becomes brighter or darker by more than this factor: beyond, an estimate is no help."""
+_UNIT = 1e-3
 _DARKEST = 1e-3
 _BOUNCES = 3
 """How often what hides light is lit anew itself."""
@@ -59,8 +61,11 @@ class Shading:
                 raise InputError(
                     f"shading: expected float32 on the CPU, got {one.dtype} on {one.device}"
                 )
-        if not bool((self.brightness >= 0).all()):
-            raise InputError("shading: expected brightness of 0 or more")
+        if not bool(((self.brightness >= 0) & self.brightness.isfinite()).all()):
+            raise InputError("shading: expected finite brightness of 0 or more")
+        length = self.normals.norm(dim=1)
+        if not bool(((length == 0) | ((length - 1).abs() < _UNIT)).all()):
+            raise InputError("shading: expected normals of unit length, or zero where not known")
 
     @property
     def known(self) -> Tensor:
@@ -79,8 +84,11 @@ class Shading:
             world: factor by which the lamps are scaled about the origin meanwhile.
 
         Raises:
-            InputError: frames of other points, points of another number, NaN or infinity.
+            InputError: frames of other points, points of another number, NaN or infinity, a factor
+                that is not above 0.
         """
+        if not (math.isfinite(world) and world > 0):
+            raise InputError(f"shading: expected a world factor above 0, got {world}")
         self._check(frames, moved)
         to_rest = frames.to_rest.detach().cpu().float()
         # A normal turns by the transposed inverse of the local map, which the frames hold.

@@ -45,7 +45,8 @@ _BESIDE, _LIKE, _PAIRS = 64, 600, 8
 """Every point is compared with 8 of the 64 nearest ones and 8 of the 600 of the likest hue."""
 _HUES = 0.12
 _ROBUST = 0.1
-"""Stored brightness, as a ratio, beyond which a difference is more likely one of paint."""
+"""Stored brightness, as a ratio, beyond which a difference is more likely one of paint: such pairs
+pull less the more they differ (Cauchy)."""
 _STEPS, _RATE = 300, 0.04
 _MOST_POINTS = 6000
 _LEAST_KNOWN = 50
@@ -132,8 +133,10 @@ def fit_light(
     expected = len(positions), DIRECTIONS
     if tuple(shadows.open.shape) != expected:
         raise InputError(f"light: expected shadows {expected}, got {tuple(shadows.open.shape)}")
-    center = (positions.amin(dim=0) + positions.amax(dim=0)) / 2
-    radius = float((positions - center).norm(dim=1).max())
+    # Points without a normal may be strays that no photo shows.
+    shown = positions[known]
+    center = (shown.amin(dim=0) + shown.amax(dim=0)) / 2
+    radius = float((shown - center).norm(dim=1).max())
     random = np.random.default_rng(0)
     if len(known) > _MOST_POINTS:
         chosen = random.choice(len(known), _MOST_POINTS, replace=False)
@@ -232,7 +235,7 @@ def _descend(
             radiance, nearness = log_radiance.exp(), logit.sigmoid()
             paint = sent.paint(radiance, nearness) / ENCODING
             off = (paint[pairs.first] - paint[pairs.second]) / _ROBUST
-            loss = _ROBUST**2 * (weights * ((1 + off.square()).sqrt() - 1)).mean()
+            loss = 0.5 * _ROBUST**2 * (weights * (1 + off.square()).log()).mean()
             loss = loss + smooth * (log_radiance[:, None] - log_radiance[beside]).square().mean()
             share = (radiance / radiance.sum()).detach()
             mean = (share * nearness).sum()
