@@ -67,6 +67,22 @@ def test_a_near_lamp_follows_cosines_and_the_square_of_the_distance(distance: fl
         torch.testing.assert_close(found, expected)
 
 
+def test_irradiance_is_that_at_the_centre() -> None:
+    center, normals = torch.tensor([1.0, 2.0, 3.0]), torch.cat([UP, tilted(40)])
+    light = Light(
+        directions=sphere(50),
+        radiance=torch.rand(50),
+        nearness=torch.rand(50) / 3,
+        center=center,
+    )
+    expected = light.falling(center.expand(2, 3), normals).sum(dim=1)
+    torch.testing.assert_close(light.irradiance(normals), expected)
+    torch.testing.assert_close(light.irradiance(normals.double()), expected.double())
+    torch.testing.assert_close(
+        light.falling(center.double().expand(2, 3), normals).sum(dim=1), expected
+    )
+
+
 def test_a_lamp_that_goes_away_becomes_a_far_one() -> None:
     normals, places = torch.cat([UP, tilted(50)]), torch.tensor([[0.5, 0.2, 0.4], [0.0, -1.0, 0.3]])
     light = Light(
@@ -108,11 +124,20 @@ def test_a_light_is_checked() -> None:
     for radiance, nearness in ((torch.ones(2), one), (one, torch.ones(2))):
         with pytest.raises(InputError, match=r"radiance \(D,\) and nearness \(D,\), got \(1, 3\)"):
             Light(directions=UP, radiance=radiance, nearness=nearness, center=center)
-    for radiance in (torch.tensor([-1.0]), torch.tensor([0.0]), torch.tensor([math.nan])):
+    for radiance in (-one, 0 * one, math.nan * one, math.inf * one):
         with pytest.raises(InputError, match="radiance of 0 or more, and some of it above 0"):
             Light(directions=UP, radiance=radiance, nearness=one, center=center)
     for nearness in (-one, math.nan * one, math.inf * one):
         with pytest.raises(InputError, match=r"nearness of 0 \(far away\) or more, and finite"):
             Light(directions=UP, radiance=one, nearness=nearness, center=center)
+    for directions in (2 * UP, math.nan * UP, torch.zeros(1, 3)):
+        with pytest.raises(InputError, match="directions of unit length"):
+            Light(directions=directions, radiance=one, nearness=one, center=center)
+    with pytest.raises(InputError, match=r"got \(\), \(1,\) and \(1,\)"):
+        Light(directions=torch.tensor(1.0), radiance=one, nearness=one, center=center)
+    with pytest.raises(InputError, match=r"float32 throughout, got torch.float32, torch.int64"):
+        Light(directions=UP, radiance=one.long(), nearness=one, center=center)
+    with pytest.raises(InputError, match="a finite center"):
+        Light(directions=UP, radiance=one, nearness=one, center=math.nan * center)
     with pytest.raises(InputError, match=r"center \(3,\), got \(2,\)"):
         Light(directions=UP, radiance=one, nearness=one, center=torch.zeros(2))

@@ -146,8 +146,9 @@ def test_the_lowest_point_that_faces_down_is_what_hides() -> None:
     outside = points[:1600, :2].abs().amax(dim=1) > 0.7
     itself = torch.arange(1600)[outside]
     assert torch.equal(found.hider[:1600, 0][outside].long(), itself)
-    # Nothing faces down: the lowest of all.
+    # Nothing faces down: the lowest of all, also where less of it would have been hidden below it.
     normals[1600:] = UP
+    normals[2000:] = 0
     hiders = shadows_of(points, normals, UP, STEP).hider[:1600, 0][middle].long()
     assert (points[hiders, 2] == heights[0]).all()
 
@@ -172,7 +173,7 @@ def test_it_is_what_loops_over_all_points_find() -> None:
         depth = torch.full((150,), shadows._FRONT)
         depth[facing < 0] = shadows._BACK
         depth[::5] = shadows._UNKNOWN
-        for point in range(0, 150, 7):
+        for point in range(150):
             if facing[point] <= 0 and point % 5 != 0:
                 assert found.open[point, look] == 0
                 continue
@@ -189,7 +190,7 @@ def test_it_is_what_loops_over_all_points_find() -> None:
             if closed:
                 down = hides & (facing < 0)
                 chosen = down if bool(down.any()) else hides
-                lowest = (height - depth * spacing).masked_fill(~chosen, torch.inf).argmin()
+                lowest = height.masked_fill(~chosen, torch.inf).argmin()
                 assert int(found.hider[point, look]) == int(lowest)
             else:
                 assert int(found.hider[point, look]) == point

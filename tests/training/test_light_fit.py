@@ -153,6 +153,33 @@ def test_points_without_a_normal_are_not_compared() -> None:
     torch.testing.assert_close(shape_of(found), shape_of(expected), rtol=0, atol=0.02)
 
 
+def test_a_stray_point_moves_no_lamp() -> None:
+    """Points that no photo shows have no normal; the others say where the object is."""
+    observed, points = ball(studio(1.0, 0.2), count=1500)
+    expected = found_from(observed, points)
+    with_stray = torch.cat([points, torch.tensor([[20.0, 0.0, 0.0]])])
+    seen = Observed(
+        normals=torch.cat([observed.normals, torch.zeros(1, 3)]),
+        colors=torch.cat([observed.colors, torch.ones(1, 3)]),
+        attention=torch.cat([observed.attention, torch.zeros(1)]),
+    )
+    found = found_from(seen, with_stray)
+    for name in ("radiance", "nearness", "center"):
+        torch.testing.assert_close(getattr(found, name), getattr(expected, name))
+
+
+def test_points_that_hardly_any_pixel_showed_hardly_count() -> None:
+    """Half of the points, at random, have colours of their own and next to no attention."""
+    light = studio(1.0)
+    observed, points = ball(light, noise=0.0)
+    odd = torch.arange(len(points)) % 2 == 1
+    colors = observed.colors.clone()
+    colors[odd] = (0.3 + 0.2 * points[odd, :1]).expand(-1, 3)
+    seen = replace(observed, colors=colors, attention=torch.where(odd, 1e-4, 1.0))
+    assert off(found_from(seen, points), light) < 0.1
+    assert off(found_from(replace(seen, attention=torch.ones(len(points))), points), light) > 0.2
+
+
 def test_many_points_are_as_good_as_some(monkeypatch: pytest.MonkeyPatch) -> None:
     observed, points = ball(studio())
     expected = shape_of(found_from(observed, points))
