@@ -1,4 +1,4 @@
-"""Objects of our own with true pictures of deformed states, rendered by Blender in two lights.
+"""Objects of our own with true pictures of deformed states, rendered by Blender in three lights.
 
     BLENDER benchmarks/lit_scenes.py mesh OUT                        # the monkey's mesh
     python  benchmarks/lit_scenes.py pose OUT --cameras SCENE        # states, cameras, colours
