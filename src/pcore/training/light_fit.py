@@ -123,6 +123,29 @@ def fit_light(
     Raises:
         InputError: too few points with a normal, or shadows of other points or directions.
     """
+    known = _known(observed, shadows)
+    # Points without a normal may be strays that no photo shows.
+    shown = positions[known]
+    center = (shown.amin(dim=0) + shown.amax(dim=0)) / 2
+    largest = 1 / (_NEAREST * float((shown - center).norm(dim=1).max()))
+    random = np.random.default_rng(0)
+    if len(known) > _MOST_POINTS:
+        chosen = random.choice(len(known), _MOST_POINTS, replace=False)
+        known = known[torch.from_numpy(np.sort(chosen))]
+    sent = _Sent.of(observed, positions, shadows, known, (center, largest))
+    pairs = _pairs(positions[known], observed.colors[known], random)
+    trust = observed.attention[known].sqrt()
+    radiance, nearness = _descend(sent, pairs, trust / trust.mean(), smooth, alike, far)
+    return Light(
+        directions=sphere(DIRECTIONS),
+        radiance=radiance,
+        nearness=nearness * largest,
+        center=center,
+    )
+
+
+def _known(observed: Observed, shadows: Shadows) -> Tensor:
+    """Indices (K,) of the points whose normal is known; InputError when there are too few."""
     known = known_normals(observed.normals).nonzero()[:, 0]
     if len(known) < _LEAST_KNOWN:
         raise InputError(
@@ -130,27 +153,10 @@ def fit_light(
             f"agree on, got {len(known)} of {len(observed.normals)}; train longer, or do without "
             "(--light baked)"
         )
-    expected = len(positions), DIRECTIONS
+    expected = len(observed.normals), DIRECTIONS
     if tuple(shadows.open.shape) != expected:
         raise InputError(f"light: expected shadows {expected}, got {tuple(shadows.open.shape)}")
-    # Points without a normal may be strays that no photo shows.
-    shown = positions[known]
-    center = (shown.amin(dim=0) + shown.amax(dim=0)) / 2
-    radius = float((shown - center).norm(dim=1).max())
-    random = np.random.default_rng(0)
-    if len(known) > _MOST_POINTS:
-        chosen = random.choice(len(known), _MOST_POINTS, replace=False)
-        known = known[torch.from_numpy(np.sort(chosen))]
-    sent = _Sent.of(observed, positions, shadows, known, (center, 1 / (_NEAREST * radius)))
-    pairs = _pairs(positions[known], observed.colors[known], random)
-    trust = observed.attention[known].sqrt()
-    radiance, nearness = _descend(sent, pairs, trust / trust.mean(), smooth, alike, far)
-    return Light(
-        directions=sphere(DIRECTIONS),
-        radiance=radiance,
-        nearness=nearness / (_NEAREST * radius),
-        center=center,
-    )
+    return known
 
 
 @dataclass(frozen=True, kw_only=True)
