@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from baked_light import face_frames
+from reprojected_truth import look_up
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -27,11 +28,8 @@ from pcore.data.sample_render import MeshCaster, sample_surface
 from pcore.data.scene import View
 from pcore.evaluation.ground_truth import mesh_depth
 from pcore.evaluation.states import CANONICAL, open_states
-from pcore.geometry.light import sphere
 from pcore.geometry.local_frames import LocalFrames
-from pcore.kernels.shadows import shadows_of
-from pcore.model.shading import Shading, spacing_of
-from pcore.training.light_fit import DIRECTIONS, brightness_of, fit_light
+from pcore.training.light_fit import shading_from
 from pcore.training.light_photos import Observed
 
 _FACING = 0.3
@@ -67,10 +65,9 @@ def table(root: Path, factor: int, count: int) -> None:
     colors, seen = colours(points, normals, photos, truth.canonical, faces)
     kept = (seen >= 2).nonzero()[:count, 0]
     spots, points, normals = spots.some(kept), points[kept], normals[kept]
-    shading = fitted(points, normals, colors[kept], seen[kept])
-    light = shading.light
-    share = light.radiance / light.radiance.sum()
-    nearness = float((share * light.nearness).sum())
+    observed = Observed(normals=normals, colors=colors[kept], attention=seen[kept])
+    shading = shading_from(observed, points)
+    nearness = shading.light.mean_nearness
     print(
         f"| {root.name}, lamps at 1 / {nearness:.3f} | baked in | standing still |\n|---|---|---|"
     )
@@ -139,36 +136,13 @@ def colours(
     """Mean colours (N, 3) of spots over the views that see them well, and how many do (N,)."""
     sums, counts = torch.zeros(len(points), 3), torch.zeros(len(points))
     for view in views:
-        camera, photo = view.camera, view.rgba()
-        depth = mesh_depth(vertices, faces, camera)
-        local = (points - camera.center) @ camera.world_from_camera[:3, :3]
-        z = -local[:, 2]
-        x = local[:, 0] / z * camera.fx + camera.cx - 0.5
-        y = -local[:, 1] / z * camera.fy + camera.cy - 0.5
-        column = x.round().long().clamp(0, camera.width - 1)
-        row = y.round().long().clamp(0, camera.height - 1)
-        towards = F.normalize(camera.center - points, dim=1)
+        found = look_up(points, view.camera, view.rgba(), mesh_depth(vertices, faces, view.camera))
+        towards = F.normalize(view.camera.center - points, dim=1)
         good = (towards * normals).sum(dim=1) > _FACING
-        good &= (z - depth[row, column]).abs() < _TOLERANCE
-        good &= photo[row, column, 3] > _SOLID
-        grid = torch.stack([(2 * x + 1) / camera.width, (2 * y + 1) / camera.height], dim=1) - 1
-        image = photo[..., :3].permute(2, 0, 1)[None]
-        found = F.grid_sample(image, grid[None, None], align_corners=False)[0, :, 0].T
-        sums[good] += found[good]
+        good &= (found.behind.abs() < _TOLERANCE) & (found.alpha > _SOLID)
+        sums[good] += found.colours[good]
         counts[good] += 1
     return sums / counts.clamp_min(1)[:, None], counts
-
-
-def fitted(points: Tensor, normals: Tensor, colors: Tensor, seen: Tensor) -> Shading:
-    """Estimate the light from spots as `pcore light` does from points."""
-    observed = Observed(normals=normals, colors=colors, attention=seen)
-    shadows = shadows_of(points, normals, sphere(DIRECTIONS), spacing_of(points))
-    return Shading(
-        light=fit_light(observed, points, shadows),
-        normals=normals,
-        positions=points,
-        brightness=brightness_of(observed, points),
-    )
 
 
 if __name__ == "__main__":

@@ -107,14 +107,9 @@ def make_suzanne(out: Path, mesh: Path, cameras: Path) -> None:
 
 def make_figure(out: Path, cameras: Path) -> None:
     """A figure of rounded limbs: seven paints, three formulas and two poses."""
-    vertices, faces = _limbs()
-    scale, center = _size(vertices)
-    color = _clothes(vertices)
-    poses = {
-        name: (pose(vertices) - center) * scale
-        for name, pose in (("cheerful", _cheerful), ("stroll", _stroll))
-    }
-    vertices = (vertices - center) * scale
+    limbs, faces = _limbs()
+    color = _clothes(limbs)
+    vertices, poses = _posed(limbs, cheerful=_cheerful, stroll=_stroll)
     records = {
         "twist80z": _record("TWIST", "Z", 1.4, vertices),
         "bend50x": _record("BEND", "X", 0.87, vertices),
@@ -125,26 +120,28 @@ def make_figure(out: Path, cameras: Path) -> None:
 
 def make_speckled(out: Path, cameras: Path) -> None:
     """The figure in other poses, its paint speckled at three sizes: two formulas, two poses."""
-    vertices, faces = _limbs()
-    scale, center = _size(vertices)
+    limbs, faces = _limbs()
     random = np.random.default_rng(1)
-    speckles = np.zeros(len(vertices))
+    speckles = np.zeros(len(limbs))
     for size in (9.0, 20.0, 45.0):
         waves = random.normal(size=(24, 3)) * size
         phases = random.uniform(0, 2 * np.pi, 24)
-        speckles += np.cos(vertices @ waves.T + phases).mean(axis=1) * np.sqrt(2 * 24)
-    color = np.clip(_clothes(vertices) * np.exp(0.2 * speckles)[:, None], 0.02, 0.95)
-    poses = {
-        name: (pose(vertices) - center) * scale
-        for name, pose in (("crouch", _crouch), ("salute", _salute))
-    }
-    vertices = (vertices - center) * scale
+        speckles += np.cos(limbs @ waves.T + phases).mean(axis=1) * np.sqrt(2 * 24)
+    color = np.clip(_clothes(limbs) * np.exp(0.2 * speckles)[:, None], 0.02, 0.95)
+    vertices, poses = _posed(limbs, crouch=_crouch, salute=_salute)
     records = {
         "twist60x": _record("TWIST", "X", 1.05, vertices),
         "bend45y": _record("BEND", "Y", 0.8, vertices),
         "grow16": {"type": "scale", "factor": 1.6},
     }
     _write(out, cameras, vertices, faces, color, records, poses)
+
+
+def _posed(limbs: Array, **poses: Callable[[Array], Array]) -> tuple[Array, dict[str, Array]]:
+    """The figure at rest and in poses, sized as it is at rest."""
+    scale, center = _size(limbs)
+    moved = {name: (pose(limbs) - center) * scale for name, pose in poses.items()}
+    return (limbs - center) * scale, moved
 
 
 def _clothes(vertices: Array) -> Array:

@@ -35,6 +35,31 @@ class TruthView:
     unseen: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class LookedUp:
+    """What a photo shows where points lie: colours (M, 3), opacity and distance behind it (M,)."""
+
+    colours: Tensor
+    alpha: Tensor
+    behind: Tensor
+
+
+def look_up(points: Tensor, camera: Camera, photo: Tensor, depth: Tensor) -> LookedUp:
+    """Look points (M, 3) up in a photo (H, W, 4) whose true depth (H, W) is known."""
+    local = (points - camera.center) @ camera.world_from_camera[:3, :3]
+    z = -local[:, 2]
+    x = local[:, 0] / z * camera.fx + camera.cx - 0.5
+    y = -local[:, 1] / z * camera.fy + camera.cy - 0.5
+    column = x.round().long().clamp(0, camera.width - 1)
+    row = y.round().long().clamp(0, camera.height - 1)
+    grid = torch.stack([(2 * x + 1) / camera.width - 1, (2 * y + 1) / camera.height - 1], dim=-1)
+    image = photo[..., :3].permute(2, 0, 1)[None]
+    found = torch.nn.functional.grid_sample(image, grid[None, None], align_corners=False)
+    return LookedUp(
+        colours=found[0, :, 0].T, alpha=photo[row, column, 3], behind=z - depth[row, column]
+    )
+
+
 class PhotoSurface:
     """The canonical surface with the training photos projected on it."""
 
@@ -55,24 +80,12 @@ class PhotoSurface:
         best = torch.full((len(points),), -2.0)
         colours = torch.zeros(len(points), 3)
         for view, depth, photo in zip(self.views, self.depths, self.photos, strict=True):
-            camera = view.camera
-            local = (points - camera.center) @ camera.world_from_camera[:3, :3]
-            z = -local[:, 2]
-            x = local[:, 0] / z * camera.fx + camera.cx - 0.5
-            y = -local[:, 1] / z * camera.fy + camera.cy - 0.5
-            direction = torch.nn.functional.normalize(points - camera.center, dim=-1)
+            direction = torch.nn.functional.normalize(points - view.camera.center, dim=-1)
             likeness = (direction * incoming).sum(dim=-1)
-            column = x.round().long().clamp(0, camera.width - 1)
-            row = y.round().long().clamp(0, camera.height - 1)
-            seen = (z - depth[row, column]).abs() < _DEPTH_TOLERANCE
-            seen &= (photo[row, column, 3] > 0.95) & (likeness > best)
-            grid = torch.stack(
-                [(2 * x + 1) / camera.width - 1, (2 * y + 1) / camera.height - 1], dim=-1
-            )
-            sampled = torch.nn.functional.grid_sample(
-                photo[..., :3].permute(2, 0, 1)[None], grid[None, None], align_corners=False
-            )[0, :, 0].T
-            colours[seen] = sampled[seen]
+            found = look_up(points, view.camera, photo, depth)
+            seen = (found.behind.abs() < _DEPTH_TOLERANCE) & (found.alpha > 0.95)
+            seen &= likeness > best
+            colours[seen] = found.colours[seen]
             best[seen] = likeness[seen]
         return colours, best > -2
 

@@ -107,7 +107,7 @@ def description(shading: Shading) -> str:
     known = float(shading.known.to(torch.float32).mean())
     shown = shading.positions[shading.known]
     size = float((shown.amax(dim=0) - shown.amin(dim=0)).norm()) if len(shown) else 0.0
-    nearness = size * float((light.radiance * light.nearness).sum() / light.radiance.sum())
+    nearness = size * light.mean_nearness
     # Beyond that the light on an object varies by a few percent.
     distance = f"{1 / nearness:.1f} times the object's size" if nearness > 0.02 else "far"
     return (

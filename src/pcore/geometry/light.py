@@ -60,7 +60,7 @@ class Light:
             raise InputError("light: expected finite radiance of 0 or more, and some of it above 0")
         if not bool(((self.nearness >= 0) & self.nearness.isfinite()).all()):
             raise InputError("light: expected nearness of 0 (far away) or more, and finite")
-        if not bool(((self.directions.norm(dim=1) - 1).abs() < _UNIT).all()):
+        if not bool(of_unit_length(self.directions).all()):
             raise InputError("light: expected directions of unit length")
         if not bool(self.center.isfinite().all()):
             raise InputError("light: expected a finite center")
@@ -79,6 +79,11 @@ class Light:
     def irradiance(self, normals: Tensor) -> Tensor:
         """Light (N,) that falls on surfaces at the centre with normals (N, 3)."""
         return self.falling(self.center.to(normals).expand_as(normals), normals).sum(dim=1)
+
+    @property
+    def mean_nearness(self) -> float:
+        """Mean of the nearness by radiance, 1 / world unit."""
+        return float((self.radiance * self.nearness).sum() / self.radiance.sum())
 
     def scaled(self, factor: float) -> Light:
         """Return the light of a world that is scaled about its origin, lamps and all."""
@@ -112,6 +117,11 @@ def sphere(count: int) -> Tensor:
     z = 1 - 2 * step / count
     turn, flat = math.pi * (1 + math.sqrt(5)) * step, (1 - z * z).sqrt()
     return torch.stack([flat * turn.cos(), flat * turn.sin(), z], dim=1).float()
+
+
+def of_unit_length(vectors: Tensor) -> Tensor:
+    """(N,) bool, which vectors (N, 3) have a length of 1, nearly."""
+    return (vectors.norm(dim=1) - 1).abs() < _UNIT
 
 
 def known_normals(normals: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.errors import InputError
-from pcore.geometry.light import ENCODING, Light, falling_of, known_normals
+from pcore.geometry.light import ENCODING, Light, falling_of, known_normals, of_unit_length
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.visibility import cloud_spacing
@@ -24,7 +24,6 @@ from pcore.kernels.shadows import Shadows, shadows_of
 
 LARGEST_GAIN = 2.5
 """No point becomes brighter or darker by more than this factor: beyond, an estimate is no help."""
-_UNIT = 1e-3
 _DARKEST = 1e-3
 _BOUNCES = 3
 """How often what hides light is lit anew itself."""
@@ -63,8 +62,8 @@ class Shading:
                 )
         if not bool(((self.brightness >= 0) & self.brightness.isfinite()).all()):
             raise InputError("shading: expected finite brightness of 0 or more")
-        length = self.normals.norm(dim=1)
-        if not bool(((length == 0) | ((length - 1).abs() < _UNIT)).all()):
+        unknown = (self.normals == 0).all(dim=1)
+        if not bool((unknown | of_unit_length(self.normals)).all()):
             raise InputError("shading: expected normals of unit length, or zero where not known")
 
     @property

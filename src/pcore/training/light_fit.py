@@ -70,9 +70,16 @@ def fit_shading(
         InputError: too few points have a normal that views agree on.
     """
     observed = observe(papr, cloud, views, progress=progress)
-    positions = cloud.positions.detach().cpu().float()
-    spacing = spacing_of(positions)
-    shadows = shadows_of(positions, observed.normals, sphere(DIRECTIONS), spacing)
+    return shading_from(observed, cloud.positions.detach().cpu().float())
+
+
+def shading_from(observed: Observed, positions: Tensor) -> Shading:
+    """Estimate the light from what photos say about points (N, 3), float32 on the CPU.
+
+    Raises:
+        InputError: too few points have a normal.
+    """
+    shadows = shadows_of(positions, observed.normals, sphere(DIRECTIONS), spacing_of(positions))
     return Shading(
         light=fit_light(observed, positions, shadows),
         normals=observed.normals,
