@@ -65,7 +65,7 @@ def table(root: Path, factor: int, count: int) -> None:
     colors, seen = colours(points, normals, photos, truth.canonical, faces)
     kept = (seen >= 2).nonzero()[:count, 0]
     spots, points, normals = spots.some(kept), points[kept], normals[kept]
-    observed = Observed(normals=normals, colors=colors[kept], attention=seen[kept])
+    observed = Observed(normals=normals, colors=colors[kept], attention=seen[kept], lift=0.0)
     shading = shading_from(observed, points)
     nearness = shading.light.mean_nearness
     print(
@@ -79,7 +79,7 @@ def table(root: Path, factor: int, count: int) -> None:
         expected, visible = colours(there, facing, views, vertices, faces)
         gains = torch.ones(len(points))
         if name is not None:
-            gains = shading.gains(spots.frames(truth.canonical, vertices), there.float())
+            gains = shading.lit(spots.frames(truth.canonical, vertices), there.float()).gains
         lit = (visible > 0).nonzero()[:, 0]
         errors = (
             (found.clamp(0, 1)[lit] - expected[lit]).square().mean().sqrt()

@@ -40,7 +40,7 @@ def write_light(run: Path, cloud: PointCloud) -> Shading:
     positions = cloud.positions.detach()
     bright = torch.full((len(positions),), 0.3)
     shading = Shading(
-        light=lamp_from_above(), normals=normals, positions=positions, brightness=bright
+        light=lamp_from_above(), normals=normals, positions=positions, brightness=bright, lift=0.01
     )
     save_shading(run / LIGHT_FILE, shading)
     return shading

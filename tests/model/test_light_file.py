@@ -26,7 +26,7 @@ def path(tmp_path: Path) -> Path:
     normals = torch.nn.functional.normalize(torch.randn(7, 3), dim=1)
     normals[2] = 0
     shading = Shading(
-        light=light, normals=normals, positions=POINTS, brightness=torch.arange(7) / 7
+        light=light, normals=normals, positions=POINTS, brightness=torch.arange(7) / 7, lift=0.25
     )
     save_shading(tmp_path / LIGHT_FILE, shading)
     return tmp_path / LIGHT_FILE
@@ -58,6 +58,7 @@ def test_everything_comes_back(path: Path) -> None:
         assert torch.equal(found.light.nearness, torch.tensor([0.0, 0.1, 0.3]))
         assert found.light.center.tolist() == [1.0, 2.0, 3.0]
         assert torch.equal(found.brightness, torch.arange(7) / 7)
+        assert found.lift == 0.25
 
 
 def test_missing_and_damaged(path: Path) -> None:
@@ -67,11 +68,11 @@ def test_missing_and_damaged(path: Path) -> None:
 
 
 def test_another_format_or_version(path: Path) -> None:
-    rewrite(path, {"version": "1"})
+    rewrite(path, {"version": "2"})
     said = error_of(path)
-    assert "version 2, got 'pcore-light' of version '1'" in said
-    assert "`pcore light RUN`" in said, "a light of before has no distances: how to get one"
-    rewrite(path, {"format": "pcore-model", "version": "2"})
+    assert "version 3, got 'pcore-light' of version '2'" in said
+    assert "`pcore light RUN`" in said, "a light of before knows no surface: how to get one"
+    rewrite(path, {"format": "pcore-model", "version": "3"})
     assert "got 'pcore-model'" in error_of(path)
 
 
@@ -93,3 +94,7 @@ def test_bad_numbers(path: Path) -> None:
     assert "nearness of 0 (far away) or more" in error_of(path)
     rewrite(path, nearness=torch.zeros(3), normals=torch.ones(7, 2))
     assert "normals (N, 3)" in error_of(path)
+    rewrite(path, normals=torch.zeros(7, 3), lift=torch.ones(7))
+    assert "lift: expected one number, got (7,)" in error_of(path)
+    rewrite(path, lift=torch.tensor(float("inf")))
+    assert "NaN or infinity in lift" in error_of(path)

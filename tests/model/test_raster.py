@@ -15,6 +15,7 @@ from pcore.deform.simple import uniform_scale
 from pcore.editing.apply import deformed_cloud
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
+from pcore.geometry.lit_surface import LitSurface
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 from pcore.model.passes import mean_around
@@ -179,10 +180,21 @@ def test_the_rim_of_a_picture_is_no_frame() -> None:
     assert float(error[~ring].mean()) < 0.01 * spread
 
 
+def evenly(points: PointCloud, gain: float) -> LitSurface:
+    """All of a surface that many times as bright."""
+    return LitSurface(
+        places=points.positions,
+        normals=torch.nn.functional.normalize(points.positions, dim=1),
+        gains=torch.full((len(points),), gain),
+        beside=torch.arange(len(points))[:, None],
+        spacing=0.1,
+    )
+
+
 @torch.no_grad()
 def test_light_falls_on_fine_pictures() -> None:
     papr, points, view = network(), cloud(), camera(2.0)
-    bright = render(papr, points.lit(torch.full((400,), 2.0)), view)
+    bright = render(papr, points.under(evenly(points, 2.0)), view)
     once = render(papr, points, view)
     background = torch.tensor(papr.config.background) * (1 - once.alpha.unsqueeze(-1))
     torch.testing.assert_close(bright.rgb - background, 2 * (once.rgb - background))

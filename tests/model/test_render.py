@@ -7,9 +7,11 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
+from pcore.geometry.lit_surface import LitSurface
 from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model import passes
@@ -17,6 +19,7 @@ from pcore.model import render as render_module
 from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.papr import Papr
 from pcore.model.passes import RenderCancelledError
+from pcore.model.relight import gains_of_rays
 from pcore.model.render import (
     FAST_THRESHOLD,
     Picture,
@@ -135,29 +138,48 @@ def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(cloud: PointCloud) ->
     assert counts == {0, 1, 2, 3, 4}
 
 
+def in_light(cloud: PointCloud, gains: Tensor) -> PointCloud:
+    """Every point a piece of surface of its own that faces away from the middle."""
+    outwards = torch.nn.functional.normalize(cloud.positions - cloud.sphere[0], dim=1)
+    surface = LitSurface(
+        places=cloud.positions,
+        normals=outwards,
+        gains=gains,
+        beside=torch.cdist(cloud.positions, cloud.positions).argsort(dim=1)[:, :16],
+        spacing=0.1,
+    )
+    return cloud.under(surface)
+
+
 @pytest.mark.parametrize("samples", [1, 4])
 def test_gains_scale_the_object_and_not_the_background(cloud: PointCloud, samples: int) -> None:
     papr, cam = Papr(config(background=(0.2, 0.5, 1.0))).eval(), camera(37, 30)
     plain = render(papr, cloud, cam, tile=16, max_rays=100, samples=samples)
     behind = (1 - plain.alpha).unsqueeze(-1) * torch.tensor([0.2, 0.5, 1.0])
-    twice = render(papr, cloud.lit(torch.full((60,), 2.0)), cam, tile=16, samples=samples)
+    twice = render(papr, in_light(cloud, torch.full((60,), 2.0)), cam, tile=16, samples=samples)
     torch.testing.assert_close(twice.rgb - behind, 2 * (plain.rgb - behind), atol=1e-5, rtol=1e-5)
     for name in ("alpha", "surface", "depth"):
         assert torch.equal(getattr(twice, name), getattr(plain, name)), name
-    ones = render(papr, cloud.lit(torch.ones(60)), cam, tile=16, max_rays=100, samples=samples)
-    torch.testing.assert_close(ones.rgb, plain.rgb, atol=1e-5, rtol=0)
+    ones = in_light(cloud, torch.ones(60))
+    same = render(papr, ones, cam, tile=16, max_rays=100, samples=samples)
+    torch.testing.assert_close(same.rgb, plain.rgb, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-def test_a_ray_has_the_gain_of_the_points_it_attends_to(cloud: PointCloud, samples: int) -> None:
+def test_a_ray_has_the_gain_of_the_surface_it_meets(cloud: PointCloud, samples: int) -> None:
     """Rays of a pixel count by their opacity; rays that meet nothing do not darken its edge."""
     papr, cam = Papr(config(cutoff=0.1)).eval(), camera(24, 24)
-    lit = cloud.lit(torch.rand(60) + 0.5)
+    lit = in_light(cloud, torch.rand(60) + 0.5)
     with torch.no_grad():
         out = papr(cloud, cam.rays(places=grid_places(samples)))
         each = papr(cloud, cam.resized(24 * math.isqrt(samples), 24 * math.isqrt(samples)).rays())
-    assert lit.gains is not None
-    of_rays = (out.weights * lit.gains[out.neighbours]).sum(dim=-1)
+    assert lit.lit is not None
+    rays = cam.rays(places=grid_places(samples)).flat()
+    of_rays = gains_of_rays(
+        lit.lit, rays, out.weights.flatten(0, -2), out.neighbours.flatten(0, -2)
+    )
+    of_rays = of_rays.reshape(24, 24, -1)
+    assert 0.5 <= float(of_rays.min()) < 0.7 < 1.3 < float(of_rays.max()) <= 1.5
     opacity = torch.nn.functional.pixel_unshuffle(each.alpha[None], math.isqrt(samples))
     opacity = opacity.permute(1, 2, 0)
     gain = (of_rays * opacity).sum(dim=-1) / opacity.sum(dim=-1).clamp_min(1e-6)
@@ -165,13 +187,16 @@ def test_a_ray_has_the_gain_of_the_points_it_attends_to(cloud: PointCloud, sampl
     got = render(papr, lit, cam, samples=samples, tile=8)
     torch.testing.assert_close(got.rgb, expected.detach(), atol=1e-5, rtol=0)
     assert not torch.allclose(got.rgb, out.rgb, atol=1e-2)
+    with torch.no_grad():
+        whole = papr(lit, cam.rays(places=grid_places(samples)))
+    torch.testing.assert_close(whole.rgb, expected.detach(), atol=1e-5, rtol=0)
 
 
-def test_gains_that_are_not_finite_are_refused(cloud: PointCloud) -> None:
+def test_light_that_is_not_finite_is_refused(cloud: PointCloud) -> None:
     gains = torch.ones(60)
     gains[3] = math.nan
-    with pytest.raises(InputError, match="NaN or infinity in the gain of 1 of 60"):
-        render(Papr(config()), cloud.lit(gains), camera(8, 8))
+    with pytest.raises(InputError, match="NaN or infinity in the light of 1 of 60"):
+        render(Papr(config()), in_light(cloud, gains), camera(8, 8))
 
 
 @pytest.mark.parametrize("samples", [0, -1, 2, 3, 8])

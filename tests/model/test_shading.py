@@ -1,17 +1,18 @@
 """How points change when an edit turns and moves them in a light that stands still."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from pcore.errors import InputError
 from pcore.geometry.light import ENCODING, Light, sphere
+from pcore.geometry.lit_surface import LitSurface
 from pcore.geometry.local_frames import LocalFrames
-from pcore.geometry.neighbours import nearest
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model import shading as shading_module
-from pcore.model.shading import LARGEST_GAIN, Shading
+from pcore.model.shading import LARGEST_GAIN, Shading, spacing_of
 
 UP = torch.tensor([[0.0, 0.0, 1.0]])
 
@@ -29,15 +30,14 @@ def frames_of(maps: torch.Tensor, rest: torch.Tensor) -> LocalFrames:
 
 @pytest.fixture
 def each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No point hides another, and none has a say in another's brightness."""
-    monkeypatch.setattr(shading_module, "_BESIDE", 1)
+    """No point hides another."""
     monkeypatch.setattr(shading_module, "spacing_of", lambda _: 0.0)
 
 
 def gains_of(light: Light, normals: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
     """Gains of points far from one another, each moved by a linear map of its own."""
     positions = 100.0 * torch.arange(len(maps))[:, None] * torch.tensor([[1.0, 0.3, 0.1]])
-    return shading_of(light, normals, positions).gains(frames_of(maps, positions), positions)
+    return shading_of(light, normals, positions).lit(frames_of(maps, positions), positions).gains
 
 
 def shading_of(
@@ -45,7 +45,7 @@ def shading_of(
 ) -> Shading:
     """Black points, which shine on nothing, unless asked otherwise."""
     bright = torch.full((len(positions),), brightness)
-    return Shading(light=light, normals=normals, positions=positions, brightness=bright)
+    return Shading(light=light, normals=normals, positions=positions, brightness=bright, lift=0.0)
 
 
 def far(directions: torch.Tensor, radiance: torch.Tensor) -> Light:
@@ -112,56 +112,41 @@ def test_growth_and_moves_change_no_light(scale: float) -> None:
     shading = shading_of(lamp(UP[0]), -points, points)
     frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3) / scale)
     for shift in (torch.zeros(3), torch.tensor([8.0, -4.0, 2.0])):
-        found = shading.gains(frames, scale * points + shift)
+        found = shading.lit(frames, scale * points + shift).gains
         # Rounding puts a point into the next cell of a shadow map now and then.
         assert float((found - 1).abs().max()) < 0.02
         assert float((found - 1).abs().mean()) < 1e-3
 
 
-def test_neighbours_say_how_points_without_a_normal_change() -> None:
-    """The mean, of the logarithm, over the nearest points at rest whose normal is known."""
-    points = ball(2000)
-    normals = points.clone()
-    normals[::3] = 0
-    shading = shading_of(lamp(UP[0], 3.0), normals, points)
-    assert shading.known.float().mean() < 0.7
-    back = turn(math.pi / 2).T
-    frames = LocalFrames(rest=points, to_rest=back.expand(2000, 3, 3))
-    found = shading.gains(frames, points @ back)
-    known, others = found[shading.known], found[~shading.known]
-    assert float(others.log().std()) > 0.7 * float(known.log().std())
-    beside = nearest(points, points, 2)[0][~shading.known, 1]
-    assert float((others / found[beside]).log().abs().mean()) < 0.1
-    alone = shading_of(lamp(UP[0]), torch.zeros(2000, 3), points)
-    assert torch.equal(alone.gains(frames, points @ back), torch.ones(2000))
+def test_the_surface_lies_above_the_points_and_moves_with_them() -> None:
+    """Along the normal at rest; an edit carries it along as it does everything near a point."""
+    points = ball(300)
+    shading = replace(shading_of(even(), points, points), lift=0.1)
+    maps = torch.diag(torch.tensor([2.0, 1.0, 0.5])) @ turn(0.4)
+    moved = points @ maps.T + torch.tensor([3.0, 0.0, -1.0])
+    found = shading.lit(frames_of(maps.expand(300, 3, 3), points), moved)
+    torch.testing.assert_close(found.places, moved + 0.1 * points @ maps.T)
+    turned = torch.nn.functional.normalize(points @ torch.linalg.inv(maps), dim=1)
+    torch.testing.assert_close(found.normals, turned)
+    # The mean of the axes' factors, 2, 1 and 1/2, is 1.
+    assert found.spacing == pytest.approx(spacing_of(points))
 
 
-def test_the_mean_is_that_of_known_normals_on_the_same_side() -> None:
-    """Word for word, on a thin plate of which every third normal is unknown."""
-    steps = torch.arange(-5, 5) * 0.1
-    grid = torch.cartesian_prod(steps, steps)
-    sides = [torch.cat([grid, torch.full((100, 1), height)], dim=1) for height in (0.02, -0.02)]
-    points = torch.cat(sides)
-    normals = torch.cat([UP, -UP]).repeat_interleave(100, dim=0)
+def test_pieces_beside_a_point_are_those_of_the_rest_state_with_a_normal() -> None:
+    points, normals = ball(300), ball(300).clone()
     normals[::3] = 0
-    light = far(torch.cat([UP, -UP]), torch.tensor([3.0, 1.0]))
-    shading = shading_of(light, normals, points)
-    back = turn(2 * math.pi / 3).T
-    found = shading.gains(frames_of(back.T.expand(200, 3, 3), points), points @ back)
-    near = nearest(points, points, 8)[0]
-    falling = light.irradiance(normals @ back) / light.irradiance(normals)
-    # Nothing of a plate shades itself from straight above or below, however it is turned.
-    change = falling.clamp_min(1e-9).log() / ENCODING
-    for point in (0, 1, 57, 144, 199):
-        kept = [
-            i
-            for i in near[point].tolist()
-            if shading.known[i] and float(normals[i] @ normals[point]) >= 0
-        ]
-        expected = float(change[kept].mean().exp())
-        assert float(found[point]) == pytest.approx(expected, abs=0.03), point
-    upper, lower = (found[part][shading.known[part]] for part in (slice(0, 100), slice(100, 200)))
-    assert float(upper.max()) < 0.6 < 1.1 < float(lower.min())
+    shading = shading_of(even(), normals, points)
+    # Turned inside out, so that others are near.
+    frames = frames_of(turn(1.0).expand(300, 3, 3), points)
+    beside = shading.lit(frames, points.flip(0)).beside
+    known = torch.nonzero(shading.known).squeeze(1)
+    expected = known[torch.cdist(points, points[known]).argsort(dim=1)[:, :16]]
+    assert torch.equal(beside.sort(dim=1).values, expected.sort(dim=1).values)
+    few = shading_of(even(), normals * (torch.arange(300) < 5)[:, None], points)
+    assert set(few.lit(frames, points).beside.flatten().tolist()) == {1, 2, 4}
+    none = shading_of(even(), torch.zeros(300, 3), points).lit(frames, points)
+    assert none.beside.shape == (300, 0)
+    assert torch.equal(none.gains, torch.ones(300))
 
 
 def test_turning_in_the_same_light_from_everywhere_hardly_matters_with_shadows() -> None:
@@ -170,7 +155,8 @@ def test_turning_in_the_same_light_from_everywhere_hardly_matters_with_shadows()
     inside = -points
     shading = shading_of(even(), inside, points)
     back = turn(0.7).T
-    found = shading.gains(frames_of(back.T.expand(len(points), 3, 3), points), points @ back)
+    frames = frames_of(back.T.expand(len(points), 3, 3), points)
+    found = shading.lit(frames, points @ back).gains
     assert float(found.log().abs().mean()) < 0.01
     assert float(found.log().abs().max()) < 0.06
 
@@ -195,7 +181,7 @@ def test_what_an_edit_uncovers_becomes_brighter_and_what_it_covers_darker(
     moved = points.clone()
     moved[len(PLATE) :, 0] += 1.0
     frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3))
-    found = shading.gains(frames, moved)
+    found = shading.lit(frames, moved).gains
     left, right = INSIDE & (GRID[:, 0] < 0), INSIDE & (GRID[:, 0] > 0)
     brighter = (1 / brightness) ** (1 / ENCODING)
     torch.testing.assert_close(found[: len(PLATE)][left], torch.full((int(left.sum()),), brighter))
@@ -214,7 +200,7 @@ def test_what_hides_light_is_lit_anew_itself() -> None:
     moved = points.clone()
     moved[2 * len(PLATE) :, 0] -= 5.0
     frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3))
-    found = shading.gains(frames, moved).reshape(3, len(PLATE))[:, INSIDE]
+    found = shading.lit(frames, moved).gains.reshape(3, len(PLATE))[:, INSIDE]
     darker = 0.6 ** (1 / ENCODING)
     torch.testing.assert_close(found[0], torch.full_like(found[0], darker))
     torch.testing.assert_close(found[1], torch.full_like(found[1], darker))
@@ -233,17 +219,17 @@ def test_what_comes_nearer_to_a_lamp_becomes_brighter_unless_the_lamp_moves_alon
     shading = shading_of(light, points, points)
     frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(300, 3, 3) / 2)
     lit = points[:, 2] > 0.6
-    found = shading.gains(frames, 2 * points)
+    found = shading.lit(frames, 2 * points).gains
     expected = (light.falling(2 * points, points) / light.falling(points, points))[:, 0]
     torch.testing.assert_close(found[lit], expected[lit].pow(1 / ENCODING))
     assert float(found.max()) > 1.25
-    torch.testing.assert_close(shading.gains(frames, 2 * points, world=2.0), torch.ones(300))
+    torch.testing.assert_close(shading.lit(frames, 2 * points, world=2.0).gains, torch.ones(300))
 
 
 def test_a_point_alone_is_lit_by_its_normal() -> None:
     shading = shading_of(lamp(UP[0]), UP, torch.zeros(1, 3))
     turned = turn(math.pi / 2)[None]
-    found = shading.gains(frames_of(turned, torch.zeros(1, 3)), torch.zeros(1, 3))
+    found = shading.lit(frames_of(turned, torch.zeros(1, 3)), torch.zeros(1, 3)).gains
     after, before = lamp(UP[0]).irradiance(torch.cat([turned[0] @ UP[0][:, None], UP.T], dim=1).T)
     torch.testing.assert_close(found[0], (after / before).pow(1 / ENCODING))
 
@@ -256,42 +242,61 @@ def test_a_shading_is_checked() -> None:
         (UP, UP, torch.ones(2)),
     ):
         with pytest.raises(InputError, match=r"positions \(N, 3\) and brightness \(N,\), got"):
-            Shading(light=even(), normals=normals, positions=positions, brightness=bright)
+            Shading(light=even(), normals=normals, positions=positions, brightness=bright, lift=0.0)
     with pytest.raises(InputError, match=r"expected float32 on the CPU, got torch.float64"):
-        Shading(light=even(), normals=UP, positions=UP.double(), brightness=one)
+        Shading(light=even(), normals=UP, positions=UP.double(), brightness=one, lift=0.0)
     for bad in (-one, math.nan * one, math.inf * one):
         with pytest.raises(InputError, match="finite brightness of 0 or more"):
-            Shading(light=even(), normals=UP, positions=UP, brightness=bad)
+            Shading(light=even(), normals=UP, positions=UP, brightness=bad, lift=0.0)
     for normals in (0.3 * UP, math.nan * UP):
         with pytest.raises(InputError, match="normals of unit length, or zero where not known"):
-            Shading(light=even(), normals=normals, positions=UP, brightness=one)
+            Shading(light=even(), normals=normals, positions=UP, brightness=one, lift=0.0)
+    for lift in (math.nan, math.inf):
+        with pytest.raises(InputError, match=f"a finite lift, got {lift}"):
+            replace(shading_of(even(), UP, UP), lift=lift)
     for world in (0.0, -1.0, math.nan):
         with pytest.raises(InputError, match=f"world factor above 0, got {world}"):
-            shading_of(even(), UP, UP).gains(frames_of(torch.eye(3)[None], UP), UP, world=world)
+            shading_of(even(), UP, UP).lit(frames_of(torch.eye(3)[None], UP), UP, world=world)
     shading, still = shading_of(even(), UP, UP), torch.eye(3)
     for frames, moved in (
         (frames_of(still.expand(2, 3, 3), torch.zeros(2, 3)), torch.zeros(2, 3)),
         (frames_of(still[None], UP), torch.zeros(2, 3)),
     ):
         with pytest.raises(InputError, match=r"of its 1 points.*got \d and 2; .*`pcore light RUN`"):
-            shading.gains(frames, moved)
+            shading.lit(frames, moved)
     with pytest.raises(
         InputError, match="the points that the light was estimated with, got others"
     ):
-        shading.gains(frames_of(still[None], UP + 1), UP)
+        shading.lit(frames_of(still[None], UP + 1), UP)
     with pytest.raises(InputError, match="finite points, got NaN or infinity in 1 of 1"):
-        shading.gains(frames_of(still[None], UP), UP * math.nan)
+        shading.lit(frames_of(still[None], UP), UP * math.nan)
 
 
-def test_a_cloud_keeps_its_gains_until_it_moves() -> None:
+def test_a_cloud_keeps_its_light_until_it_moves() -> None:
     cloud = PointCloud(
         positions=torch.zeros(2, 3), features=torch.zeros(2, 4), influence=torch.ones(2)
     )
-    lit = cloud.lit(torch.tensor([2.0, 0.5]))
-    assert cloud.gains is None
+    light = LitSurface(
+        places=torch.zeros(2, 3),
+        normals=UP.expand(2, 3),
+        gains=torch.tensor([2.0, 0.5]),
+        beside=torch.zeros(2, 1, dtype=torch.int64),
+        spacing=0.1,
+    )
+    lit = cloud.under(light)
+    assert cloud.lit is None
     for same in (lit, lit.detached(), lit.to("cpu")):
-        assert same.gains is not None
-        assert same.gains.tolist() == [2.0, 0.5]
-    assert lit.moved(torch.ones(2, 3)).gains is None, "they belong to where the points were"
-    with pytest.raises(InputError, match=r"gains of its 2 points, got \(3,\)"):
-        cloud.lit(torch.ones(3))
+        assert same.lit is not None
+        assert same.lit.gains.tolist() == [2.0, 0.5]
+    assert lit.to("meta").lit.places.device.type == "meta"  # type: ignore[union-attr]
+    assert lit.moved(torch.ones(2, 3)).lit is None, "it belongs to where the points were"
+    with pytest.raises(InputError, match="a lit surface over its 3 points, got 2"):
+        PointCloud(
+            positions=torch.zeros(3, 3),
+            features=torch.zeros(3, 4),
+            influence=torch.ones(3),
+            lit=light,
+        )
+    for bad in ({"gains": torch.ones(3)}, {"normals": torch.ones(3, 2)}, {"beside": torch.ones(2)}):
+        with pytest.raises(InputError, match=r"gains \(N,\) and neighbours \(N, K\), got"):
+            replace(light, **bad)

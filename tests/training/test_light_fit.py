@@ -45,7 +45,7 @@ def painted(
     colors[: count // 20] = torch.rand(count // 20, 3, generator=generator)
     known = torch.ones(count, 1)
     known[-count // 10 :] = 0
-    return Observed(normals=normals * known, colors=colors, attention=torch.ones(count))
+    return Observed(normals=normals * known, colors=colors, attention=torch.ones(count), lift=0.0)
 
 
 def ball(light: Light, count: int = 4000, noise: float = 0.02) -> tuple[Observed, torch.Tensor]:
@@ -123,7 +123,7 @@ def test_light_off_other_surfaces_is_told_from_that_of_lamps() -> None:
     for _ in range(8):
         brightness = paint * there.on(brightness)
     colors = brightness[:, None].pow(1 / ENCODING).expand(-1, 3)
-    observed = Observed(normals=normals, colors=colors, attention=torch.ones(len(points)))
+    observed = Observed(normals=normals, colors=colors, attention=torch.ones(len(points)), lift=0.0)
     told = fit_light(observed, points, shadows)
     untold = fit_light(observed, points, replace(shadows, open=torch.ones_like(shadows.open)))
     up = normals[:, 2] > 0.5
@@ -147,7 +147,7 @@ def test_points_without_a_normal_are_not_compared() -> None:
     colors[:half] = torch.rand(half, 3)
     seen = replace(observed, normals=normals, colors=colors)
     rest = Observed(
-        normals=normals[half:], colors=colors[half:], attention=observed.attention[half:]
+        normals=normals[half:], colors=colors[half:], attention=observed.attention[half:], lift=0.0
     )
     found, expected = found_from(seen, points), found_from(rest, points[half:])
     torch.testing.assert_close(shape_of(found), shape_of(expected), rtol=0, atol=0.02)
@@ -162,6 +162,7 @@ def test_a_stray_point_moves_no_lamp() -> None:
         normals=torch.cat([observed.normals, torch.zeros(1, 3)]),
         colors=torch.cat([observed.colors, torch.ones(1, 3)]),
         attention=torch.cat([observed.attention, torch.zeros(1)]),
+        lift=0.0,
     )
     found = found_from(seen, with_stray)
     for name in ("radiance", "nearness", "center"):
@@ -201,7 +202,7 @@ def test_what_no_view_saw_is_as_bright_as_what_lies_beside_it() -> None:
     points = torch.tensor([[0.0, 0, 0], [1.0, 0, 0], [1.1, 0, 0]])
     colors = torch.tensor([[0.2, 0.4, 0.6], [0.9, 0.9, 0.9], [0.0, 0.0, 0.0]])
     seen = Observed(
-        normals=torch.zeros(3, 3), colors=colors, attention=torch.tensor([1.0, 2.0, 0.0])
+        normals=torch.zeros(3, 3), colors=colors, attention=torch.tensor([1.0, 2.0, 0.0]), lift=0.0
     )
     expected = [float(colors[0].pow(ENCODING).mean()), 0.9**ENCODING, 0.9**ENCODING]
     assert brightness_of(seen, points).tolist() == pytest.approx(expected)
@@ -213,7 +214,7 @@ def test_a_shading_is_fitted_with_what_points_hide(monkeypatch: pytest.MonkeyPat
     """And keeps the points that it belongs to."""
     seen, points = ball(studio(), count=1500)
     # Turned inside out a ball hides all lamps from itself.
-    seen = replace(seen, normals=-seen.normals)
+    seen = replace(seen, normals=-seen.normals, lift=0.125)
     cloud = PointCloud(positions=points, features=torch.zeros(1500, 1), influence=torch.ones(1500))
     monkeypatch.setattr(light_fit, "observe", lambda *_, **__: seen)
     papr: Any = None
@@ -221,6 +222,7 @@ def test_a_shading_is_fitted_with_what_points_hide(monkeypatch: pytest.MonkeyPat
     assert torch.equal(found.positions, cloud.positions)
     assert torch.equal(found.normals, seen.normals)
     assert torch.equal(found.brightness, brightness_of(seen, points))
+    assert found.lift == 0.125
     shadows = shadows_of(points, seen.normals, sphere(DIRECTIONS), spacing_of(points))
     assert float(shadows.open.min()) < 0.5, "half of a ball is hidden from any direction"
     assert torch.equal(found.light.radiance, fit_light(seen, points, shadows).radiance)
@@ -259,7 +261,7 @@ def test_shadows_of_other_directions_are_an_error() -> None:
 def test_one_colour_alone_is_enough() -> None:
     normal, light = sphere(600), studio()
     colors = (0.3 * light.irradiance(normal)[:, None]).pow(1 / ENCODING).expand(600, 3)
-    observed = Observed(normals=normal, colors=colors, attention=torch.ones(600))
+    observed = Observed(normals=normal, colors=colors, attention=torch.ones(600), lift=0.0)
     assert off(found_from(observed, normal), light) < 0.12
 
 
@@ -269,7 +271,7 @@ def test_black_points_and_no_points_at_all() -> None:
     found = found_from(replace(observed, colors=torch.zeros(400, 3)), points)
     assert bool(torch.isfinite(found.radiance).all())
     nothing = Observed(
-        normals=torch.zeros(0, 3), colors=torch.zeros(0, 3), attention=torch.zeros(0)
+        normals=torch.zeros(0, 3), colors=torch.zeros(0, 3), attention=torch.zeros(0), lift=0.0
     )
     with pytest.raises(InputError, match="got 0 of 0"):
         found_from(nothing, torch.zeros(0, 3))

@@ -42,7 +42,7 @@ def deformed_cloud(
         return cloud.moved(moved)
     frames = analytic_frames(deformation, positions.cpu())
     there = cloud.to("cpu").moved(moved.cpu(), frames if aware else None)
-    return there.lit(shading and shading.gains(frames, there.positions)).to(positions.device)
+    return there.under(shading and shading.lit(frames, there.positions)).to(positions.device)
 
 
 def _stays(deformation: Deformation, points: torch.Tensor) -> bool:

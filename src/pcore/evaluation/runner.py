@@ -246,7 +246,7 @@ def _lit(cloud: PointCloud, shading: Shading | None, state: State) -> PointCloud
     """Light a moved cloud anew; where nothing moved there are no frames, and nothing changes."""
     if shading is None or cloud.frames is None:
         return cloud
-    return cloud.lit(shading.gains(cloud.frames, cloud.positions, world=state.world))
+    return cloud.under(shading.lit(cloud.frames, cloud.positions, world=state.world))
 
 
 def _health(

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
+from pcore.geometry.lit_surface import LitSurface
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.neighbours import nearest
 
@@ -28,8 +29,8 @@ class PointCloud:
         influence: (N,) factor on every point's attention score.
         frames: rest state of deformed points, with which PAPR sees rays of the rest state
             (deformation-aware rays); None makes the points be seen where they are.
-        gains: (N,) factor on the brightness of every point (`geometry.light`); None leaves it as
-            it was photographed.
+        lit: the surface over the points in another light than it was photographed in; None leaves
+            it as it was.
         before: (N, 3) positions before the points were moved; None where they were not.
     """
 
@@ -37,7 +38,7 @@ class PointCloud:
     features: Tensor
     influence: Tensor
     frames: LocalFrames | None = None
-    gains: Tensor | None = None
+    lit: LitSurface | None = None
     before: Tensor | None = None
 
     def __post_init__(self) -> None:
@@ -58,9 +59,9 @@ class PointCloud:
                 f"point cloud: expected positions before the move of its {n} points, got "
                 f"{tuple(self.before.shape)}"
             )
-        if self.gains is not None and tuple(self.gains.shape) != (n,):
+        if self.lit is not None and len(self.lit) != n:
             raise InputError(
-                f"point cloud: expected gains of its {n} points, got {tuple(self.gains.shape)}"
+                f"point cloud: expected a lit surface over its {n} points, got {len(self.lit)}"
             )
 
     @classmethod
@@ -114,14 +115,14 @@ class PointCloud:
     def moved(self, positions: Tensor, frames: LocalFrames | None = None) -> PointCloud:
         """Return the same points at other positions (N, 3), with or without their rest state.
 
-        Gains belong to the positions they were made for, and are left behind.
+        Light belongs to the positions it was computed for, and is left behind.
         """
         before = self.positions if self.before is None else self.before
-        return replace(self, positions=positions, frames=frames, gains=None, before=before)
+        return replace(self, positions=positions, frames=frames, lit=None, before=before)
 
-    def lit(self, gains: Tensor | None) -> PointCloud:
-        """Return the same points with these factors (N,) on their brightness."""
-        return replace(self, gains=gains)
+    def under(self, light: LitSurface | None) -> PointCloud:
+        """Return the same points in the light that falls on the surface over them."""
+        return replace(self, lit=light)
 
     def detached(self) -> PointCloud:
         """Return a copy cut off from the autograd graph."""
@@ -141,7 +142,7 @@ class PointCloud:
             influence=change(self.influence),
             frames=frames
             and replace(frames, rest=change(frames.rest), to_rest=change(frames.to_rest)),
-            gains=None if self.gains is None else change(self.gains),
+            lit=self.lit and self.lit.each(change),
             before=None if self.before is None else change(self.before),
         )
 

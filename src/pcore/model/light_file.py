@@ -13,12 +13,13 @@ from pcore.model.companion import Companion
 from pcore.model.shading import Shading
 
 _FILE = Companion(
-    noun="light", version="2", mend="estimate it anew with `pcore light RUN`, or delete the file"
+    noun="light", version="3", mend="estimate it anew with `pcore light RUN`, or delete the file"
 )
 LIGHT_FILE = _FILE.name
 _LIGHT = ("directions", "radiance", "nearness", "center")
 _POINTS = ("normals", "positions", "brightness")
-_TENSORS = (*_LIGHT, *_POINTS)
+_LIFT = "lift"
+_TENSORS = (*_LIGHT, *_POINTS, _LIFT)
 
 
 def save_shading(path: Path, shading: Shading) -> None:
@@ -32,7 +33,8 @@ def save_shading(path: Path, shading: Shading) -> None:
         OSError: the file cannot be written; the old one is untouched.
     """
     light = {name: getattr(shading.light, name) for name in _LIGHT}
-    _FILE.write(path, light | {name: getattr(shading, name) for name in _POINTS})
+    points = {name: getattr(shading, name) for name in _POINTS}
+    _FILE.write(path, light | points | {_LIFT: torch.tensor(shading.lift, dtype=torch.float32)})
 
 
 def load_shading(path: Path | str, positions: Tensor) -> Shading:
@@ -61,6 +63,13 @@ def load_shading(path: Path | str, positions: Tensor) -> Shading:
         )
     try:
         light = Light(**{name: tensors[name] for name in _LIGHT})
-        return Shading(light=light, **{name: tensors[name] for name in _POINTS})
+        points = {name: tensors[name] for name in _POINTS}
+        return Shading(light=light, **points, lift=_number(tensors[_LIFT]))
     except InputError as error:
         raise CheckpointError(f"{path}: {error}; {_FILE.mend}") from error
+
+
+def _number(value: Tensor) -> float:
+    if value.numel() != 1:
+        raise InputError(f"lift: expected one number, got {tuple(value.shape)}")
+    return float(value)

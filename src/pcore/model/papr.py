@@ -14,6 +14,7 @@ from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended, ProximityAttention
 from pcore.model.config import PaprConfig
 from pcore.model.far_side import opaque, replaced, turned, unanswered
+from pcore.model.relight import gains_of_rays
 from pcore.model.sight import Sight, look, look_behind
 from pcore.model.strangers import OPAQUE, behind
 from pcore.model.unet import Unet
@@ -72,7 +73,8 @@ class Papr(nn.Module):
             origins=rays.origins.flatten(0, 1), directions=rays.directions.flatten(0, 1)
         )
         attended, neighbours = self.attend(cloud, pixels_first)
-        pixels = averaged(cloud, attended, neighbours, math.prod(shape[2:]))
+        flat = pixels_first.flat()
+        pixels = averaged(cloud, flat, attended, neighbours, math.prod(shape[2:]))
         features, alpha = pixels.features.reshape(*shape[:2], -1), pixels.alpha.reshape(shape[:2])
         gain = None if pixels.gain is None else pixels.gain.reshape(shape[:2])
         return Rendering(
@@ -195,7 +197,7 @@ class Pixels:
     Attributes:
         features: (P, C) input of the renderer network.
         alpha: (P,) opacity.
-        gain: (P,) factor on the object's brightness; None where no point has one.
+        gain: (P,) factor on the object's brightness; None where the light is that of the photos.
         behind: (P,) weighted mean squared distance of the points behind the first of them.
     """
 
@@ -205,7 +207,9 @@ class Pixels:
     behind: Tensor
 
 
-def averaged(cloud: PointCloud, attended: Attended, neighbours: Tensor, samples: int) -> Pixels:
+def averaged(
+    cloud: PointCloud, rays: RayBundle, attended: Attended, neighbours: Tensor, samples: int
+) -> Pixels:
     """Average R = P * S rays over P pixels, whose S rays follow one another."""
 
     def mean(values: Tensor) -> Tensor:
@@ -213,8 +217,8 @@ def averaged(cloud: PointCloud, attended: Attended, neighbours: Tensor, samples:
 
     opacity = 1 - attended.background
     alpha, gain = mean(opacity), None
-    if cloud.gains is not None:
-        of_rays = (attended.weights * cloud.gains[neighbours]).sum(dim=-1)
+    if cloud.lit is not None:
+        of_rays = gains_of_rays(cloud.lit, rays, attended.weights, neighbours)
         gain = mean(opacity * of_rays) / alpha.clamp_min(_LEAST_OPACITY)
     return Pixels(
         features=mean(attended.features), alpha=alpha, gain=gain, behind=mean(attended.behind)

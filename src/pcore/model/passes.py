@@ -159,15 +159,16 @@ def attend(
     """Fill M wanted pixels, given by their numbers, with what their rays meet, (M, S) of them."""
     device, shape = canvas.alpha.device, rays.shape
     sent = rays.to(device)
+    flat = sent.flat()
     attended, neighbours = papr.attend(cloud, sent, threshold)
-    pixels = averaged(cloud, attended, neighbours, shape[1])
+    pixels = averaged(cloud, flat, attended, neighbours, shape[1])
     rows, width, channels = canvas.features.shape
     there = wanted.to(device)
     canvas.features.view(-1, channels)[there % (rows * width)] = pixels.features
     canvas.alpha.view(-1)[there] = pixels.alpha
     if pixels.gain is not None:
         canvas.gain.view(-1)[there] = pixels.gain
-    surface = surface_points(cloud, sent.flat(), attended, neighbours, papr.config.cutoff)
+    surface = surface_points(cloud, flat, attended, neighbours, papr.config.cutoff)
     surface = surface.cpu().reshape(*shape, 3)
     canvas.surface.view(-1, 3)[wanted] = middle_surface(surface, rays.origins)
 

@@ -163,10 +163,11 @@ def _check_cloud(cloud: PointCloud) -> None:
     parts = {"position": cloud.positions}
     if frames is not None:
         parts |= {"rest position": frames.rest, "local map": frames.to_rest}
-    if cloud.gains is not None:
-        parts["gain"] = cloud.gains.unsqueeze(1)
-    for name, values in parts.items():
-        bad = int((~torch.isfinite(values).flatten(1).all(dim=1)).sum())
+    finite = {name: torch.isfinite(one).flatten(1).all(dim=1) for name, one in parts.items()}
+    if cloud.lit is not None:
+        finite["light"] = cloud.lit.finite
+    for name, whole in finite.items():
+        bad = int((~whole).sum())
         if bad:
             raise InputError(
                 f"render: expected finite points, got NaN or infinity in the {name} of {bad} of "

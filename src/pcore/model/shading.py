@@ -1,8 +1,8 @@
 """How the light on points changes when an edit moves them.
 
 Photos have the light baked into their colours, and an edit carries it along: a side that is turned
-downwards stays as bright as it was. With an estimate of the light, every deformed point gets the
-factor by which the light on it changes (docs/guide/light.md).
+downwards stays as bright as it was. With an estimate of the light, the surface over every deformed
+point gets the factor by which the light on it changes (docs/guide/light.md).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from torch.nn import functional as F
 
 from pcore.errors import InputError
 from pcore.geometry.light import ENCODING, Light, falling_of, known_normals, of_unit_length
+from pcore.geometry.lit_surface import LitSurface
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.visibility import cloud_spacing
@@ -27,8 +28,8 @@ LARGEST_GAIN = 2.5
 _DARKEST = 1e-3
 _BOUNCES = 3
 """How often what hides light is lit anew itself."""
-_BESIDE = 8
-"""Points whose changes are averaged. Chosen on objects of our own (ADR 11)."""
+_BESIDE = 16
+"""Pieces of surface around a point from which a ray chooses (ADR 14)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,12 +42,14 @@ class Shading:
         positions: (N, 3) canonical points, world units.
         brightness: (N,) of the canonical points in the photos, linear, in the units of the light's
             radiance, at least 0; all float32 on the CPU.
+        lift: how far above the points the surface lies, along their normals, world units.
     """
 
     light: Light
     normals: Tensor
     positions: Tensor
     brightness: Tensor
+    lift: float
 
     def __post_init__(self) -> None:
         shapes = [tuple(one.shape) for one in (self.normals, self.positions, self.brightness)]
@@ -62,6 +65,8 @@ class Shading:
                 )
         if not bool(((self.brightness >= 0) & self.brightness.isfinite()).all()):
             raise InputError("shading: expected finite brightness of 0 or more")
+        if not math.isfinite(self.lift):
+            raise InputError(f"shading: expected a finite lift, got {self.lift}")
         unknown = (self.normals == 0).all(dim=1)
         if not bool((unknown | of_unit_length(self.normals)).all()):
             raise InputError("shading: expected normals of unit length, or zero where not known")
@@ -71,16 +76,17 @@ class Shading:
         """(N,) bool, the points whose normal is known."""
         return known_normals(self.normals)
 
-    def gains(self, frames: LocalFrames, moved: Tensor, *, world: float = 1.0) -> Tensor:
-        """Factor (N,) on the stored brightness of every deformed point.
-
-        It is the mean, of the logarithm, over a point's neighbours at rest whose normal is known
-        and does not point the other way; 1 where there are none.
+    def lit(self, frames: LocalFrames, moved: Tensor, *, world: float = 1.0) -> LitSurface:
+        """Light the surface over deformed points anew.
 
         Args:
             frames: local frames of the deformed points, which say how their normals turn.
             moved: (N, 3) the deformed points, finite, world units.
             world: factor by which the lamps are scaled about the origin meanwhile.
+
+        Returns:
+            The surface and its factors, on the device of the points. A piece whose normal is not
+            known keeps its brightness.
 
         Raises:
             InputError: frames of other points, points of another number, NaN or infinity, a factor
@@ -92,14 +98,25 @@ class Shading:
         to_rest = frames.to_rest.detach().cpu().float()
         # A normal turns by the transposed inverse of the local map, which the frames hold.
         turned = F.normalize(torch.einsum("nji,nj->ni", to_rest, self.normals), dim=1)
-        place = moved.detach().cpu().float()
-        light, spacing = self.light.scaled(world), self._spacing * frames.growth
+        place, spacing = moved.detach().cpu().float(), self._spacing * frames.growth
+        surface = LitSurface(
+            places=place + torch.linalg.solve(to_rest, self.lift * self.normals),
+            normals=turned,
+            gains=self._changes(place, turned, spacing, self.light.scaled(world)),
+            beside=self._beside,
+            spacing=spacing,
+        )
+        return surface.each(lambda one: one.to(moved.device))
+
+    def _changes(self, place: Tensor, turned: Tensor, spacing: float, light: Light) -> Tensor:
+        """Bounded factors (N,) of points that an edit put to places (N, 3) and turned."""
         there = reaching(light, place, turned, shadows_of(place, turned, light.directions, spacing))
         gains = torch.ones(len(place))
         for _ in range(_BOUNCES):
             falls = there.on(self.brightness * gains.pow(ENCODING))
-            gains = self._around((falls / self._at_rest).log() / ENCODING)
-        return gains.to(moved.device)
+            change = (falls / self._at_rest).pow(1 / ENCODING)
+            gains = change.clamp(1 / LARGEST_GAIN, LARGEST_GAIN)
+        return gains
 
     def _check(self, frames: LocalFrames, moved: Tensor) -> None:
         counts = len(frames.rest), len(moved)
@@ -119,12 +136,6 @@ class Shading:
                 f"shading: expected finite points, got NaN or infinity in {bad} of {len(moved)}"
             )
 
-    def _around(self, change: Tensor) -> Tensor:
-        """Bounded factors (N,): means of changes (N,), logarithms, over neighbours at rest."""
-        beside, counts = self._beside
-        mean = (change[beside] * counts).sum(dim=1) / counts.sum(dim=1).clamp_min(1)
-        return mean.exp().clamp(1 / LARGEST_GAIN, LARGEST_GAIN)
-
     @cached_property
     def _at_rest(self) -> Tensor:
         """Light (N,) on the points at rest."""
@@ -133,15 +144,12 @@ class Shading:
         return reaching(light, *here, shadows).on(self.brightness)
 
     @cached_property
-    def _beside(self) -> tuple[Tensor, Tensor]:
-        """Indices (N, 8) of the nearest points at rest, a point itself among them, and 1 or 0.
-
-        1 counts: the normal is known and does not point the other way, as that of the other side of
-        a thin sheet would, which is in another light.
-        """
-        beside = nearest(self.positions, self.positions, _BESIDE)[0]
-        alike = torch.einsum("nkc,nc->nk", self.normals[beside], self.normals) >= 0
-        return beside, (self.known[beside] & alike).to(self.normals)
+    def _beside(self) -> Tensor:
+        """Indices (N, 16) of the points with a normal that are nearest at rest; (N, 0) if none."""
+        known = self.known.nonzero()[:, 0]
+        if len(known) == 0:
+            return torch.zeros(len(self.positions), 0, dtype=torch.int64)
+        return known[nearest(self.positions[known], self.positions, _BESIDE)[0]]
 
     @cached_property
     def _spacing(self) -> float:

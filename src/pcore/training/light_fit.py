@@ -43,6 +43,9 @@ _DISTANCES = (0.0, 0.23, 0.35, 0.47, 0.62, 0.8, 1.0)
 """Shares of the largest nearness at which the lamps' light is computed; between, it is mixed."""
 _BESIDE, _LIKE, _PAIRS = 64, 600, 8
 """Every point is compared with 8 of the 64 nearest ones and 8 of the 600 of the likest hue."""
+_NEARER = 3.0
+"""So many times as much as those of like hue count those that are near: paint that gets darker
+towards the feet of an object is like light from above to the others (ADR 14)."""
 _HUES = 0.12
 _ROBUST = 0.1
 """Stored brightness, as a ratio, beyond which a difference is more likely one of paint: such pairs
@@ -85,6 +88,7 @@ def shading_from(observed: Observed, positions: Tensor) -> Shading:
         normals=observed.normals,
         positions=positions,
         brightness=brightness_of(observed, positions),
+        lift=observed.lift,
     )
 
 
@@ -279,7 +283,9 @@ def _pairs(positions: Tensor, colors: Tensor, random: np.random.Generator) -> _P
     second = torch.from_numpy(np.concatenate(chosen, axis=1).ravel())
     first = torch.arange(len(hue)).repeat_interleave(len(second) // len(hue))
     apart = (hue[first] - hue[second]).square().sum(dim=1)
-    return _Pairs(first=first, second=second, weights=(-apart / _HUES**2).exp().float())
+    counts = torch.tensor([_NEARER, 1.0]).repeat_interleave(_PAIRS).repeat(len(hue))
+    weights = (-apart / _HUES**2).exp().float() * counts
+    return _Pairs(first=first, second=second, weights=weights)
 
 
 def _hues(colors: Tensor) -> Tensor:

@@ -1,4 +1,8 @@
-"""What training photos say about the points of a trained model: normals and colours."""
+"""What training photos say about the points of a trained model: normals, colours, the surface.
+
+Points lie a little inside the object: attention does not care how far. Where the surface over them
+is, photos tell: at the right height above the points all of them show the same colours there.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +15,29 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.data.scene import View
+from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 from pcore.model.passes import Picture
 from pcore.model.render import normals
+from pcore.model.shading import spacing_of
 
 _LARGEST_SIDE = 200
 _SOLID = 0.9
 _ALIKE = 0.4
 """Shortest mean of the unit normals that views see at a point; at edges they see several sides."""
 _SEEN = 0.5
+_MOST_VIEWS = 50
+"""Views that are compared with one another, evenly among all."""
+_FACING = 0.3
+"""Least cosine between a normal and the way to a camera that shows its surface well."""
+_LIFTS = tuple(0.2 * step for step in range(-1, 8))
+"""Heights of the surface above the points that are tried, in spacings."""
+_CLOSE, _CLOSEST = 3.0, 2.0
+"""Spacings from the predicted depth within which a place is the one that a photo shows: while
+heights are tried, and when colours are taken."""
+_ENOUGH, _LEAST = 4, 2
+"""Photos that must show a place: to tell whether they agree, and to take its colour from them."""
 
 Progress = Callable[[int, int], None]
 
@@ -31,40 +48,143 @@ class Observed:
 
     Attributes:
         normals: (N, 3) unit, outwards; zero where views do not agree on one.
-        colors: (N, 3) mean colour.
+        colors: (N, 3) colour of the surface over a point.
         attention: (N,) sum of the weights that the pixels of all views gave a point.
+        lift: how far above the points the surface lies, along the normals, world units.
     """
 
     normals: Tensor
     colors: Tensor
     attention: Tensor
+    lift: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """A photo and how far away what it shows is.
+
+    Attributes:
+        camera: of the photo.
+        rgb: (H, W, 3).
+        depth: (H, W) camera z by the model, world units; NaN where nothing solid is seen.
+    """
+
+    camera: Camera
+    rgb: Tensor
+    depth: Tensor
 
 
 @torch.no_grad()
 def observe(
     papr: Papr, cloud: PointCloud, views: Sequence[View], *, progress: Progress | None = None
 ) -> Observed:
-    """Mean normals and colours of canonical points over views, on the CPU.
+    """Normals, colours and surface of canonical points by all views, on the CPU.
 
     Views are looked at with at most 200 pixels a side; their number of rays per pixel is one.
+    A point whose surface fewer than two of them show has the colour of the pixels that look at it.
     """
     device = next(papr.parameters()).device
-    cloud = cloud.detached().lit(None).to(device)
+    cloud = cloud.detached().under(None).to(device)
     sums = torch.zeros(len(cloud), 7)
+    every = math.ceil(len(views) / _MOST_VIEWS)
+    shown: list[Shown] = []
     for number, view in enumerate(views, start=1):
-        _look(papr, cloud, view, sums)
+        seen = _look(papr, cloud, view, sums)
+        if number % every == 0:
+            shown.append(seen)
         if progress is not None:
             progress(number, len(views))
     normal, color, attention = sums[:, :3], sums[:, 3:6], sums[:, 6]
     known = (attention > _SEEN) & (normal.norm(dim=1) > _ALIKE * attention)
-    return Observed(
-        normals=F.normalize(normal, dim=1) * known[:, None],
-        colors=color / attention.clamp_min(1e-9)[:, None],
-        attention=attention,
-    )
+    normal = F.normalize(normal, dim=1) * known[:, None]
+    positions = cloud.positions.cpu().float()
+    spacing = spacing_of(positions)
+    lift = spacing * height_of(positions[known], normal[known], shown, spacing)
+    around = color / attention.clamp_min(1e-9)[:, None]
+    there = colors_at(positions + lift * normal, normal, shown, spacing)
+    colors = torch.where(known[:, None] & ~there.isnan(), there, around)
+    return Observed(normals=normal, colors=colors, attention=attention, lift=lift)
 
 
-def _look(papr: Papr, cloud: PointCloud, view: View, sums: Tensor) -> None:
+def height_of(points: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: float) -> float:
+    """How far above points the surface lies, in spacings: where photos agree most on its colours.
+
+    Args:
+        points: (K, 3) whose normal is known, world units.
+        normals: (K, 3) unit.
+        shown: the photos.
+        spacing: of the points, world units.
+
+    Returns:
+        The height at which the median of the colours' standard deviation is least; 0 where too few
+        photos show the points.
+    """
+    off = [_disagreement(points, normals, shown, spacing, height) for height in _LIFTS]
+    if not all(math.isfinite(one) for one in off):
+        return 0.0
+    best = min(range(len(off)), key=off.__getitem__)
+    if best in (0, len(off) - 1):
+        return _LIFTS[best]
+    before, here, after = off[best - 1 : best + 2]
+    bend = before - 2 * here + after
+    # The lowest point of the parabola through three.
+    part = 0.0 if bend <= 0 else 0.5 * (before - after) / bend
+    return _LIFTS[best] + part * (_LIFTS[1] - _LIFTS[0])
+
+
+def _disagreement(
+    points: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: float, height: float
+) -> float:
+    """Median over points of the standard deviation of the colours over them; NaN if none shows."""
+    lifted = points + height * spacing * normals
+    colors = [_colors(lifted, normals, one, _CLOSE * spacing) for one in shown]
+    if not colors:
+        return math.nan
+    stacked = torch.stack(colors)
+    there = ~stacked[..., 0].isnan()
+    count = there.sum(dim=0)
+    mean = stacked.nanmean(dim=0)
+    squared = (stacked - mean).square().nanmean(dim=0).mean(dim=1)
+    return float(squared[count >= _ENOUGH].sqrt().median())
+
+
+def colors_at(places: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: float) -> Tensor:
+    """Colours (N, 3) of places on the surface: the median over photos, NaN where too few show it.
+
+    Args:
+        places: (N, 3) world units.
+        normals: (N, 3) unit.
+        shown: the photos.
+        spacing: of the points, world units.
+    """
+    if not shown:
+        return torch.full_like(places, math.nan)
+    colors = torch.stack([_colors(places, normals, one, _CLOSEST * spacing) for one in shown])
+    enough = (~colors[..., 0].isnan()).sum(dim=0) >= _LEAST
+    return torch.where(enough[:, None], colors.nanmedian(dim=0).values, math.nan)
+
+
+def _colors(places: Tensor, normals: Tensor, shown: Shown, close: float) -> Tensor:
+    """Colours (N, 3) that a photo shows at places (N, 3); NaN where it shows something else."""
+    camera = shown.camera
+    local = (places - camera.center) @ camera.world_from_camera[:3, :3]
+    z = -local[:, 2]
+    x = local[:, 0] / z * camera.fx + camera.cx
+    y = -local[:, 1] / z * camera.fy + camera.cy
+    inside = (z > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+    column = x.long().clamp(0, camera.width - 1)
+    row = y.long().clamp(0, camera.height - 1)
+    towards = F.normalize(camera.center - places, dim=1)
+    facing = (towards * normals).sum(dim=1) > _FACING
+    # NaN is near to nothing.
+    seen = inside & facing & ((z - shown.depth[row, column]).abs() < close)
+    grid = torch.stack([2 * x / camera.width - 1, 2 * y / camera.height - 1], dim=1)
+    photo = shown.rgb.permute(2, 0, 1)[None]
+    found = F.grid_sample(photo, grid[None, None], align_corners=False)[0, :, 0].T
+    return torch.where(seen[:, None], found, math.nan)
+
+
+def _look(papr: Papr, cloud: PointCloud, view: View, sums: Tensor) -> Shown:
     """Add normal, colour and 1 of every pixel to its points, by the weights of their attention."""
     largest = max(view.camera.width, view.camera.height)
     stride = math.ceil(largest / _LARGEST_SIDE)
@@ -83,12 +203,15 @@ def _look(papr: Papr, cloud: PointCloud, view: View, sums: Tensor) -> None:
     points = torch.cat([near for _, near in parts]).reshape(*shape, -1).cpu()
     picture = Picture(rgb=rgba[..., :3], alpha=alpha, depth=camera.depth(surface), surface=surface)
     normal = normals(picture, camera)
-    used = ~normal.isnan().any(dim=-1) & (alpha > _SOLID)
+    solid = alpha > _SOLID
     if view.has_alpha:
-        used &= rgba[..., 3] > _SOLID
+        solid &= rgba[..., 3] > _SOLID
+    used = ~normal.isnan().any(dim=-1) & solid
     seen = torch.cat([normal, rgba[..., :3], torch.ones(*shape, 1)], dim=-1)[used]
     share = weights[used].unsqueeze(-1) * seen.unsqueeze(1)
     sums.index_add_(0, points[used].flatten(), share.flatten(0, 1))
+    depth = picture.depth.masked_fill(~solid, math.nan)
+    return Shown(camera=camera, rgb=rgba[..., :3], depth=depth)
 
 
 def _shrunk(rgba: Tensor, height: int, width: int) -> Tensor:

@@ -1,0 +1,199 @@
+"""A ray takes the light of the surface where it meets it: edges are sharper than points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from pcore.geometry.lit_surface import LitSurface
+from pcore.geometry.rays import RayBundle
+from pcore.model.relight import gains_of_rays
+
+STEP = 0.1
+INSIDE = 0.05
+"""How deep below the surface points lie."""
+
+
+def surface_of(points: Tensor, normals: Tensor, gains: Tensor, lift: float = INSIDE) -> LitSurface:
+    known = torch.nonzero(normals.square().sum(dim=1) > 0.5).squeeze(1)
+    beside = known[torch.cdist(points, points[known]).argsort(dim=1)[:, :16]]
+    return LitSurface(
+        places=points + lift * normals, normals=normals, gains=gains, beside=beside, spacing=STEP
+    )
+
+
+def roof() -> tuple[Tensor, LitSurface]:
+    """Two slopes that meet along y at x = z = 0, the left one dark and the right one bright.
+
+    No point is nearer to the ridge than half a step.
+    """
+    down = STEP * (torch.arange(12) + 0.5)
+    along = STEP * torch.arange(-6, 7)
+    flat = torch.cartesian_prod(down, along)
+    half = math.sqrt(0.5)
+    sides, normals = [], []
+    for sign in (-1.0, 1.0):
+        normal = torch.tensor([sign * half, 0.0, half])
+        slope = torch.tensor([sign * half, 0.0, -half])
+        surface = flat[:, :1] * slope + flat[:, 1:] * torch.tensor([0.0, 1.0, 0.0])
+        sides.append(surface - INSIDE * normal)
+        normals.append(normal.expand(len(flat), 3))
+    gains = torch.tensor([0.5, 2.0]).repeat_interleave(len(flat))
+    points = torch.cat(sides)
+    return points, surface_of(points, torch.cat(normals), gains)
+
+
+def rays_to(targets: Tensor, origin: tuple[float, float, float]) -> RayBundle:
+    start = torch.tensor(origin).expand_as(targets)
+    return RayBundle(origins=start, directions=F.normalize(targets - start, dim=1))
+
+
+def seen(points: Tensor, rays: RayBundle, k: int = 8) -> tuple[Tensor, Tensor]:
+    """The k points nearest to each ray, all of one weight: attention that knows no edge."""
+    offset = points - rays.origins[:, None]
+    along = (offset * rays.directions[:, None]).sum(dim=2, keepdim=True)
+    across = (offset - along * rays.directions[:, None]).norm(dim=2)
+    return torch.full((len(rays.origins), k), 1 / k), across.argsort(dim=1)[:, :k]
+
+
+def on_the_roof(x: Tensor) -> Tensor:
+    return torch.stack([x, torch.full_like(x, 0.013), -x.abs()], dim=1)
+
+
+def test_light_changes_at_an_edge_and_not_beside_it() -> None:
+    points, surface = roof()
+    x = torch.tensor([-0.3, -0.15, -0.02, 0.02, 0.15, 0.3])
+    rays = rays_to(on_the_roof(x), (0.0, 0.0, 3.0))
+    weights, near = seen(points, rays)
+    found = gains_of_rays(surface, rays, weights, near).log2()
+    by_points = (weights * surface.gains.log2()[near]).sum(dim=1)
+    # A fifth of a step beside the ridge points of both slopes have a say; the pieces beside the
+    # place have more.
+    assert by_points[2:4].abs().max() < 0.3
+    assert found[0] < -0.99 < 0.99 < found[5]
+    assert found[1] < -0.9 < 0.9 < found[4]
+    assert found[2] < -0.4 < 0.4 < found[3]
+
+
+def test_what_faces_away_has_no_say() -> None:
+    """From the right, near the ridge, only the right slope is seen."""
+    points, surface = roof()
+    x = torch.tensor([0.01, 0.05, 0.2])
+    rays = rays_to(on_the_roof(x), (3.0, 0.0, 0.0))
+    found = gains_of_rays(surface, rays, *seen(points, rays))
+    torch.testing.assert_close(found, torch.full((3,), 2.0), rtol=1e-3, atol=0)
+
+
+def sheet() -> tuple[Tensor, LitSurface]:
+    """A thin sheet whose upper side got brighter and whose lower side darker."""
+    grid = STEP * torch.cartesian_prod(torch.arange(-6.0, 7), torch.arange(-6.0, 7))
+    upper = torch.cat([grid, torch.full((len(grid), 1), 0.01)], dim=1)
+    points = torch.cat([upper, upper * torch.tensor([1.0, 1.0, -1.0])])
+    normals = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]).repeat_interleave(len(grid), dim=0)
+    gains = torch.tensor([1.5, 0.5]).repeat_interleave(len(grid))
+    return points, surface_of(points, normals, gains)
+
+
+@pytest.mark.parametrize(("height", "expected"), [(2.0, 1.5), (-2.0, 0.5)])
+def test_each_side_of_a_sheet_has_its_own_light(height: float, expected: float) -> None:
+    points, surface = sheet()
+    targets = torch.tensor([[0.03, 0.02, 0.0], [0.25, -0.11, 0.0]])
+    rays = rays_to(targets, (0.4, 0.3, height))
+    found = gains_of_rays(surface, rays, *seen(points, rays))
+    torch.testing.assert_close(found, torch.full((2,), expected), rtol=1e-4, atol=0)
+
+
+def test_where_all_faces_away_those_beside_tell() -> None:
+    """The inside of a shell through an open rim: no piece faces the ray, none is left out."""
+    points, surface = sheet()
+    lower = len(points) // 2
+    only = surface_of(points[:lower], surface.normals[:lower], surface.gains[:lower])
+    rays = rays_to(torch.tensor([[0.03, 0.02, 0.0]]), (0.4, 0.3, -2.0))
+    found = gains_of_rays(only, rays, *seen(points[:lower], rays))
+    torch.testing.assert_close(found, torch.tensor([1.5]), rtol=1e-5, atol=0)
+
+
+def test_word_for_word() -> None:
+    """Plane by plane and piece by piece, on a cloud that faces in every direction."""
+    draw = torch.Generator().manual_seed(1)
+    points = torch.rand(80, 3, generator=draw)
+    normals = F.normalize(torch.randn(80, 3, generator=draw), dim=1)
+    normals[::7] = 0
+    surface = surface_of(points, normals, torch.rand(80, generator=draw) + 0.5)
+    rays = rays_to(torch.rand(40, 3, generator=draw), (0.5, 0.5, 4.0))
+    _, near = seen(points, rays)
+    weights = torch.rand(40, 8, generator=draw)
+    weights = weights / weights.sum(dim=1, keepdim=True)
+    found = gains_of_rays(surface, rays, weights, near)
+    for row, (start, ahead) in enumerate(zip(rays.origins, rays.directions, strict=True)):
+        told: list[tuple[float, float, int]] = []
+        for weight, index in zip(weights[row].tolist(), near[row].tolist(), strict=True):
+            offset, normal = surface.places[index] - start, surface.normals[index]
+            cosine, depth = float(normal @ ahead), float(offset @ ahead)
+            if cosine < -0.05:
+                plane = float(offset @ normal) / min(cosine, -0.2)
+                plane = min(max(plane, depth - 2 * STEP), depth + 2 * STEP)
+                told.append((weight, plane, index))
+        assert told, "of eight random directions none faces the camera"
+        share = sum(weight for weight, _, _ in told)
+        place = start + sum(weight * plane for weight, plane, _ in told) / share * ahead
+        middle = max(told)[2]
+        total, mean = 0.0, 0.0
+        for index in surface.beside[middle].tolist():
+            apart = float((surface.places[index] - place).square().sum()) / (0.6 * STEP) ** 2
+            counts = 1.0 if float(surface.normals[index] @ ahead) < -0.05 else 1e-6
+            counts /= (1 + apart) ** 2
+            total += counts
+            mean += counts * math.log(float(surface.gains[index]))
+        assert float(found[row]) == pytest.approx(math.exp(mean / total), rel=1e-4), row
+
+
+def test_the_same_everywhere_is_the_same() -> None:
+    points, surface = roof()
+    rays = rays_to(on_the_roof(torch.linspace(-0.5, 0.5, 40)), (0.3, 0.1, 3.0))
+    weights, near = seen(points, rays)
+    ones = replace(surface, gains=torch.ones(len(points)))
+    assert torch.equal(gains_of_rays(ones, rays, weights, near), torch.ones(40))
+
+
+def test_rays_that_meet_nothing_and_surfaces_that_nobody_knows() -> None:
+    points, surface = roof()
+    rays = rays_to(on_the_roof(torch.tensor([0.3, 0.4])), (0.0, 0.0, 3.0))
+    weights, near = seen(points, rays)
+    weights[0] = 0
+    found = gains_of_rays(surface, rays, weights, near)
+    assert found[0] == 1.0
+    assert found[1] > 1.9
+    blind = replace(surface, beside=surface.beside[:, :0])
+    assert torch.equal(gains_of_rays(blind, rays, weights, near), torch.ones(2))
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e4])
+def test_units_do_not_matter(scale: float) -> None:
+    points, surface = roof()
+    rays = rays_to(on_the_roof(torch.linspace(-0.2, 0.2, 9)), (0.3, 0.1, 3.0))
+    weights, near = seen(points, rays)
+    expected = gains_of_rays(surface, rays, weights, near)
+    larger = replace(surface, places=scale * surface.places, spacing=scale * surface.spacing)
+    moved = RayBundle(origins=scale * rays.origins, directions=rays.directions)
+    found = gains_of_rays(larger, moved, weights, near)
+    torch.testing.assert_close(found, expected, rtol=1e-3, atol=0)
+
+
+def test_a_point_alone() -> None:
+    one = LitSurface(
+        places=torch.zeros(1, 3),
+        normals=torch.tensor([[0.0, 0.0, 1.0]]),
+        gains=torch.tensor([1.25]),
+        beside=torch.zeros(1, 1, dtype=torch.int64),
+        spacing=0.0,
+    )
+    for target in (torch.zeros(1, 3), torch.tensor([[0.1, 0.0, 0.0]])):
+        rays = rays_to(target, (0.0, 0.0, 3.0))
+        found = gains_of_rays(one, rays, torch.ones(1, 1), torch.zeros(1, 1, dtype=torch.int64))
+        torch.testing.assert_close(found, torch.tensor([1.25]))
