@@ -79,7 +79,8 @@ def table(root: Path, factor: int, count: int) -> None:
         expected, visible = colours(there, facing, views, vertices, faces)
         gains = torch.ones(len(points))
         if name is not None:
-            gains = shading.lit(spots.frames(truth.canonical, vertices), there.float()).gains
+            skin = shading.skin(spots.frames(truth.canonical, vertices), there.float())
+            gains = skin.gains if skin.gains is not None else gains
         lit = (visible > 0).nonzero()[:, 0]
         errors = (
             (found.clamp(0, 1)[lit] - expected[lit]).square().mean().sqrt()

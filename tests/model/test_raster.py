@@ -15,8 +15,8 @@ from pcore.deform.simple import uniform_scale
 from pcore.editing.apply import deformed_cloud
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
-from pcore.geometry.lit_surface import LitSurface
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.skin import Skin
 from pcore.model.papr import Papr
 from pcore.model.passes import mean_around
 from pcore.model.progressive import render_progressively
@@ -180,9 +180,9 @@ def test_the_rim_of_a_picture_is_no_frame() -> None:
     assert float(error[~ring].mean()) < 0.01 * spread
 
 
-def evenly(points: PointCloud, gain: float) -> LitSurface:
+def evenly(points: PointCloud, gain: float) -> Skin:
     """All of a surface that many times as bright."""
-    return LitSurface(
+    return Skin(
         places=points.positions,
         normals=torch.nn.functional.normalize(points.positions, dim=1),
         gains=torch.full((len(points),), gain),
@@ -194,7 +194,7 @@ def evenly(points: PointCloud, gain: float) -> LitSurface:
 @torch.no_grad()
 def test_light_falls_on_fine_pictures() -> None:
     papr, points, view = network(), cloud(), camera(2.0)
-    bright = render(papr, points.under(evenly(points, 2.0)), view)
+    bright = render(papr, points.covered(evenly(points, 2.0)), view)
     once = render(papr, points, view)
     background = torch.tensor(papr.config.background) * (1 - once.alpha.unsqueeze(-1))
     torch.testing.assert_close(bright.rgb - background, 2 * (once.rgb - background))

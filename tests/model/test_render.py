@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -11,15 +12,14 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
-from pcore.geometry.lit_surface import LitSurface
 from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.skin import Skin
 from pcore.model import passes
 from pcore.model import render as render_module
 from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.papr import Papr
 from pcore.model.passes import RenderCancelledError
-from pcore.model.relight import gains_of_rays
 from pcore.model.render import (
     FAST_THRESHOLD,
     Picture,
@@ -28,7 +28,7 @@ from pcore.model.render import (
     rays_within,
     render,
 )
-from pcore.model.surface import surface_points
+from pcore.model.surface import surface_of
 
 
 def config(**changes: object) -> PaprConfig:
@@ -122,7 +122,7 @@ def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(cloud: PointCloud) ->
     rays = cam.rays(places=grid_places(4)).flat()
     with torch.no_grad():
         each, neighbours = papr.attend(cloud, rays)
-    surface = surface_points(cloud, rays, each, neighbours, 0.1).reshape(24, 24, 4, 3)
+    surface = surface_of(cloud, rays, each, neighbours, 0.1).surface.reshape(24, 24, 4, 3)
     met = each.weights.sum(dim=-1).reshape(24, 24, 4) > 0
     distance = (surface - cam.center).norm(dim=-1)
     counts = set[int]()
@@ -141,14 +141,14 @@ def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(cloud: PointCloud) ->
 def in_light(cloud: PointCloud, gains: Tensor) -> PointCloud:
     """Every point a piece of surface of its own that faces away from the middle."""
     outwards = torch.nn.functional.normalize(cloud.positions - cloud.sphere[0], dim=1)
-    surface = LitSurface(
+    skin = Skin(
         places=cloud.positions,
         normals=outwards,
         gains=gains,
         beside=torch.cdist(cloud.positions, cloud.positions).argsort(dim=1)[:, :16],
         spacing=0.1,
     )
-    return cloud.under(surface)
+    return cloud.covered(skin)
 
 
 @pytest.mark.parametrize("samples", [1, 4])
@@ -158,11 +158,26 @@ def test_gains_scale_the_object_and_not_the_background(cloud: PointCloud, sample
     behind = (1 - plain.alpha).unsqueeze(-1) * torch.tensor([0.2, 0.5, 1.0])
     twice = render(papr, in_light(cloud, torch.full((60,), 2.0)), cam, tile=16, samples=samples)
     torch.testing.assert_close(twice.rgb - behind, 2 * (plain.rgb - behind), atol=1e-5, rtol=1e-5)
-    for name in ("alpha", "surface", "depth"):
-        assert torch.equal(getattr(twice, name), getattr(plain, name)), name
+    assert torch.equal(twice.alpha, plain.alpha)
     ones = in_light(cloud, torch.ones(60))
     same = render(papr, ones, cam, tile=16, max_rays=100, samples=samples)
     torch.testing.assert_close(same.rgb, plain.rgb, atol=1e-5, rtol=0)
+    for name in ("surface", "depth"):
+        torch.testing.assert_close(getattr(same, name), getattr(twice, name), equal_nan=True)
+
+
+def test_a_skin_in_the_light_of_the_photos_changes_depths_alone(cloud: PointCloud) -> None:
+    papr, cam = Papr(config(cutoff=0.3)).eval(), camera(37, 30)
+    plain = render(papr, cloud, cam)
+    covered = in_light(cloud, torch.ones(60))
+    assert covered.skin is not None
+    found = render(papr, cloud.covered(replace(covered.skin, gains=None)), cam)
+    assert torch.equal(found.rgb, plain.rgb)
+    assert torch.equal(found.alpha, plain.alpha)
+    met = torch.isfinite(plain.depth)
+    assert torch.equal(met, torch.isfinite(found.depth))
+    apart = (found.depth - plain.depth)[met].abs()
+    assert 0.001 < float(apart.median()) < 0.3
 
 
 @pytest.mark.parametrize("samples", [1, 4])
@@ -173,11 +188,11 @@ def test_a_ray_has_the_gain_of_the_surface_it_meets(cloud: PointCloud, samples: 
     with torch.no_grad():
         out = papr(cloud, cam.rays(places=grid_places(samples)))
         each = papr(cloud, cam.resized(24 * math.isqrt(samples), 24 * math.isqrt(samples)).rays())
-    assert lit.lit is not None
     rays = cam.rays(places=grid_places(samples)).flat()
-    of_rays = gains_of_rays(
-        lit.lit, rays, out.weights.flatten(0, -2), out.neighbours.flatten(0, -2)
-    )
+    with torch.no_grad():
+        met, near = papr.attend(lit, rays)
+    of_rays = surface_of(lit, rays, met, near, 0.1).gains
+    assert of_rays is not None
     of_rays = of_rays.reshape(24, 24, -1)
     assert 0.5 <= float(of_rays.min()) < 0.7 < 1.3 < float(of_rays.max()) <= 1.5
     opacity = torch.nn.functional.pixel_unshuffle(each.alpha[None], math.isqrt(samples))
@@ -192,10 +207,10 @@ def test_a_ray_has_the_gain_of_the_surface_it_meets(cloud: PointCloud, samples: 
     torch.testing.assert_close(whole.rgb, expected.detach(), atol=1e-5, rtol=0)
 
 
-def test_light_that_is_not_finite_is_refused(cloud: PointCloud) -> None:
+def test_a_skin_that_is_not_finite_is_refused(cloud: PointCloud) -> None:
     gains = torch.ones(60)
     gains[3] = math.nan
-    with pytest.raises(InputError, match="NaN or infinity in the light of 1 of 60"):
+    with pytest.raises(InputError, match="NaN or infinity in the skin of 1 of 60"):
         render(Papr(config()), in_light(cloud, gains), camera(8, 8))
 
 

@@ -8,9 +8,9 @@ import torch
 
 from pcore.errors import InputError
 from pcore.geometry.light import ENCODING, Light, sphere
-from pcore.geometry.lit_surface import LitSurface
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.skin import Skin
 from pcore.model import shading as shading_module
 from pcore.model.shading import LARGEST_GAIN, Shading, spacing_of
 
@@ -37,7 +37,16 @@ def each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 def gains_of(light: Light, normals: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
     """Gains of points far from one another, each moved by a linear map of its own."""
     positions = 100.0 * torch.arange(len(maps))[:, None] * torch.tensor([[1.0, 0.3, 0.1]])
-    return shading_of(light, normals, positions).lit(frames_of(maps, positions), positions).gains
+    return changed(shading_of(light, normals, positions), frames_of(maps, positions), positions)
+
+
+def changed(
+    shading: Shading, frames: LocalFrames, moved: torch.Tensor, *, world: float = 1.0
+) -> torch.Tensor:
+    """The factors of a deformed surface."""
+    gains = shading.skin(frames, moved, world=world).gains
+    assert gains is not None
+    return gains
 
 
 def shading_of(
@@ -112,7 +121,7 @@ def test_growth_and_moves_change_no_light(scale: float) -> None:
     shading = shading_of(lamp(UP[0]), -points, points)
     frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3) / scale)
     for shift in (torch.zeros(3), torch.tensor([8.0, -4.0, 2.0])):
-        found = shading.lit(frames, scale * points + shift).gains
+        found = changed(shading, frames, scale * points + shift)
         # Rounding puts a point into the next cell of a shadow map now and then.
         assert float((found - 1).abs().max()) < 0.02
         assert float((found - 1).abs().mean()) < 1e-3
@@ -124,12 +133,16 @@ def test_the_surface_lies_above_the_points_and_moves_with_them() -> None:
     shading = replace(shading_of(even(), points, points), lift=0.1)
     maps = torch.diag(torch.tensor([2.0, 1.0, 0.5])) @ turn(0.4)
     moved = points @ maps.T + torch.tensor([3.0, 0.0, -1.0])
-    found = shading.lit(frames_of(maps.expand(300, 3, 3), points), moved)
+    found = shading.skin(frames_of(maps.expand(300, 3, 3), points), moved)
     torch.testing.assert_close(found.places, moved + 0.1 * points @ maps.T)
     turned = torch.nn.functional.normalize(points @ torch.linalg.inv(maps), dim=1)
     torch.testing.assert_close(found.normals, turned)
     # The mean of the axes' factors, 2, 1 and 1/2, is 1.
     assert found.spacing == pytest.approx(spacing_of(points))
+    torch.testing.assert_close(shading.rest.places, 1.1 * points)
+    assert torch.equal(shading.rest.normals, points)
+    assert torch.equal(shading.rest.beside, found.beside)
+    assert shading.rest.gains is None, "where nothing moved the light is that of the photos"
 
 
 def test_pieces_beside_a_point_are_those_of_the_rest_state_with_a_normal() -> None:
@@ -138,15 +151,15 @@ def test_pieces_beside_a_point_are_those_of_the_rest_state_with_a_normal() -> No
     shading = shading_of(even(), normals, points)
     # Turned inside out, so that others are near.
     frames = frames_of(turn(1.0).expand(300, 3, 3), points)
-    beside = shading.lit(frames, points.flip(0)).beside
+    beside = shading.skin(frames, points.flip(0)).beside
     known = torch.nonzero(shading.known).squeeze(1)
     expected = known[torch.cdist(points, points[known]).argsort(dim=1)[:, :16]]
     assert torch.equal(beside.sort(dim=1).values, expected.sort(dim=1).values)
     few = shading_of(even(), normals * (torch.arange(300) < 5)[:, None], points)
-    assert set(few.lit(frames, points).beside.flatten().tolist()) == {1, 2, 4}
-    none = shading_of(even(), torch.zeros(300, 3), points).lit(frames, points)
-    assert none.beside.shape == (300, 0)
-    assert torch.equal(none.gains, torch.ones(300))
+    assert set(few.skin(frames, points).beside.flatten().tolist()) == {1, 2, 4}
+    none = shading_of(even(), torch.zeros(300, 3), points)
+    assert none.skin(frames, points).beside.shape == (300, 0)
+    assert torch.equal(changed(none, frames, points), torch.ones(300))
 
 
 def test_turning_in_the_same_light_from_everywhere_hardly_matters_with_shadows() -> None:
@@ -156,7 +169,7 @@ def test_turning_in_the_same_light_from_everywhere_hardly_matters_with_shadows()
     shading = shading_of(even(), inside, points)
     back = turn(0.7).T
     frames = frames_of(back.T.expand(len(points), 3, 3), points)
-    found = shading.lit(frames, points @ back).gains
+    found = changed(shading, frames, points @ back)
     assert float(found.log().abs().mean()) < 0.01
     assert float(found.log().abs().max()) < 0.06
 
@@ -181,7 +194,7 @@ def test_what_an_edit_uncovers_becomes_brighter_and_what_it_covers_darker(
     moved = points.clone()
     moved[len(PLATE) :, 0] += 1.0
     frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3))
-    found = shading.lit(frames, moved).gains
+    found = changed(shading, frames, moved)
     left, right = INSIDE & (GRID[:, 0] < 0), INSIDE & (GRID[:, 0] > 0)
     brighter = (1 / brightness) ** (1 / ENCODING)
     torch.testing.assert_close(found[: len(PLATE)][left], torch.full((int(left.sum()),), brighter))
@@ -200,7 +213,7 @@ def test_what_hides_light_is_lit_anew_itself() -> None:
     moved = points.clone()
     moved[2 * len(PLATE) :, 0] -= 5.0
     frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(len(points), 3, 3))
-    found = shading.lit(frames, moved).gains.reshape(3, len(PLATE))[:, INSIDE]
+    found = changed(shading, frames, moved).reshape(3, len(PLATE))[:, INSIDE]
     darker = 0.6 ** (1 / ENCODING)
     torch.testing.assert_close(found[0], torch.full_like(found[0], darker))
     torch.testing.assert_close(found[1], torch.full_like(found[1], darker))
@@ -219,17 +232,17 @@ def test_what_comes_nearer_to_a_lamp_becomes_brighter_unless_the_lamp_moves_alon
     shading = shading_of(light, points, points)
     frames = LocalFrames(rest=points, to_rest=torch.eye(3).expand(300, 3, 3) / 2)
     lit = points[:, 2] > 0.6
-    found = shading.lit(frames, 2 * points).gains
+    found = changed(shading, frames, 2 * points)
     expected = (light.falling(2 * points, points) / light.falling(points, points))[:, 0]
     torch.testing.assert_close(found[lit], expected[lit].pow(1 / ENCODING))
     assert float(found.max()) > 1.25
-    torch.testing.assert_close(shading.lit(frames, 2 * points, world=2.0).gains, torch.ones(300))
+    torch.testing.assert_close(changed(shading, frames, 2 * points, world=2.0), torch.ones(300))
 
 
 def test_a_point_alone_is_lit_by_its_normal() -> None:
     shading = shading_of(lamp(UP[0]), UP, torch.zeros(1, 3))
     turned = turn(math.pi / 2)[None]
-    found = shading.lit(frames_of(turned, torch.zeros(1, 3)), torch.zeros(1, 3)).gains
+    found = changed(shading, frames_of(turned, torch.zeros(1, 3)), torch.zeros(1, 3))
     after, before = lamp(UP[0]).irradiance(torch.cat([turned[0] @ UP[0][:, None], UP.T], dim=1).T)
     torch.testing.assert_close(found[0], (after / before).pow(1 / ENCODING))
 
@@ -256,47 +269,52 @@ def test_a_shading_is_checked() -> None:
             replace(shading_of(even(), UP, UP), lift=lift)
     for world in (0.0, -1.0, math.nan):
         with pytest.raises(InputError, match=f"world factor above 0, got {world}"):
-            shading_of(even(), UP, UP).lit(frames_of(torch.eye(3)[None], UP), UP, world=world)
+            shading_of(even(), UP, UP).skin(frames_of(torch.eye(3)[None], UP), UP, world=world)
     shading, still = shading_of(even(), UP, UP), torch.eye(3)
     for frames, moved in (
         (frames_of(still.expand(2, 3, 3), torch.zeros(2, 3)), torch.zeros(2, 3)),
         (frames_of(still[None], UP), torch.zeros(2, 3)),
     ):
         with pytest.raises(InputError, match=r"of its 1 points.*got \d and 2; .*`pcore light RUN`"):
-            shading.lit(frames, moved)
+            shading.skin(frames, moved)
     with pytest.raises(
         InputError, match="the points that the light was estimated with, got others"
     ):
-        shading.lit(frames_of(still[None], UP + 1), UP)
+        shading.skin(frames_of(still[None], UP + 1), UP)
     with pytest.raises(InputError, match="finite points, got NaN or infinity in 1 of 1"):
-        shading.lit(frames_of(still[None], UP), UP * math.nan)
+        shading.skin(frames_of(still[None], UP), UP * math.nan)
 
 
-def test_a_cloud_keeps_its_light_until_it_moves() -> None:
+def test_a_cloud_keeps_its_skin_until_it_moves() -> None:
     cloud = PointCloud(
         positions=torch.zeros(2, 3), features=torch.zeros(2, 4), influence=torch.ones(2)
     )
-    light = LitSurface(
+    skin = Skin(
         places=torch.zeros(2, 3),
         normals=UP.expand(2, 3),
-        gains=torch.tensor([2.0, 0.5]),
         beside=torch.zeros(2, 1, dtype=torch.int64),
         spacing=0.1,
+        gains=torch.tensor([2.0, 0.5]),
     )
-    lit = cloud.under(light)
-    assert cloud.lit is None
-    for same in (lit, lit.detached(), lit.to("cpu")):
-        assert same.lit is not None
-        assert same.lit.gains.tolist() == [2.0, 0.5]
-    assert lit.to("meta").lit.places.device.type == "meta"  # type: ignore[union-attr]
-    assert lit.moved(torch.ones(2, 3)).lit is None, "it belongs to where the points were"
-    with pytest.raises(InputError, match="a lit surface over its 3 points, got 2"):
+    whole = cloud.covered(skin)
+    assert cloud.skin is None
+    for same in (whole, whole.detached(), whole.to("cpu")):
+        assert same.skin is not None
+        assert same.skin.gains is not None
+        assert same.skin.gains.tolist() == [2.0, 0.5]
+    away = whole.to("meta").skin
+    assert away is not None
+    assert {one.device.type for one in (away.places, away.normals, away.beside)} == {"meta"}
+    assert replace(skin, gains=None).to("meta").gains is None
+    assert whole.moved(torch.ones(2, 3)).skin is None, "it belongs to where the points were"
+    with pytest.raises(InputError, match="a skin over its 3 points, got 2"):
         PointCloud(
             positions=torch.zeros(3, 3),
             features=torch.zeros(3, 4),
             influence=torch.ones(3),
-            lit=light,
+            skin=skin,
         )
+    bad: dict[str, torch.Tensor]
     for bad in ({"gains": torch.ones(3)}, {"normals": torch.ones(3, 2)}, {"beside": torch.ones(2)}):
-        with pytest.raises(InputError, match=r"gains \(N,\) and neighbours \(N, K\), got"):
-            replace(light, **bad)
+        with pytest.raises(InputError, match=r"neighbours \(N, K\) and gains \(N,\), got"):
+            replace(skin, **bad)  # type: ignore[arg-type]

@@ -11,8 +11,9 @@ import torch
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
+from pcore.geometry.skin import Skin
 from pcore.model.attention import Attended
-from pcore.model.surface import middle_surface, surface_points
+from pcore.model.surface import middle_surface, surface_of
 
 
 def cloud_at(depths: list[float], beside: list[float] | None = None) -> PointCloud:
@@ -44,7 +45,7 @@ def depths_of(cloud: PointCloud, weights: list[list[float]], cutoff: float | Non
         directions=torch.tensor([[0.0, 0.0, 1.0]]).expand(rows, 3),
     )
     neighbours = torch.arange(len(cloud)).expand(rows, -1)
-    points = surface_points(cloud, rays, attended(cloud, weights), neighbours, cutoff)
+    points = surface_of(cloud, rays, attended(cloud, weights), neighbours, cutoff).surface
     return points[:, 2].tolist()
 
 
@@ -89,12 +90,50 @@ def test_what_lies_nearer_along_the_ray_comes_first_also_in_other_orders() -> No
     assert depths_of(cloud, [[0.7, 0.2, 0.1]], 0.5) == pytest.approx([1.0])
 
 
+def test_with_a_skin_the_first_layer_is_met_in_its_own_light() -> None:
+    """Points at 0 and 3 along the ray, planes half a unit before them; cut-offs tell layers."""
+    cloud = cloud_at([3.0, 0.0, 0.1, 3.1])
+    skin = Skin(
+        places=cloud.positions - torch.tensor([0.0, 0.0, 0.5]),
+        normals=torch.tensor([[0.0, 0.0, -1.0]]).expand(4, 3),
+        beside=torch.tensor([[0, 3], [1, 2], [1, 2], [0, 3]]),
+        spacing=1.0,
+        gains=torch.tensor([2.0, 0.5, 0.5, 2.0]),
+    )
+    weights = [[0.35, 0.15, 0.15, 0.35], [0.4, 0.09, 0.09, 0.42], [0.0, 0.0, 0.0, 0.0]]
+    rays = RayBundle(
+        origins=torch.tensor([[0.0, 0.0, -5.0]]).expand(3, 3),
+        directions=torch.tensor([[0.0, 0.0, 1.0]]).expand(3, 3),
+    )
+    neighbours = torch.arange(4).expand(3, -1)
+
+    def depths_and_gains(
+        skin: Skin | None, cutoff: float | None
+    ) -> tuple[list[float], list[float] | None]:
+        met = attended(cloud, weights)
+        found = surface_of(cloud.covered(skin), rays, met, neighbours, cutoff)
+        return found.surface[:, 2].tolist(), None if found.gains is None else found.gains.tolist()
+
+    behind = (0.4 * 2.5 + 0.42 * 2.6) / 0.82
+    depths, gains = depths_and_gains(skin, 0.5)
+    assert depths[:2] == pytest.approx([-0.45, behind])
+    assert math.isnan(depths[2])
+    assert gains == pytest.approx([0.5, 2.0, 1.0])
+    # Without a cut-off all is one layer, as it is without a skin.
+    assert depths_and_gains(skin, None)[0][:2] == pytest.approx([1.65, 2.011])
+    depths, none = depths_and_gains(replace(skin, gains=None), 0.5)
+    assert depths[:2] == pytest.approx([-0.45, behind])
+    assert none is None
+    assert depths_and_gains(None, 0.5)[1] is None
+
+
 def test_no_gradient_and_no_change_of_what_the_losses_see() -> None:
     cloud = cloud_at([0.0, 3.0])
     met = attended(cloud, [[0.6, 0.4]])
     weights = met.weights.clone().requires_grad_()
     rays = RayBundle(origins=torch.zeros(1, 3), directions=torch.tensor([[0.0, 0.0, 1.0]]))
-    found = surface_points(cloud, rays, replace(met, weights=weights), torch.tensor([[0, 1]]), 0.5)
+    met = replace(met, weights=weights)
+    found = surface_of(cloud, rays, met, torch.tensor([[0, 1]]), 0.5).surface
     assert not found.requires_grad
     assert float(met.surface[0, 2]) == pytest.approx(1.2)
 

@@ -167,17 +167,17 @@ def _films(command: RenderCommand) -> bool:
 
 
 def _edited(cloud: PointCloud, command: RenderCommand, console: Console) -> PointCloud:
-    """Return the cloud deformed by the edit file."""
+    """Return the cloud deformed by the edit file, with its surface where the run knows it."""
+    aware = command.rays == "aware"
+    shading = shading_of(command.run_or_file, cloud, command.light, aware=aware)
     if command.edit is None:
-        return cloud
+        return cloud.covered(shading and shading.rest)
     from pcore.cli.diagnosing import note
     from pcore.editing.apply import deformed_cloud
     from pcore.editing.runs import learned_rig
     from pcore.editing.script import load_edit
 
     rig = learned_rig(command.run_or_file, cloud.positions)
-    aware = command.rays == "aware"
-    shading = shading_of(command.run_or_file, cloud, command.light, aware=aware)
     check = aware or shading is not None
     bound = load_edit(command.edit).bound(cloud.positions, rig=rig, check=check)
     note(console, bound.notes)

@@ -24,8 +24,8 @@ def deformed_cloud(
         deformation: the map, as `EditScript.bind` returns it.
         aware: remember the rest state, so that PAPR renders with deformation-aware rays. A map
             that is the identity at every point needs no memory: the picture is the canonical one.
-        shading: light the deformed points anew by this light, which stays where it is; None leaves
-            them as they were photographed.
+        shading: cover the points with their surface, lit anew by this light, which stays where it
+            is; None leaves them as they were photographed.
 
     Returns:
         The moved cloud, on the device of the given one.
@@ -38,11 +38,13 @@ def deformed_cloud(
     positions = cloud.positions.detach()
     exact = positions.cpu().double()
     moved = deformation(exact).to(positions)
-    if not (aware or shading) or _stays(deformation, exact):
+    if _stays(deformation, exact):
+        return cloud.moved(moved).covered(shading and shading.rest.to(positions.device))
+    if not (aware or shading):
         return cloud.moved(moved)
     frames = analytic_frames(deformation, positions.cpu())
     there = cloud.to("cpu").moved(moved.cpu(), frames if aware else None)
-    return there.under(shading and shading.lit(frames, there.positions)).to(positions.device)
+    return there.covered(shading and shading.skin(frames, there.positions)).to(positions.device)
 
 
 def _stays(deformation: Deformation, points: torch.Tensor) -> bool:

@@ -58,8 +58,8 @@ class Method:
         cloud: canonical points, world units.
         aware: render deformed states with deformation-aware rays, else with plain ones.
         unseen: (N,) bool, which points no training view saw; None where that is not known.
-        shading: a light that stands still while points move, for aware rays; None leaves points as
-            they were photographed.
+        shading: the surface over the points and a light that stands still while they move, for
+            aware rays; None leaves points as they were photographed, and their surface unknown.
     """
 
     name: str
@@ -243,10 +243,12 @@ def carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
 
 
 def _lit(cloud: PointCloud, shading: Shading | None, state: State) -> PointCloud:
-    """Light a moved cloud anew; where nothing moved there are no frames, and nothing changes."""
-    if shading is None or cloud.frames is None:
+    """Light a moved cloud anew; where nothing moved there are no frames, and no light changes."""
+    if shading is None:
         return cloud
-    return cloud.under(shading.lit(cloud.frames, cloud.positions, world=state.world))
+    if cloud.frames is None:
+        return cloud.covered(shading.rest.to(cloud.positions.device))
+    return cloud.covered(shading.skin(cloud.frames, cloud.positions, world=state.world))
 
 
 def _health(

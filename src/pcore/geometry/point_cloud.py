@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
-from pcore.geometry.lit_surface import LitSurface
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.neighbours import nearest
+from pcore.geometry.skin import Skin
 
 _ROUNDING = 1e-5
 _BESIDE = 3
@@ -29,8 +29,8 @@ class PointCloud:
         influence: (N,) factor on every point's attention score.
         frames: rest state of deformed points, with which PAPR sees rays of the rest state
             (deformation-aware rays); None makes the points be seen where they are.
-        lit: the surface over the points in another light than it was photographed in; None leaves
-            it as it was.
+        skin: the surface over the points, in another light than that of the photos perhaps; None
+            where nobody knows it.
         before: (N, 3) positions before the points were moved; None where they were not.
     """
 
@@ -38,7 +38,7 @@ class PointCloud:
     features: Tensor
     influence: Tensor
     frames: LocalFrames | None = None
-    lit: LitSurface | None = None
+    skin: Skin | None = None
     before: Tensor | None = None
 
     def __post_init__(self) -> None:
@@ -59,9 +59,9 @@ class PointCloud:
                 f"point cloud: expected positions before the move of its {n} points, got "
                 f"{tuple(self.before.shape)}"
             )
-        if self.lit is not None and len(self.lit) != n:
+        if self.skin is not None and len(self.skin) != n:
             raise InputError(
-                f"point cloud: expected a lit surface over its {n} points, got {len(self.lit)}"
+                f"point cloud: expected a skin over its {n} points, got {len(self.skin)}"
             )
 
     @classmethod
@@ -115,14 +115,14 @@ class PointCloud:
     def moved(self, positions: Tensor, frames: LocalFrames | None = None) -> PointCloud:
         """Return the same points at other positions (N, 3), with or without their rest state.
 
-        Light belongs to the positions it was computed for, and is left behind.
+        A skin belongs to the positions it was computed for, and is left behind.
         """
         before = self.positions if self.before is None else self.before
-        return replace(self, positions=positions, frames=frames, lit=None, before=before)
+        return replace(self, positions=positions, frames=frames, skin=None, before=before)
 
-    def under(self, light: LitSurface | None) -> PointCloud:
-        """Return the same points in the light that falls on the surface over them."""
-        return replace(self, lit=light)
+    def covered(self, skin: Skin | None) -> PointCloud:
+        """Return the same points with this surface over them."""
+        return replace(self, skin=skin)
 
     def detached(self) -> PointCloud:
         """Return a copy cut off from the autograd graph."""
@@ -142,7 +142,7 @@ class PointCloud:
             influence=change(self.influence),
             frames=frames
             and replace(frames, rest=change(frames.rest), to_rest=change(frames.to_rest)),
-            lit=self.lit and self.lit.each(change),
+            skin=self.skin and self.skin.each(change),
             before=None if self.before is None else change(self.before),
         )
 

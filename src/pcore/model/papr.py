@@ -14,9 +14,9 @@ from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended, ProximityAttention
 from pcore.model.config import PaprConfig
 from pcore.model.far_side import opaque, replaced, turned, unanswered
-from pcore.model.relight import gains_of_rays
 from pcore.model.sight import Sight, look, look_behind
 from pcore.model.strangers import OPAQUE, behind
+from pcore.model.surface import surface_of
 from pcore.model.unet import Unet
 
 _LEAST_OPACITY = 1e-6
@@ -73,8 +73,8 @@ class Papr(nn.Module):
             origins=rays.origins.flatten(0, 1), directions=rays.directions.flatten(0, 1)
         )
         attended, neighbours = self.attend(cloud, pixels_first)
-        flat = pixels_first.flat()
-        pixels = averaged(cloud, flat, attended, neighbours, math.prod(shape[2:]))
+        gains = self._gains(cloud, pixels_first.flat(), attended, neighbours)
+        pixels = averaged(attended, gains, math.prod(shape[2:]))
         features, alpha = pixels.features.reshape(*shape[:2], -1), pixels.alpha.reshape(shape[:2])
         gain = None if pixels.gain is None else pixels.gain.reshape(shape[:2])
         return Rendering(
@@ -107,6 +107,14 @@ class Papr(nn.Module):
         if sight.hidden is not None:
             sight, met = self._closed(cloud, rays.flat(), sight, met, threshold, cutoff)
         return _scatter(met, sight.near, sight.neighbours.shape), sight.neighbours
+
+    def _gains(
+        self, cloud: PointCloud, rays: RayBundle, attended: Attended, neighbours: Tensor
+    ) -> Tensor | None:
+        """Factors (R,) on the brightness of what rays met; None in the light of the photos."""
+        if cloud.skin is None or cloud.skin.gains is None:
+            return None
+        return surface_of(cloud, rays, attended, neighbours, self.config.cutoff).gains
 
     def _closed(
         self,
@@ -207,19 +215,21 @@ class Pixels:
     behind: Tensor
 
 
-def averaged(
-    cloud: PointCloud, rays: RayBundle, attended: Attended, neighbours: Tensor, samples: int
-) -> Pixels:
-    """Average R = P * S rays over P pixels, whose S rays follow one another."""
+def averaged(attended: Attended, gains: Tensor | None, samples: int) -> Pixels:
+    """Average R = P * S rays over P pixels, whose S rays follow one another.
+
+    Args:
+        attended: what the rays met.
+        gains: (R,) factor on the brightness of what they met; None leaves it as it is.
+        samples: S.
+    """
 
     def mean(values: Tensor) -> Tensor:
         return values.unflatten(0, (-1, samples)).mean(dim=1)
 
     opacity = 1 - attended.background
-    alpha, gain = mean(opacity), None
-    if cloud.lit is not None:
-        of_rays = gains_of_rays(cloud.lit, rays, attended.weights, neighbours)
-        gain = mean(opacity * of_rays) / alpha.clamp_min(_LEAST_OPACITY)
+    alpha = mean(opacity)
+    gain = None if gains is None else mean(opacity * gains) / alpha.clamp_min(_LEAST_OPACITY)
     return Pixels(
         features=mean(attended.features), alpha=alpha, gain=gain, behind=mean(attended.behind)
     )

@@ -22,7 +22,7 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr, averaged
 from pcore.model.raster import Raster
-from pcore.model.surface import middle_surface, surface_points
+from pcore.model.surface import middle_surface, surface_of
 from pcore.model.unet import ALIGNMENT
 
 Progress = Callable[[float], None]
@@ -159,17 +159,16 @@ def attend(
     """Fill M wanted pixels, given by their numbers, with what their rays meet, (M, S) of them."""
     device, shape = canvas.alpha.device, rays.shape
     sent = rays.to(device)
-    flat = sent.flat()
     attended, neighbours = papr.attend(cloud, sent, threshold)
-    pixels = averaged(cloud, flat, attended, neighbours, shape[1])
+    met = surface_of(cloud, sent.flat(), attended, neighbours, papr.config.cutoff)
+    pixels = averaged(attended, met.gains, shape[1])
     rows, width, channels = canvas.features.shape
     there = wanted.to(device)
     canvas.features.view(-1, channels)[there % (rows * width)] = pixels.features
     canvas.alpha.view(-1)[there] = pixels.alpha
     if pixels.gain is not None:
         canvas.gain.view(-1)[there] = pixels.gain
-    surface = surface_points(cloud, flat, attended, neighbours, papr.config.cutoff)
-    surface = surface.cpu().reshape(*shape, 3)
+    surface = met.surface.cpu().reshape(*shape, 3)
     canvas.surface.view(-1, 3)[wanted] = middle_surface(surface, rays.origins)
 
 

@@ -67,7 +67,8 @@ def render(
     A picture whose pixels are another size than the photos' is sampled so that the renderer network
     sees the size it knows (`pcore.model.raster`).
 
-    The surface point of a ray is the mean over one layer of points (`pcore.model.surface`); with
+    The surface point of a ray is where it meets the skin of the cloud, or, where there is none, the
+    mean over one layer of points (`pcore.model.surface`); with
     several rays per pixel it is that of the ray whose distance is the middle one (the nearer of
     two).
 
@@ -164,8 +165,8 @@ def _check_cloud(cloud: PointCloud) -> None:
     if frames is not None:
         parts |= {"rest position": frames.rest, "local map": frames.to_rest}
     finite = {name: torch.isfinite(one).flatten(1).all(dim=1) for name, one in parts.items()}
-    if cloud.lit is not None:
-        finite["light"] = cloud.lit.finite
+    if cloud.skin is not None:
+        finite["skin"] = cloud.skin.finite
     for name, whole in finite.items():
         bad = int((~whole).sum())
         if bad:

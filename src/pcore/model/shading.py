@@ -17,9 +17,9 @@ from torch.nn import functional as F
 
 from pcore.errors import InputError
 from pcore.geometry.light import ENCODING, Light, falling_of, known_normals, of_unit_length
-from pcore.geometry.lit_surface import LitSurface
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.neighbours import nearest
+from pcore.geometry.skin import Skin
 from pcore.geometry.visibility import cloud_spacing
 from pcore.kernels.shadows import Shadows, shadows_of
 
@@ -76,7 +76,17 @@ class Shading:
         """(N,) bool, the points whose normal is known."""
         return known_normals(self.normals)
 
-    def lit(self, frames: LocalFrames, moved: Tensor, *, world: float = 1.0) -> LitSurface:
+    @property
+    def rest(self) -> Skin:
+        """The surface over the canonical points, in the light of the photos."""
+        return Skin(
+            places=self.positions + self.lift * self.normals,
+            normals=self.normals,
+            beside=self._beside,
+            spacing=self._spacing,
+        )
+
+    def skin(self, frames: LocalFrames, moved: Tensor, *, world: float = 1.0) -> Skin:
         """Light the surface over deformed points anew.
 
         Args:
@@ -99,14 +109,14 @@ class Shading:
         # A normal turns by the transposed inverse of the local map, which the frames hold.
         turned = F.normalize(torch.einsum("nji,nj->ni", to_rest, self.normals), dim=1)
         place, spacing = moved.detach().cpu().float(), self._spacing * frames.growth
-        surface = LitSurface(
+        skin = Skin(
             places=place + torch.linalg.solve(to_rest, self.lift * self.normals),
             normals=turned,
-            gains=self._changes(place, turned, spacing, self.light.scaled(world)),
             beside=self._beside,
             spacing=spacing,
+            gains=self._changes(place, turned, spacing, self.light.scaled(world)),
         )
-        return surface.each(lambda one: one.to(moved.device))
+        return skin.to(moved.device)
 
     def _changes(self, place: Tensor, turned: Tensor, spacing: float, light: Light) -> Tensor:
         """Bounded factors (N,) of points that an edit put to places (N, 3) and turned."""

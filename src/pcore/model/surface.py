@@ -2,12 +2,14 @@
 
 The paper's surface point is the mean of the points by their weights (`Attended.surface`), which the
 consistency losses ask for. At the rim of an arm before a body it lies in the air between them: a
-depth that nothing has, a speck in a point cloud. Pictures take the mean over one layer.
+depth that nothing has, a speck in a point cloud. Pictures take the mean over one layer, or where
+the ray meets the surface over its points if a cloud knows it (`pcore.model.meeting`).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -15,51 +17,80 @@ from torch import Tensor
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended
+from pcore.model.meeting import gains_at, meet
 
 _FRONT = 0.2
 """Share of the weight in front of which nothing is taken for a layer. Chosen on a figure of our own
 (ADR 5)."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Met:
+    """What R rays meet.
+
+    Attributes:
+        surface: (R, 3) world units; NaN where a ray has no attention at all.
+        gains: (R,) factor on the brightness of the surface there, 1 where a ray meets nothing; None
+            where the light is that of the photos.
+    """
+
+    surface: Tensor
+    gains: Tensor | None
+
+
 @torch.no_grad()
-def surface_points(
+def surface_of(
     cloud: PointCloud,
     rays: RayBundle,
     attended: Attended,
     neighbours: Tensor,
     cutoff: float | None,
-) -> Tensor:
-    """Mean by weight of the points that lie, at rest, within a cut-off of the first that counts.
+) -> Met:
+    """Find where rays meet the surface: one layer of it, that of the first point that counts.
 
-    That is the one where a fifth of the weight is met along the ray.
+    That is the one where a fifth of the weight is met along the ray; points of its layer lie, at
+    rest, within a cut-off of it.
 
     Args:
         cloud: the points.
         rays: (R,) rays, world units.
         attended: what they met.
         neighbours: (R, k) indices into the cloud.
-        cutoff: distance beyond which a point gets no attention, world units; None: the mean of all
-            points, for nothing says how thick a layer is.
-
-    Returns:
-        (R, 3) world units; NaN where a ray has no attention at all.
+        cutoff: distance beyond which a point gets no attention, world units; None: all points are
+            one layer, for nothing says how thick it is.
     """
     met = attended.weights.sum(dim=-1) > 0
     surface = attended.surface.masked_fill(~met.unsqueeze(1), math.nan)
-    if cutoff is None:
-        return surface
+    skin = cloud.skin
+    gains = None if skin is None or skin.gains is None else torch.ones_like(surface[:, 0])
+    if cutoff is None and skin is None:
+        return Met(surface=surface, gains=gains)
     rows = torch.nonzero(met).squeeze(-1)
-    weights, lines = attended.weights[rows], rays[rows]
-    points = neighbours[rows]
+    weights, lines, points = attended.weights[rows], rays[rows], neighbours[rows]
     here = cloud.positions.detach()[points]
-    depth = ((here - lines.origins.unsqueeze(1)) * lines.directions.unsqueeze(1)).sum(dim=-1)
+    if cutoff is not None:
+        weights = weights * _first_layer(cloud, lines, weights, points, cutoff)
+    if skin is None:
+        mean = (weights.unsqueeze(-1) * here).sum(dim=1) / weights.sum(dim=1, keepdim=True)
+        return Met(surface=surface.index_copy(0, rows, mean), gains=gains)
+    places, middle = meet(skin, lines, weights, points)
+    if gains is not None:
+        gains = gains.index_copy(0, rows, gains_at(skin, lines, places, middle))
+    return Met(surface=surface.index_copy(0, rows, places), gains=gains)
+
+
+def _first_layer(
+    cloud: PointCloud, rays: RayBundle, weights: Tensor, points: Tensor, cutoff: float
+) -> Tensor:
+    """(R, k) bool, which points of rays belong to the layer that they meet first."""
+    here = cloud.positions.detach()[points]
+    depth = ((here - rays.origins.unsqueeze(1)) * rays.directions.unsqueeze(1)).sum(dim=-1)
     order = depth.argsort(dim=1)
     reached = weights.gather(1, order).cumsum(dim=1) >= _FRONT * weights.sum(dim=1, keepdim=True)
     first = order.gather(1, reached.int().argmax(dim=1, keepdim=True)).unsqueeze(-1)
     rest = here if cloud.frames is None else cloud.frames.rest.detach()[points]
     apart = (rest - rest.take_along_dim(first, dim=1)).square().sum(dim=-1)
-    kept = (weights * (apart <= cutoff**2)).unsqueeze(-1)
-    return surface.index_copy(0, rows, (kept * here).sum(dim=1) / kept.sum(dim=1))
+    return apart <= cutoff**2
 
 
 def middle_surface(surface: Tensor, origins: Tensor) -> Tensor:

@@ -84,7 +84,7 @@ def observe(
     A point whose surface fewer than two of them show has the colour of the pixels that look at it.
     """
     device = next(papr.parameters()).device
-    cloud = cloud.detached().under(None).to(device)
+    cloud = cloud.detached().covered(None).to(device)
     sums = torch.zeros(len(cloud), 7)
     every = math.ceil(len(views) / _MOST_VIEWS)
     shown: list[Shown] = []
