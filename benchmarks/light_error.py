@@ -80,7 +80,8 @@ def table(root: Path, factor: int, count: int) -> None:
         gains = torch.ones(len(points))
         if name is not None:
             skin = shading.skin(spots.frames(truth.canonical, vertices), there.float())
-            gains = skin.gains if skin.gains is not None else gains
+            assert skin.gains is not None
+            gains = skin.gains
         lit = (visible > 0).nonzero()[:, 0]
         errors = (
             (found.clamp(0, 1)[lit] - expected[lit]).square().mean().sqrt()

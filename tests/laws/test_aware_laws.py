@@ -15,6 +15,7 @@ from pcore.deform.simple import uniform_scale
 from pcore.editing.apply import deformed_cloud
 from pcore.errors import EditError, InputError
 from pcore.geometry.camera import Camera
+from pcore.geometry.light import Light, sphere
 from pcore.geometry.local_frames import LocalFrames
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
@@ -22,7 +23,8 @@ from pcore.kernels.reference import encode
 from pcore.model.config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
 from pcore.model.papr import Papr, Rendering
 from pcore.model.render import render
-from pcore.model.surface import surface_points
+from pcore.model.shading import Shading
+from pcore.model.surface import surface_of
 
 CONFIG = PaprConfig(
     neighbours=5,
@@ -111,7 +113,7 @@ def test_similarities_move_the_surface_that_pictures_show(scale: float) -> None:
     rays = camera().rays().flat()
     seen = carried(rays, *affine(deformation))
     found, expected = (
-        surface_points(cloud, lines, *papr.attend(cloud, lines), 0.3)
+        surface_of(cloud, lines, *papr.attend(cloud, lines), 0.3).surface
         for cloud, lines in ((moved, seen), (rest, rays))
     )
     hit = ~expected.isnan().any(dim=1)
@@ -120,6 +122,45 @@ def test_similarities_move_the_surface_that_pictures_show(scale: float) -> None:
     layered = (means - expected)[hit].norm(dim=1) > 0.05
     assert 0.05 < float(layered.float().mean()) < 0.95, "front and back answer some of the rays"
     torch.testing.assert_close(found[hit], deformation(expected)[hit], rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+@torch.no_grad()
+def test_similarities_move_the_skin(scale: float) -> None:
+    """And in light from everywhere change no brightness: nothing of a ball shades itself."""
+    turn = rigid((0.2, 1.0, -0.4), 0.9, (0.3, -0.2, 0.1), (0.1, 0.0, 0.0))
+    deformation = Compose(uniform_scale(scale), turn)
+    papr = Papr(replace(CONFIG, neighbours=8, cutoff=0.3, reference=REFERENCE)).eval()
+    points = ball().positions
+    normals = torch.nn.functional.normalize(points - points.mean(dim=0), dim=1)
+    even = Light(
+        directions=sphere(60),
+        radiance=torch.ones(60),
+        nearness=torch.zeros(60),
+        center=torch.zeros(3),
+    )
+    shading = Shading(
+        light=even,
+        normals=normals,
+        positions=points,
+        brightness=torch.full((len(points),), 0.3),
+        lift=0.02,
+    )
+    moved = deformed_cloud(ball(), deformation, shading=shading)
+    rays = camera().rays().flat()
+    seen = carried(rays, *affine(deformation))
+    found, expected = (
+        surface_of(cloud, lines, *papr.attend(cloud, lines), 0.3)
+        for cloud, lines in ((moved, seen), (ball().covered(shading.rest), rays))
+    )
+    hit = ~expected.surface.isnan().any(dim=1)
+    moved_surface = deformation(expected.surface)[hit]
+    torch.testing.assert_close(found.surface[hit], moved_surface, rtol=0, atol=1e-4)
+    bare = surface_of(ball(), rays, *papr.attend(ball(), rays), 0.3).surface
+    assert float((bare - expected.surface)[hit].norm(dim=1).mean()) > 0.01
+    assert expected.gains is None
+    assert found.gains is not None
+    torch.testing.assert_close(found.gains, torch.ones(len(hit)), rtol=0, atol=0.05)
 
 
 @ORIGINS

@@ -151,8 +151,6 @@ def render_run(command: RenderCommand, console: Console) -> None:
 
 def _check(command: RenderCommand) -> None:
     check_given_samples(command.samples)
-    if command.light is not None and command.edit is None:
-        raise InputError("--light is for edits: give --edit FILE as well, or leave out --light")
     given = [name for name in ("cameras", "split", "orbit") if getattr(command, name) is not None]
     if len(given) > 1:
         names = " and ".join(f"--{name}" for name in given)

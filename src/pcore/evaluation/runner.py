@@ -58,8 +58,8 @@ class Method:
         cloud: canonical points, world units.
         aware: render deformed states with deformation-aware rays, else with plain ones.
         unseen: (N,) bool, which points no training view saw; None where that is not known.
-        shading: the surface over the points and a light that stands still while they move, for
-            aware rays; None leaves points as they were photographed, and their surface unknown.
+        shading: a light that stands still while points move, for aware rays; None leaves points as
+            they were photographed.
     """
 
     name: str
@@ -243,12 +243,15 @@ def carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
 
 
 def _lit(cloud: PointCloud, shading: Shading | None, state: State) -> PointCloud:
-    """Light a moved cloud anew; where nothing moved there are no frames, and no light changes."""
-    if shading is None:
+    """Light a moved cloud anew; where nothing moved there are no frames, and nothing changes.
+
+    All methods are measured by one kind of depth, that of the points, so that their hole rates
+    compare.
+    """
+    if shading is None or cloud.frames is None:
         return cloud
-    if cloud.frames is None:
-        return cloud.covered(shading.rest.to(cloud.positions.device))
-    return cloud.covered(shading.skin(cloud.frames, cloud.positions, world=state.world))
+    skin = shading.skin(cloud.frames, cloud.positions, world=state.world)
+    return cloud.covered(replace(skin, deep=False))
 
 
 def _health(

@@ -142,7 +142,7 @@ class PointCloud:
             influence=change(self.influence),
             frames=frames
             and replace(frames, rest=change(frames.rest), to_rest=change(frames.to_rest)),
-            skin=self.skin and self.skin.each(change),
+            skin=None if self.skin is None else self.skin.each(change),
             before=None if self.before is None else change(self.before),
         )
 

@@ -7,7 +7,7 @@ that is where it is deep, where light falls on it, and where both change at an e
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -26,6 +26,7 @@ class Skin:
             K is 0 where no normal is known.
         spacing: how far the points are apart, world units.
         gains: (N,) factor on the brightness that photos stored; None leaves it as it was.
+        deep: whether pictures are as deep as the skin; else as the points, as without one.
     """
 
     places: Tensor
@@ -33,6 +34,7 @@ class Skin:
     beside: Tensor
     spacing: float
     gains: Tensor | None = None
+    deep: bool = True
 
     def __post_init__(self) -> None:
         shapes = [tuple(one.shape) for one in (self.places, self.normals, self.beside)]
@@ -50,11 +52,11 @@ class Skin:
 
     def each(self, change: Callable[[Tensor], Tensor]) -> Skin:
         """Return the same with every tensor changed."""
-        return Skin(
+        return replace(
+            self,
             places=change(self.places),
             normals=change(self.normals),
             beside=change(self.beside),
-            spacing=self.spacing,
             gains=None if self.gains is None else change(self.gains),
         )
 

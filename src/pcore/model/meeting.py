@@ -21,8 +21,9 @@ _SLANT = 0.2
 """Cosine below which a ray meets a plane no more slantingly than that."""
 _NEAR = 2.0
 """Spacings before and behind a piece of surface within which a ray meets its plane."""
-_WIDTH = 0.6
-"""Spacings within which pieces count alike; beyond, with the inverse fourth power. All chosen on
+_EXTENT, _WIDTH = 1.0, 0.6
+"""Spacings from a piece of surface within which its plane says where a ray meets the surface, and
+its light what is seen there; beyond, with the inverse fourth power of the distance. All chosen on
 objects of our own (ADR 14)."""
 _HIDDEN = 1e-6
 """What a piece counts that faces away: nothing, unless all do."""
@@ -31,8 +32,9 @@ _HIDDEN = 1e-6
 def meet(skin: Skin, rays: RayBundle, weights: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     """Find where rays meet the surface.
 
-    A ray meets the plane of every piece of surface over its points that faces it; the mean by their
-    weights is taken. Where none does, as behind an open rim, the pieces themselves.
+    A ray meets the plane of every piece of surface over its points that faces it; the mean of the
+    distances is taken, by the points' weights and by how near to its piece each plane is met. Where
+    none faces it, as behind an open rim, the pieces' own distances are.
 
     Args:
         skin: over the points, on the device of the rays.
@@ -51,9 +53,9 @@ def meet(skin: Skin, rays: RayBundle, weights: Tensor, points: Tensor) -> tuple[
     plane = (offset * normals).sum(dim=2) / across.clamp_max(-_SLANT)
     plane = torch.minimum(torch.maximum(plane, depth - reach), depth + reach)
     distance = torch.where(facing, plane, depth)
-    shown = weights * facing
-    told = shown.sum(dim=1, keepdim=True) > _HIDDEN
-    shown = torch.where(told, shown, weights)
+    told = (weights * facing).sum(dim=1, keepdim=True) > _HIDDEN
+    apart = (distance.unsqueeze(2) * ahead - offset).square().sum(dim=2)
+    shown = torch.where(told, weights * facing, weights) * _nearness(apart, _EXTENT, skin)
     mean = (shown * distance).sum(dim=1, keepdim=True) / shown.sum(dim=1, keepdim=True)
     middle = points.gather(1, shown.argmax(dim=1, keepdim=True)).squeeze(1)
     return rays.origins + mean * rays.directions, middle
@@ -73,9 +75,13 @@ def gains_at(skin: Skin, rays: RayBundle, places: Tensor, middle: Tensor) -> Ten
     around = skin.beside[middle]
     apart = (skin.places[around] - places.unsqueeze(1)).square().sum(dim=2)
     towards = -(skin.normals[around] * rays.directions.unsqueeze(1)).sum(dim=2)
-    share = torch.where(towards > _FACING, 1.0, _HIDDEN)
-    # A point alone is no distance from others.
-    width = _WIDTH * skin.spacing or 1.0
-    share = share / (1 + apart / width**2).square()
+    share = torch.where(towards > _FACING, 1.0, _HIDDEN) * _nearness(apart, _WIDTH, skin)
     change = (share * skin.gains.log()[around]).sum(dim=1) / share.sum(dim=1)
     return change.exp()
+
+
+def _nearness(squared: Tensor, spacings: float, skin: Skin) -> Tensor:
+    """Weights of pieces by their squared distances: 1 at 0, a quarter after so many spacings."""
+    # A point alone is no distance from others.
+    width = spacings * skin.spacing or 1.0
+    return (1 + squared / width**2).pow(-2)

@@ -76,7 +76,7 @@ class Shading:
         """(N,) bool, the points whose normal is known."""
         return known_normals(self.normals)
 
-    @property
+    @cached_property
     def rest(self) -> Skin:
         """The surface over the canonical points, in the light of the photos."""
         return Skin(
@@ -106,11 +106,17 @@ class Shading:
             raise InputError(f"shading: expected a world factor above 0, got {world}")
         self._check(frames, moved)
         to_rest = frames.to_rest.detach().cpu().float()
+        lifted, wrong = torch.linalg.solve_ex(to_rest, self.lift * self.normals)
+        flat = int(((wrong != 0) | ~lifted.isfinite().all(dim=1)).sum())
+        if flat:
+            raise InputError(
+                f"shading: expected local maps with an inverse, got {flat} of {len(moved)} without"
+            )
         # A normal turns by the transposed inverse of the local map, which the frames hold.
         turned = F.normalize(torch.einsum("nji,nj->ni", to_rest, self.normals), dim=1)
         place, spacing = moved.detach().cpu().float(), self._spacing * frames.growth
         skin = Skin(
-            places=place + torch.linalg.solve(to_rest, self.lift * self.normals),
+            places=place + lifted,
             normals=turned,
             beside=self._beside,
             spacing=spacing,

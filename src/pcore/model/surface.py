@@ -64,18 +64,18 @@ def surface_of(
     skin = cloud.skin
     gains = None if skin is None or skin.gains is None else torch.ones_like(surface[:, 0])
     if cutoff is None and skin is None:
-        return Met(surface=surface, gains=gains)
+        return Met(surface=surface, gains=None)
     rows = torch.nonzero(met).squeeze(-1)
     weights, lines, points = attended.weights[rows], rays[rows], neighbours[rows]
-    here = cloud.positions.detach()[points]
     if cutoff is not None:
         weights = weights * _first_layer(cloud, lines, weights, points, cutoff)
-    if skin is None:
-        mean = (weights.unsqueeze(-1) * here).sum(dim=1) / weights.sum(dim=1, keepdim=True)
-        return Met(surface=surface.index_copy(0, rows, mean), gains=gains)
-    places, middle = meet(skin, lines, weights, points)
-    if gains is not None:
-        gains = gains.index_copy(0, rows, gains_at(skin, lines, places, middle))
+    here = cloud.positions.detach()[points]
+    places = (weights.unsqueeze(-1) * here).sum(dim=1) / weights.sum(dim=1, keepdim=True)
+    if skin is not None:
+        on_skin, middle = meet(skin, lines, weights, points)
+        places = on_skin if skin.deep else places
+        if gains is not None:
+            gains = gains.index_copy(0, rows, gains_at(skin, lines, on_skin, middle))
     return Met(surface=surface.index_copy(0, rows, places), gains=gains)
 
 

@@ -17,10 +17,12 @@ from torch.nn import functional as F
 from pcore.data.scene import View
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
 from pcore.model.passes import Picture
 from pcore.model.render import normals
 from pcore.model.shading import spacing_of
+from pcore.model.surface import surface_of
 
 _LARGEST_SIDE = 200
 _SOLID = 0.9
@@ -28,7 +30,7 @@ _ALIKE = 0.4
 """Shortest mean of the unit normals that views see at a point; at edges they see several sides."""
 _SEEN = 0.5
 _MOST_VIEWS = 50
-"""Views that are compared with one another, evenly among all."""
+"""Views that are compared with one another, at most; evenly among all."""
 _FACING = 0.3
 """Least cosine between a normal and the way to a camera that shows its surface well."""
 _LIFTS = tuple(0.2 * step for step in range(-1, 8))
@@ -38,6 +40,11 @@ _CLOSE, _CLOSEST = 3.0, 2.0
 heights are tried, and when colours are taken."""
 _ENOUGH, _LEAST = 4, 2
 """Photos that must show a place: to tell whether they agree, and to take its colour from them."""
+_TOLD = 30
+"""Points whose surface enough photos show at every height, at least."""
+_CLEAR = 0.9
+"""Share of the largest disagreement that the least one may have: paint without any pattern agrees
+with itself at every height."""
 
 Progress = Callable[[int, int], None]
 
@@ -84,13 +91,14 @@ def observe(
     A point whose surface fewer than two of them show has the colour of the pixels that look at it.
     """
     device = next(papr.parameters()).device
+    # Its own surface is what is asked for.
     cloud = cloud.detached().covered(None).to(device)
     sums = torch.zeros(len(cloud), 7)
-    every = math.ceil(len(views) / _MOST_VIEWS)
+    kept = {len(views) * step // _MOST_VIEWS for step in range(_MOST_VIEWS)}
     shown: list[Shown] = []
     for number, view in enumerate(views, start=1):
         seen = _look(papr, cloud, view, sums)
-        if number % every == 0:
+        if number - 1 in kept:
             shown.append(seen)
         if progress is not None:
             progress(number, len(views))
@@ -116,36 +124,42 @@ def height_of(points: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: 
         spacing: of the points, world units.
 
     Returns:
-        The height at which the median of the colours' standard deviation is least; 0 where too few
-        photos show the points.
+        The height at which the median of the colours' standard deviation is least; 0 where photos
+        cannot tell: too few show the points, or they agree at every height alike.
     """
-    off = [_disagreement(points, normals, shown, spacing, height) for height in _LIFTS]
-    if not all(math.isfinite(one) for one in off):
+    if not shown or len(points) == 0:
         return 0.0
-    best = min(range(len(off)), key=off.__getitem__)
-    if best in (0, len(off) - 1):
-        return _LIFTS[best]
-    before, here, after = off[best - 1 : best + 2]
+    off = torch.stack(
+        [_disagreement(points + h * spacing * normals, normals, shown, spacing) for h in _LIFTS]
+    )
+    told = off.isfinite().all(dim=0)
+    if int(told.sum()) < _TOLD:
+        return 0.0
+    curve = off[:, told].median(dim=1).values.tolist()
+    if min(curve) > _CLEAR * max(curve):
+        return 0.0
+    return _lowest(_LIFTS, curve)
+
+
+def _lowest(places: Sequence[float], heights: Sequence[float]) -> float:
+    """Where the parabola through the least of evenly spaced values and its neighbours is least."""
+    best = min(range(len(heights)), key=heights.__getitem__)
+    if best in (0, len(heights) - 1):
+        return places[best]
+    before, here, after = heights[best - 1 : best + 2]
     bend = before - 2 * here + after
-    # The lowest point of the parabola through three.
-    part = 0.0 if bend <= 0 else 0.5 * (before - after) / bend
-    return _LIFTS[best] + part * (_LIFTS[1] - _LIFTS[0])
+    part = 0.0 if bend == 0 else 0.5 * (before - after) / bend
+    return places[best] + part * (places[1] - places[0])
 
 
 def _disagreement(
-    points: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: float, height: float
-) -> float:
-    """Median over points of the standard deviation of the colours over them; NaN if none shows."""
-    lifted = points + height * spacing * normals
-    colors = [_colors(lifted, normals, one, _CLOSE * spacing) for one in shown]
-    if not colors:
-        return math.nan
-    stacked = torch.stack(colors)
-    there = ~stacked[..., 0].isnan()
-    count = there.sum(dim=0)
-    mean = stacked.nanmean(dim=0)
-    squared = (stacked - mean).square().nanmean(dim=0).mean(dim=1)
-    return float(squared[count >= _ENOUGH].sqrt().median())
+    places: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: float
+) -> Tensor:
+    """Standard deviation (K,) of the colours that photos show at places; NaN where too few do."""
+    stacked = torch.stack([_colors(places, normals, one, _CLOSE * spacing) for one in shown])
+    count = (~stacked[..., 0].isnan()).sum(dim=0)
+    off = (stacked - stacked.nanmean(dim=0)).square().nanmean(dim=0).mean(dim=1).sqrt()
+    return torch.where(count >= _ENOUGH, off, math.nan)
 
 
 def colors_at(places: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: float) -> Tensor:
@@ -179,9 +193,12 @@ def _colors(places: Tensor, normals: Tensor, shown: Shown, close: float) -> Tens
     # NaN is near to nothing.
     seen = inside & facing & ((z - shown.depth[row, column]).abs() < close)
     grid = torch.stack([2 * x / camera.width - 1, 2 * y / camera.height - 1], dim=1)
-    photo = shown.rgb.permute(2, 0, 1)[None]
-    found = F.grid_sample(photo, grid[None, None], align_corners=False)[0, :, 0].T
-    return torch.where(seen[:, None], found, math.nan)
+    # Solid pixels alone: what lies beside the object has no say in the colour of its rim.
+    solid = shown.depth.isfinite().unsqueeze(2)
+    planes = torch.cat([shown.rgb * solid, solid], dim=2).permute(2, 0, 1)[None]
+    found = F.grid_sample(planes, grid[None, None], align_corners=False)[0, :, 0].T
+    share = found[:, 3:]
+    return torch.where(seen[:, None] & (share > 0), found[:, :3] / share, math.nan)
 
 
 def _look(papr: Papr, cloud: PointCloud, view: View, sums: Tensor) -> Shown:
@@ -190,17 +207,10 @@ def _look(papr: Papr, cloud: PointCloud, view: View, sums: Tensor) -> Shown:
     stride = math.ceil(largest / _LARGEST_SIDE)
     camera = view.camera.resized(view.camera.width // stride, view.camera.height // stride)
     rgba = _shrunk(view.rgba(), camera.height, camera.width)
-    rays = camera.rays().flat()
-    device = cloud.positions.device
-    parts = [
-        papr.attend(cloud, rays[part].to(device))
-        for part in torch.arange(len(rays.origins)).split(8192)
-    ]
-    shape = camera.height, camera.width
-    alpha = (1 - torch.cat([one.background for one, _ in parts])).reshape(shape).cpu()
-    surface = torch.cat([one.surface for one, _ in parts]).reshape(*shape, 3).cpu()
-    weights = torch.cat([one.weights for one, _ in parts]).reshape(*shape, -1).cpu()
-    points = torch.cat([near for _, near in parts]).reshape(*shape, -1).cpu()
+    rays, shape = camera.rays().flat(), (camera.height, camera.width)
+    parts = [_met(papr, cloud, rays[part]) for part in torch.arange(len(rays.origins)).split(8192)]
+    columns = [torch.cat(each).reshape(*shape, -1) for each in zip(*parts, strict=True)]
+    alpha, surface, weights, points = columns[0][..., 0], columns[1], columns[2], columns[3]
     picture = Picture(rgb=rgba[..., :3], alpha=alpha, depth=camera.depth(surface), surface=surface)
     normal = normals(picture, camera)
     solid = alpha > _SOLID
@@ -214,8 +224,16 @@ def _look(papr: Papr, cloud: PointCloud, view: View, sums: Tensor) -> Shown:
     return Shown(camera=camera, rgb=rgba[..., :3], depth=depth)
 
 
+def _met(papr: Papr, cloud: PointCloud, rays: RayBundle) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Opacity (R,), surface (R, 3), weights (R, k) and points (R, k) of rays (R,), on the CPU."""
+    rays = rays.to(cloud.positions.device)
+    attended, near = papr.attend(cloud, rays)
+    surface = surface_of(cloud, rays, attended, near, papr.config.cutoff).surface
+    return (1 - attended.background).cpu(), surface.cpu(), attended.weights.cpu(), near.cpu()
+
+
 def _shrunk(rgba: Tensor, height: int, width: int) -> Tensor:
-    """Area mean of straight colours (H, W, 4), which only count where they are solid anyway."""
+    """Area mean of straight colours (H, W, 4); those of pixels that are not solid do not count."""
     if rgba.shape[:2] == (height, width):
         return rgba
     return F.interpolate(rgba.permute(2, 0, 1)[None], (height, width), mode="area")[0].permute(
