@@ -12,6 +12,7 @@ from toys import toy_cameras, write_cameras, write_run, write_scene
 
 import tiny_scene
 from pcore.cli.main import main
+from pcore.deform.base import Identity
 from pcore.editing.apply import deformed_cloud
 from pcore.editing.script import load_edit
 from pcore.geometry.light import Light, sphere
@@ -52,12 +53,12 @@ def made(tmp_path: Path) -> tuple[Path, Papr, PointCloud, Shading]:
     return tmp_path / "run", papr, cloud, write_light(tmp_path / "run", cloud)
 
 
-def picture_of(run: Path, tmp_path: Path, *options: str) -> np.ndarray:
+def picture_of(run: Path, tmp_path: Path, *options: str, what: str = "rgb") -> np.ndarray:
     (tmp_path / "turn.json").write_text(json.dumps(TURN))
     cameras = write_cameras(tmp_path / "cameras.json", toy_cameras(1, size=8), w=8, h=8)
     words = ["render", run, "--cameras", cameras, "--raw", "--overwrite", "-o", tmp_path / "out"]
     assert main([*map(str, words), *options]) == 0
-    return np.load(tmp_path / "out" / "r_0.npz")["rgb"]
+    return np.load(tmp_path / "out" / "r_0.npz")[what]
 
 
 @pytest.mark.parametrize(
@@ -92,12 +93,47 @@ def test_a_light_stands_still_unless_asked_otherwise(
     assert np.abs(expected - other).max() > 0.02
 
 
-def test_without_an_edit_a_light_changes_nothing(
+def test_without_an_edit_a_light_changes_depths_alone(
     made: tuple[Path, Papr, PointCloud, Shading], tmp_path: Path
 ) -> None:
-    run, papr, cloud, _ = made
-    expected = render(papr, cloud, toy_cameras(1, size=8)[0]).rgb.numpy()
-    np.testing.assert_allclose(picture_of(run, tmp_path), expected, atol=1e-6)
+    run, papr, cloud, shading = made
+    bare = render(papr, cloud, toy_cameras(1, size=8)[0])
+    covered = render(papr, cloud.covered(shading.rest), toy_cameras(1, size=8)[0])
+    met = torch.isfinite(bare.depth)
+    assert float((covered.depth - bare.depth)[met].abs().max()) > 0.05
+    np.testing.assert_allclose(picture_of(run, tmp_path), bare.rgb.numpy(), atol=1e-6)
+    for options, expected in (
+        ((), covered),
+        (("--light", "still"), covered),
+        (("--light", "baked"), bare),
+        (("--rays", "plain"), bare),
+    ):
+        found = picture_of(run, tmp_path, *options, what="depth")
+        np.testing.assert_allclose(found, expected.depth.numpy(), atol=1e-5)
+
+
+def test_an_edit_that_moves_nothing_is_as_deep_as_none(
+    made: tuple[Path, Papr, PointCloud, Shading],
+) -> None:
+    _, papr, cloud, shading = made
+    still = deformed_cloud(cloud, Identity(), shading=shading)
+    camera = toy_cameras(1, size=8)[0]
+    found, expected = (render(papr, one, camera) for one in (still, cloud.covered(shading.rest)))
+    torch.testing.assert_close(found.depth, expected.depth, rtol=0, atol=0, equal_nan=True)
+    assert torch.equal(found.rgb, expected.rgb)
+    assert deformed_cloud(cloud, Identity()).skin is None
+
+
+def test_a_light_that_cannot_be_read_can_be_done_without(
+    made: tuple[Path, Papr, PointCloud, Shading],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    run, _, _, shading = made
+    save_shading(run / LIGHT_FILE, replace(shading, positions=shading.positions + 1))
+    assert main(["render", str(run), "--orbit", "2", "-o", str(tmp_path / "film")]) == 2
+    assert "`pcore light RUN`" in capsys.readouterr().err
+    picture_of(run, tmp_path, "--light", "baked")
 
 
 def test_a_light_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -107,13 +143,6 @@ def test_a_light_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture
     words = ["render", str(tmp_path / "run"), "--orbit", "2", *edit, "--light", "still"]
     assert main(words) == 2
     assert "expected a light.safetensors in the folder of the run" in capsys.readouterr().err
-
-
-def test_a_light_without_an_edit_is_refused(
-    made: tuple[Path, Papr, PointCloud, Shading], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["render", str(made[0]), "--orbit", "2", "--light", "still"]) == 2
-    assert "--light is for edits" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("verb", ["render", "animate", "eval"])
@@ -192,6 +221,10 @@ def test_an_evaluation_shows_pictures_with_the_light_and_without(tmp_path: Path)
     assert psnr["canonical", "aware + light"] == psnr["canonical", "aware"]
     assert psnr["grown", "aware + light"] == pytest.approx(psnr["grown", "aware"], abs=1e-3)
     assert psnr["walk", "aware + light"] != psnr["walk", "aware"], "a shear turns normals"
+    deep = {(row["state"], row["view"], row["method"]): row["depth_error"] for row in rows}
+    for state, view, method in list(deep):
+        if method == "aware + light":
+            assert deep[state, view, method] == deep[state, view, "aware"], "one kind of depth"
     shading = load_shading(run, cloud.positions)
     near = replace(shading.light, nearness=torch.full((40,), 0.2))
     save_shading(run / LIGHT_FILE, replace(shading, light=near))

@@ -19,7 +19,7 @@ INSIDE = 0.05
 """How deep below the surface points lie."""
 
 
-def surface_of(points: Tensor, normals: Tensor, gains: Tensor, lift: float = INSIDE) -> Skin:
+def skin_of(points: Tensor, normals: Tensor, gains: Tensor, lift: float = INSIDE) -> Skin:
     known = torch.nonzero(normals.square().sum(dim=1) > 0.5).squeeze(1)
     beside = known[torch.cdist(points, points[known]).argsort(dim=1)[:, :16]]
     return Skin(
@@ -54,7 +54,7 @@ def roof() -> tuple[Tensor, Skin]:
         normals.append(normal.expand(len(flat), 3))
     gains = torch.tensor([0.5, 2.0]).repeat_interleave(len(flat))
     points = torch.cat(sides)
-    return points, surface_of(points, torch.cat(normals), gains)
+    return points, skin_of(points, torch.cat(normals), gains)
 
 
 def rays_to(targets: Tensor, origin: tuple[float, float, float]) -> RayBundle:
@@ -104,7 +104,7 @@ def sheet() -> tuple[Tensor, Skin]:
     points = torch.cat([upper, upper * torch.tensor([1.0, 1.0, -1.0])])
     normals = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]).repeat_interleave(len(grid), dim=0)
     gains = torch.tensor([1.5, 0.5]).repeat_interleave(len(grid))
-    return points, surface_of(points, normals, gains)
+    return points, skin_of(points, normals, gains)
 
 
 @pytest.mark.parametrize(("height", "expected"), [(2.0, 1.5), (-2.0, 0.5)])
@@ -120,10 +120,17 @@ def test_where_all_faces_away_those_beside_tell() -> None:
     """The inside of a shell through an open rim: no piece faces the ray, none is left out."""
     points, surface = sheet()
     lower = len(points) // 2
-    only = surface_of(points[:lower], surface.normals[:lower], torch.full((lower,), 1.5))
+    only = skin_of(points[:lower], surface.normals[:lower], torch.full((lower,), 1.5))
     rays = rays_to(torch.tensor([[0.03, 0.02, 0.0]]), (0.4, 0.3, -2.0))
-    found = gains_of_rays(only, rays, *seen(points[:lower], rays))
+    weights, near = seen(points[:lower], rays)
+    found = gains_of_rays(only, rays, weights, near)
     torch.testing.assert_close(found, torch.tensor([1.5]), rtol=1e-5, atol=0)
+    # All lie at one height, and the ray meets the mean of them there, not their planes' places.
+    depth = ((only.places[near] - rays.origins[:, None]) * rays.directions[:, None]).sum(dim=2)
+    place, _ = meet(only, rays, weights, near)
+    along = float((place - rays.origins).norm())
+    assert float(depth.min()) - 1e-5 < along < float(depth.max()) + 1e-5
+    assert along > float(((only.places[0, 2] + 2.0) / rays.directions[0, 2]).abs()) - 0.5
 
 
 def test_word_for_word() -> None:
@@ -132,21 +139,22 @@ def test_word_for_word() -> None:
     points = torch.rand(80, 3, generator=draw)
     normals = F.normalize(torch.randn(80, 3, generator=draw), dim=1)
     normals[::7] = 0
-    surface = surface_of(points, normals, torch.rand(80, generator=draw) + 0.5)
+    surface = skin_of(points, normals, torch.rand(80, generator=draw) + 0.5)
     rays = rays_to(torch.rand(40, 3, generator=draw), (0.5, 0.5, 4.0))
     _, near = seen(points, rays)
     weights = torch.rand(40, 8, generator=draw)
     weights = weights / weights.sum(dim=1, keepdim=True)
     found = gains_of_rays(surface, rays, weights, near)
     for row, (start, ahead) in enumerate(zip(rays.origins, rays.directions, strict=True)):
-        told: list[tuple[float, float, int]] = []
+        told: list[tuple[float, float, int]] = []  # weight, distance, index
         for weight, index in zip(weights[row].tolist(), near[row].tolist(), strict=True):
             offset, normal = surface.places[index] - start, surface.normals[index]
             cosine, depth = float(normal @ ahead), float(offset @ ahead)
             if cosine < -0.05:
                 plane = float(offset @ normal) / min(cosine, -0.2)
                 plane = min(max(plane, depth - 2 * STEP), depth + 2 * STEP)
-                told.append((weight, plane, index))
+                apart = float((plane * ahead - offset).square().sum()) / STEP**2
+                told.append((weight / (1 + apart) ** 2, plane, index))
         assert told, "of eight random directions none faces the camera"
         share = sum(weight for weight, _, _ in told)
         place = start + sum(weight * plane for weight, plane, _ in told) / share * ahead

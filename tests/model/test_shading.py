@@ -142,6 +142,8 @@ def test_the_surface_lies_above_the_points_and_moves_with_them() -> None:
     torch.testing.assert_close(shading.rest.places, 1.1 * points)
     assert torch.equal(shading.rest.normals, points)
     assert torch.equal(shading.rest.beside, found.beside)
+    assert shading.rest.spacing == spacing_of(points)
+    assert shading.rest.deep
     assert shading.rest.gains is None, "where nothing moved the light is that of the photos"
 
 
@@ -281,6 +283,10 @@ def test_a_shading_is_checked() -> None:
         InputError, match="the points that the light was estimated with, got others"
     ):
         shading.skin(frames_of(still[None], UP + 1), UP)
+    flat = LocalFrames(rest=UP, to_rest=torch.diag(torch.tensor([1.0, 0.0, 1.0]))[None])
+    for bad_frames in (flat, replace(flat, to_rest=1e-40 * torch.eye(3)[None])):
+        with pytest.raises(InputError, match="local maps with an inverse, got 1 of 1 without"):
+            replace(shading, lift=0.1).skin(bad_frames, UP)
     with pytest.raises(InputError, match="finite points, got NaN or infinity in 1 of 1"):
         shading.skin(frames_of(still[None], UP), UP * math.nan)
 
@@ -306,6 +312,22 @@ def test_a_cloud_keeps_its_skin_until_it_moves() -> None:
     assert away is not None
     assert {one.device.type for one in (away.places, away.normals, away.beside)} == {"meta"}
     assert replace(skin, gains=None).to("meta").gains is None
+    none = Skin(
+        places=torch.zeros(0, 3),
+        normals=torch.zeros(0, 3),
+        beside=torch.zeros(0, 1, dtype=torch.int64),
+        spacing=0.0,
+    )
+    empty = PointCloud(
+        positions=torch.zeros(0, 3), features=torch.zeros(0, 4), influence=torch.ones(0), skin=none
+    )
+    left = empty.to("meta").skin
+    assert left is not None
+    assert left.places.device.type == "meta"
+    wild = torch.full((2, 3), math.nan)
+    for odd in (replace(skin, places=wild), replace(skin, normals=wild)):
+        assert odd.finite.tolist() == [False, False]
+    assert skin.finite.tolist() == [True, True]
     assert whole.moved(torch.ones(2, 3)).skin is None, "it belongs to where the points were"
     with pytest.raises(InputError, match="a skin over its 3 points, got 2"):
         PointCloud(

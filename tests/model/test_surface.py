@@ -121,6 +121,10 @@ def test_with_a_skin_the_first_layer_is_met_in_its_own_light() -> None:
     assert gains == pytest.approx([0.5, 2.0, 1.0])
     # Without a cut-off all is one layer, as it is without a skin.
     assert depths_and_gains(skin, None)[0][:2] == pytest.approx([1.65, 2.011])
+    # As deep as the points where it is asked for, in the same light.
+    depths, gains = depths_and_gains(replace(skin, deep=False), 0.5)
+    assert depths[:2] == pytest.approx([0.05, behind + 0.5])
+    assert gains == pytest.approx([0.5, 2.0, 1.0])
     depths, none = depths_and_gains(replace(skin, gains=None), 0.5)
     assert depths[:2] == pytest.approx([-0.45, behind])
     assert none is None

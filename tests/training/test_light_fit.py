@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch.nn import functional as F
@@ -167,6 +168,23 @@ def test_a_stray_point_moves_no_lamp() -> None:
     found = found_from(seen, with_stray)
     for name in ("radiance", "nearness", "center"):
         torch.testing.assert_close(getattr(found, name), getattr(expected, name))
+
+
+def test_pairs_that_are_near_count_three_times() -> None:
+    """Of two clusters far apart, whose points are of two hues in turn."""
+    points = torch.randn(400, 3, generator=torch.Generator().manual_seed(7))
+    points[200:, 0] += 50.0
+    colors = torch.where((torch.arange(400) % 2 == 0)[:, None], torch.tensor([0.6, 0.3, 0.2]), 0.4)
+    found = light_fit._pairs(points, colors, np.random.default_rng(0))
+    weights, first, second = (
+        one.reshape(400, 16) for one in (found.weights, found.first, found.second)
+    )
+    alike = first % 2 == second % 2
+    torch.testing.assert_close(weights[:, :8][alike[:, :8]].unique(), torch.tensor([3.0]))
+    torch.testing.assert_close(weights[:, 8:][alike[:, 8:]].unique(), torch.tensor([1.0]))
+    same = first // 200 == second // 200
+    assert bool(same[:, :8].all()), "64 neighbours lie in one cluster"
+    assert not bool(same[:, 8:].all()), "points of one hue lie in both"
 
 
 def test_points_that_hardly_any_pixel_showed_hardly_count() -> None:

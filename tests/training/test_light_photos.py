@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,12 +14,16 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+import tiny_scene
 from pcore.geometry.camera import Camera
 from pcore.geometry.light import sphere
 from pcore.geometry.point_cloud import PointCloud
+from pcore.model.papr import Papr
 from pcore.model.shading import spacing_of
 from pcore.training import light_photos
 from pcore.training.light_photos import Shown, colors_at, height_of, observe
+
+lowest, look = light_photos._lowest, light_photos._look
 
 SIZE = 120
 
@@ -54,7 +60,7 @@ def ball_photo(eye: Tensor, deeper: float = 0.0) -> Shown:
     return Shown(camera=camera, rgb=rgb, depth=depth)
 
 
-def photos(count: int = 16, deeper: float = 0.0) -> list[Shown]:
+def photos(count: int = 24, deeper: float = 0.0) -> list[Shown]:
     return [ball_photo(3.5 * eye, deeper) for eye in sphere(count)]
 
 
@@ -74,6 +80,119 @@ def test_photos_that_cannot_tell() -> None:
     assert height_of(normals, normals, photos(2), 0.05) == 0.0, "no point is in four photos"
     assert height_of(normals[:0], normals[:0], photos(4), 0.05) == 0.0
     assert height_of(normals, -normals, photos(4), 0.05) == 0.0, "nothing faces a camera"
+
+
+@pytest.mark.parametrize("inside", [0.0, 0.03])
+def test_paint_without_a_pattern_tells_no_height(inside: float) -> None:
+    """Grey, or grey and noise, is the same at every height: the surface is that of the points."""
+    normals = sphere(1000)
+    for noise in (0.0, 0.05):
+        draw = torch.Generator().manual_seed(2)
+        grey = [
+            replace(one, rgb=0.5 + noise * torch.randn(SIZE, SIZE, 3, generator=draw))
+            for one in photos(deeper=inside)
+        ]
+        assert height_of((1 - inside) * normals, normals, grey, 0.1) == 0.0
+
+
+def test_the_height_is_where_a_parabola_is_least() -> None:
+    places = [0.2 * step for step in range(-1, 8)]
+    for least in (-0.05, 0.35, 0.9, 1.3):
+        found = lowest(places, [(place - least) ** 2 + 1 for place in places])
+        assert found == pytest.approx(least)
+    assert lowest(places, places) == -0.2
+    assert lowest(places, [-place for place in places]) == pytest.approx(1.4)
+    assert lowest(places, [1.0] * 9) == -0.2
+
+
+def test_the_median_of_points_decides_and_all_heights_have_the_same_points() -> None:
+    """A fifth of the points show noise wherever they are; few of the others are in four photos."""
+    normals = sphere(1500)
+    inside = 0.04
+    points = (1 - inside) * normals
+    shown = photos(deeper=inside)
+    odd = normals[:, 2] > 0.6
+
+    def noisy(one: Shown) -> Shown:
+        draw = torch.Generator().manual_seed(int(1000 * one.camera.center[0]) % 97)
+        rays = one.camera.rays()
+        places = (
+            rays.origins
+            + (one.depth / -(rays.directions @ one.camera.world_from_camera[:3, 2])).unsqueeze(2)
+            * rays.directions
+        )
+        noise = torch.rand(SIZE, SIZE, 3, generator=draw)
+        return replace(one, rgb=torch.where(places[..., 2:] > 0.6, noise, one.rgb))
+
+    spacing = spacing_of(points)
+    found = height_of(points, normals, [noisy(one) for one in shown], spacing) * spacing
+    assert int(odd.sum()) == 300
+    assert found == pytest.approx(inside, abs=0.006)
+
+
+def test_what_lies_beside_the_object_has_no_say_in_its_rim() -> None:
+    """A grey bar two pixels wide on black that is not solid: grey everywhere, never darker."""
+    eye = torch.tensor([0.0, 0.0, 3.5])
+    one = ball_photo(eye)
+    column = torch.arange(SIZE)
+    bar = (column >= 60) & (column < 62)
+    rgb = torch.where(bar[None, :, None], 0.5, 0.0).expand(SIZE, SIZE, 3)
+    depth = torch.full((SIZE, SIZE), 3.5).masked_fill(~bar, math.nan)
+    photo = Shown(camera=one.camera, rgb=rgb, depth=depth)
+    width = 2 * 3.5 * math.tan(math.radians(20)) / SIZE
+    across = (torch.arange(40) / 10 - 1) * width
+    # The bar lies to the right of the middle, wherever that is in the world.
+    right = one.camera.world_from_camera[:3, 0]
+    places = across[:, None] * right
+    up = F.normalize(eye, dim=0).expand(40, 3)
+    found = colors_at(places, up, [photo, photo], spacing=0.1)
+    inside = (across > 0) & (across < 2 * width)
+    edge = (across.abs() < 1e-6) | ((across - 2 * width).abs() < 1e-6)
+    torch.testing.assert_close(found[inside & ~edge], torch.full_like(found[inside & ~edge], 0.5))
+    assert bool(found[~inside & ~edge].isnan().all())
+
+
+def test_the_rim_of_a_photo_is_no_darker_than_its_middle() -> None:
+    one = ball_photo(torch.tensor([0.0, 0.0, 3.5]))
+    white = Shown(
+        camera=one.camera, rgb=torch.ones(SIZE, SIZE, 3), depth=torch.full((SIZE, SIZE), 3.5)
+    )
+    right = one.camera.world_from_camera[:3, 0]
+    reach = 3.5 * math.tan(math.radians(20))
+    places = torch.linspace(-0.999, 0.999, 60)[:, None] * reach * right
+    facing = torch.tensor([[0.0, 0.0, 1.0]]).expand(60, 3)
+    found = colors_at(places, facing, [white, white], spacing=0.1)
+    torch.testing.assert_close(found, torch.ones(60, 3))
+
+
+def test_a_view_gives_its_points_normals_and_solid_pixels_alone_are_shown() -> None:
+    """Through a real network: what is not solid in the photo counts for nothing."""
+    cloud = PointCloud(
+        positions=0.8 * sphere(600), features=torch.randn(600, 4), influence=torch.ones(600)
+    )
+    papr = Papr(
+        replace(tiny_scene.CONFIG, cutoff=0.3, feature_size=4, background_score=-9.0)
+    ).eval()
+    camera = ball_photo(torch.tensor([0.0, 0.0, 3.5])).camera.resized(40, 40)
+    rgba = torch.rand(40, 40, 4)
+    rgba[..., 3] = 1.0
+    rgba[:, :20, 3] = 0.5
+    sums = {}
+    for has_alpha in (True, False):
+        view: Any = SimpleNamespace(camera=camera, rgba=lambda: rgba, has_alpha=has_alpha)
+        sums[has_alpha] = torch.zeros(600, 7)
+        with torch.no_grad():
+            shown = look(papr, cloud, view, sums[has_alpha])
+        met = shown.depth.isfinite()
+        assert torch.equal(shown.rgb, rgba[..., :3])
+        assert bool(met[:, :20].any()) is not has_alpha
+        assert bool(met[:, 20:].any())
+        assert float(shown.depth[met].min()) > 2.5
+    told = sums[True][:, 6] > 0.5
+    assert 20 < int(told.sum()) < int((sums[False][:, 6] > 0.5).sum())
+    normal = F.normalize(sums[True][told, :3], dim=1)
+    outwards = F.normalize(cloud.positions[told], dim=1)
+    assert float((normal * outwards).sum(dim=1).median()) > 0.8
 
 
 def test_a_surface_beyond_all_that_is_tried_is_at_the_last() -> None:
@@ -175,4 +294,9 @@ def test_of_many_views_some_are_compared(monkeypatch: pytest.MonkeyPatch) -> Non
     papr: Any = torch.nn.Linear(1, 1)
     views: Any = range(101)
     assert torch.equal(observe(papr, cloud, views).attention, torch.full((50,), 101.0))
-    assert kept == list(range(2, 101, 3))
+    assert len(kept) == 50
+    assert kept == sorted(kept)
+    assert {after - before for before, after in itertools.pairwise(kept)} == {2}
+    kept.clear()
+    observe(papr, cloud, views[:50])
+    assert kept == list(range(50)), "as many as are compared are all compared"

@@ -28,8 +28,9 @@ LightChoice = Annotated[LightName | None, optional("{still,baked}")]
 class LightCommand:
     """Estimate the light of a run's training photos and write it beside the model.
 
-    From then on `pcore render`, `pcore animate` and `pcore eval` light deformed points anew
-    (`--light baked` does not). `pcore train` and `pcore finetune` do this at their end.
+    From then on `pcore render`, `pcore animate` and `pcore eval` light deformed points anew, and
+    pictures of `render` are as deep as the surface, not as the points (`--light baked`: neither).
+    `pcore train` and `pcore finetune` do this at their end.
     """
 
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
@@ -113,7 +114,8 @@ def description(shading: Shading) -> str:
     return (
         f"brightest on surfaces that face ({x:.2f}, {y:.2f}, {z:.2f}), {ratio:.1f} times the light "
         f"of the darkest; lamps are {distance} away; "
-        f"{100 * known:.0f} % of the points have a normal"
+        f"{100 * known:.0f} % of the points have a normal, the surface lies {shading.lift:.2g} "
+        "above them"
     )
 
 

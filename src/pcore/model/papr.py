@@ -111,7 +111,10 @@ class Papr(nn.Module):
     def _gains(
         self, cloud: PointCloud, rays: RayBundle, attended: Attended, neighbours: Tensor
     ) -> Tensor | None:
-        """Factors (R,) on the brightness of what rays met; None in the light of the photos."""
+        """Factors (R,) on the brightness of what rays met; None in the light of the photos.
+
+        Losses have no use for where pictures meet the surface, so nothing else looks for it here.
+        """
         if cloud.skin is None or cloud.skin.gains is None:
             return None
         return surface_of(cloud, rays, attended, neighbours, self.config.cutoff).gains

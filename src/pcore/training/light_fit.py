@@ -44,8 +44,7 @@ _DISTANCES = (0.0, 0.23, 0.35, 0.47, 0.62, 0.8, 1.0)
 _BESIDE, _LIKE, _PAIRS = 64, 600, 8
 """Every point is compared with 8 of the 64 nearest ones and 8 of the 600 of the likest hue."""
 _NEARER = 3.0
-"""So many times as much as those of like hue count those that are near: paint that gets darker
-towards the feet of an object is like light from above to the others (ADR 14)."""
+"""How much near pairs count more: graded paint is like light to those of like hue (ADR 14)."""
 _HUES = 0.12
 _ROBUST = 0.1
 """Stored brightness, as a ratio, beyond which a difference is more likely one of paint: such pairs
@@ -264,7 +263,7 @@ def _descend(
     return log_radiance.detach().exp(), logit.detach().sigmoid()
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class _Pairs:
     """Points that may be of one paint: indices (M,), (M,), and how much a pair counts (M,)."""
 
@@ -284,8 +283,7 @@ def _pairs(positions: Tensor, colors: Tensor, random: np.random.Generator) -> _P
     first = torch.arange(len(hue)).repeat_interleave(len(second) // len(hue))
     apart = (hue[first] - hue[second]).square().sum(dim=1)
     counts = torch.tensor([_NEARER, 1.0]).repeat_interleave(_PAIRS).repeat(len(hue))
-    weights = (-apart / _HUES**2).exp().float() * counts
-    return _Pairs(first=first, second=second, weights=weights)
+    return _Pairs(first, second, (-apart / _HUES**2).exp().float() * counts)
 
 
 def _hues(colors: Tensor) -> Tensor:

@@ -40,11 +40,12 @@ _CLOSE, _CLOSEST = 3.0, 2.0
 heights are tried, and when colours are taken."""
 _ENOUGH, _LEAST = 4, 2
 """Photos that must show a place: to tell whether they agree, and to take its colour from them."""
-_TOLD = 30
-"""Points whose surface enough photos show at every height, at least."""
-_CLEAR = 0.9
-"""Share of the largest disagreement that the least one may have: paint without any pattern agrees
-with itself at every height."""
+_TOLD, _HALF = 50, 0.5
+"""Points that must be told about, the same ones at every height; heights at which photos tell of
+less than half as many as at the best are not tried."""
+_CLEAR, _BARE = 0.9, 1e-3
+"""Share of the largest disagreement that the least one may have, and what that must be: paint
+without any pattern agrees with itself at every height."""
 
 Progress = Callable[[int, int], None]
 
@@ -132,24 +133,27 @@ def height_of(points: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: 
     off = torch.stack(
         [_disagreement(points + h * spacing * normals, normals, shown, spacing) for h in _LIFTS]
     )
+    counts = off.isfinite().sum(dim=1)
+    tried = torch.nonzero(counts >= _HALF * counts.max()).squeeze(1)
+    off = off[tried]
     told = off.isfinite().all(dim=0)
     if int(told.sum()) < _TOLD:
         return 0.0
     curve = off[:, told].median(dim=1).values.tolist()
-    if min(curve) > _CLEAR * max(curve):
+    if max(curve) < _BARE or min(curve) > _CLEAR * max(curve):
         return 0.0
-    return _lowest(_LIFTS, curve)
+    return _lowest([_LIFTS[one] for one in tried.tolist()], curve)
 
 
 def _lowest(places: Sequence[float], heights: Sequence[float]) -> float:
-    """Where the parabola through the least of evenly spaced values and its neighbours is least."""
+    """Where the parabola through the least of values at places and its neighbours is least."""
     best = min(range(len(heights)), key=heights.__getitem__)
     if best in (0, len(heights) - 1):
         return places[best]
     before, here, after = heights[best - 1 : best + 2]
     bend = before - 2 * here + after
     part = 0.0 if bend == 0 else 0.5 * (before - after) / bend
-    return places[best] + part * (places[1] - places[0])
+    return places[best] + part * (places[best + 1] - places[best])
 
 
 def _disagreement(
