@@ -1,5 +1,7 @@
 """What deformation-aware rays cost: CPU seconds of plain and aware pictures, in turns, one thread.
 
+Where the run has a light, of pictures in that light as well ("lit").
+
 python benchmarks/aware_cost.py RUN SCENE [--factor 2] [--rounds 8] [--states run twist60]
 """
 
@@ -16,11 +18,13 @@ import torch
 from pcore.evaluation.states import State, open_states
 from pcore.kernels.memory import keep_freed_memory
 from pcore.model.checkpoint import SavedModel, load_model
+from pcore.model.light_file import LIGHT_FILE, load_shading
 from pcore.model.render import render
+from pcore.model.shading import Shading
 
 
 def main() -> None:
-    """Print a JSON object: by state, CPU seconds per picture and per edit, and the ratio."""
+    """Print a JSON object: by state, CPU seconds per picture and per edit, and ratios."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("run", type=Path)
     parser.add_argument("scene", type=Path)
@@ -33,29 +37,42 @@ def main() -> None:
     torch.set_flush_denormal(True)
     saved = load_model(wish.run)
     states = open_states(wish.scene, factor=wish.factor).select(wish.states)[1:]
-    print(json.dumps({s.name: measure(saved, s, wish.rounds) for s in states}, indent=1))
+    light = wish.run / LIGHT_FILE
+    shading = load_shading(light, saved.cloud.positions) if light.is_file() else None
+    found = {state.name: measure(saved, shading, state, wish.rounds) for state in states}
+    print(json.dumps(found, indent=1))
 
 
-def measure(saved: SavedModel, state: State, rounds: int) -> dict[str, float]:
-    """Medians over test cameras of a state; the ratio is that of two pictures drawn in turn."""
+def measure(
+    saved: SavedModel, shading: Shading | None, state: State, rounds: int
+) -> dict[str, float]:
+    """Medians over test cameras of a state; ratios are those of pictures drawn in turn."""
     papr, rest = saved.papr(), saved.cloud
     moved = state.move(rest.positions)
     start = time.process_time()
     frames = state.frames(rest.positions, moved)
-    edit = time.process_time() - start
+    edits = {"frames": time.process_time() - start}
     clouds = {"plain": rest.moved(moved), "aware": rest.moved(moved, frames)}
-    seconds: dict[str, list[float]] = {"plain": [], "aware": []}
+    if shading is not None:
+        # The first edit computes the light of the rest state as well, and compiles.
+        for name in ("first light", "light"):
+            start = time.process_time()
+            skin = shading.skin(frames, moved, world=state.world)
+            edits[name] = time.process_time() - start
+        clouds["lit"] = clouds["aware"].covered(skin)
+    seconds: dict[str, list[float]] = {name: [] for name in clouds}
     for shot in [state.shots[turn % len(state.shots)] for turn in range(rounds + 1)]:
         for name, cloud in clouds.items():
             start = time.process_time()
             render(papr, cloud, shot.camera)
             seconds[name].append(time.process_time() - start)
     # The first round compiles and warms up.
-    medians = {name: statistics.median(values[1:]) for name, values in seconds.items()}
-    pairs = zip(seconds["aware"][1:], seconds["plain"][1:], strict=True)
-    # Of a machine that is now faster, now slower, the same moment is compared.
-    ratio = statistics.median(aware / plain for aware, plain in pairs)
-    return {**medians, "ratio": ratio, "frames": edit}
+    found = {name: statistics.median(values[1:]) for name, values in seconds.items()}
+    for name in [one for one in clouds if one != "plain"]:
+        pairs = zip(seconds[name][1:], seconds["plain"][1:], strict=True)
+        # Of a machine that is now faster, now slower, the same moment is compared.
+        found[f"{name} / plain"] = statistics.median(one / plain for one, plain in pairs)
+    return {**found, **edits}
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.skin import Skin
-from pcore.model.meeting import gains_at, meet
+from pcore.model.meeting import gains_at, meet, meet_lit
 
 STEP = 0.1
 INSIDE = 0.05
@@ -215,6 +215,46 @@ def test_units_do_not_matter(scale: float) -> None:
     torch.testing.assert_close(found, expected, rtol=1e-3, atol=0)
 
 
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("lit", [True, False])
+def test_the_kernel_of_the_cpu_says_the_same(
+    lit: bool, known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a cloud that faces in every direction, seen from everywhere."""
+    draw = torch.Generator().manual_seed(8)
+    points = torch.rand(300, 3, generator=draw)
+    normals = F.normalize(torch.randn(300, 3, generator=draw), dim=1)
+    normals[::5] = 0
+    skin = skin_of(points, normals, torch.rand(300, generator=draw) + 0.5)
+    skin = skin if lit else replace(skin, gains=None)
+    skin = skin if known else replace(skin, beside=skin.beside[:, :0])
+    ends = torch.rand(500, 3, generator=draw)
+    starts = 0.5 + 4 * F.normalize(torch.randn(500, 3, generator=draw), dim=1)
+    rays = RayBundle(origins=starts, directions=F.normalize(ends - starts, dim=1))
+    _, near = seen(points, rays)
+    weights = torch.rand(500, 8, generator=draw).pow(4)
+    weights[:, 5:] = 0
+    places, gains = meet_lit(skin, rays, weights, near)
+    monkeypatch.setenv("PCORE_KERNELS", "reference")
+    expected, factors = meet_lit(skin, rays, weights, near)
+    torch.testing.assert_close(places, expected, rtol=0, atol=1e-5)
+    if lit:
+        assert gains is not None
+        assert factors is not None
+        torch.testing.assert_close(gains, factors, rtol=1e-4, atol=0)
+        assert bool((gains == 1).all()) is not known
+    else:
+        assert gains is factors is None
+    wide = meet_lit(
+        skin.each(lambda one: one.double() if one.is_floating_point() else one),
+        RayBundle(origins=rays.origins.double(), directions=rays.directions.double()),
+        weights.double(),
+        near,
+    )[0]
+    assert wide.dtype == torch.float64
+    torch.testing.assert_close(wide.float(), expected, rtol=0, atol=1e-5)
+
+
 def test_a_point_alone() -> None:
     one = Skin(
         places=torch.zeros(1, 3),
@@ -227,3 +267,8 @@ def test_a_point_alone() -> None:
         rays = rays_to(target, (0.0, 0.0, 3.0))
         found = gains_of_rays(one, rays, torch.ones(1, 1), torch.zeros(1, 1, dtype=torch.int64))
         torch.testing.assert_close(found, torch.tensor([1.25]))
+        one_weight, one_point = torch.ones(1, 1), torch.zeros(1, 1, dtype=torch.int64)
+        place, gain = meet_lit(one, rays, one_weight, one_point)
+        assert gain is not None
+        torch.testing.assert_close(gain, torch.tensor([1.25]))
+        torch.testing.assert_close(place, meet(one, rays, one_weight, one_point)[0])

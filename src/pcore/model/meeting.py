@@ -14,6 +14,9 @@ from torch import Tensor
 
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.skin import Skin
+from pcore.kernels import cpu_meeting
+from pcore.kernels.backends import takes_cpu
+from pcore.kernels.cpu_meeting import Planes
 
 _FACING = 0.05
 """Least cosine between a ray and a piece of surface that it can see."""
@@ -27,6 +30,32 @@ its light what is seen there; beyond, with the inverse fourth power of the dista
 objects of our own (ADR 14)."""
 _HIDDEN = 1e-6
 """What a piece counts that faces away: nothing, unless all do."""
+
+
+def meet_lit(
+    skin: Skin, rays: RayBundle, weights: Tensor, points: Tensor
+) -> tuple[Tensor, Tensor | None]:
+    """Find where rays meet the surface (M, 3) and the factors there (M,), if it has any.
+
+    Args:
+        skin: over the points, on the device of the rays.
+        rays: (M,) world units.
+        weights: (M, k) of the points that they met, not all zero.
+        points: (M, k) indices of those.
+    """
+    if not takes_cpu(skin.places):
+        places, middle = meet(skin, rays, weights, points)
+        return places, None if skin.gains is None else gains_at(skin, rays, places, middle)
+    gains, beside = skin.gains, skin.beside
+    if gains is None:
+        gains, beside = skin.places.new_ones(len(skin)), beside[:, :0]
+    planes = Planes(places=skin.places, normals=skin.normals, changes=gains.log(), beside=beside)
+    reach, extent, width = (one * skin.spacing or 1.0 for one in (_NEAR, _EXTENT, _WIDTH))
+    limits = _FACING, _SLANT, reach * (skin.spacing > 0), extent, width, _HIDDEN
+    places, factors = cpu_meeting.meet(
+        planes, rays.origins, rays.directions, weights, points, limits
+    )
+    return places, None if skin.gains is None else factors
 
 
 def meet(skin: Skin, rays: RayBundle, weights: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:

@@ -17,7 +17,7 @@ from torch import Tensor
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended
-from pcore.model.meeting import gains_at, meet
+from pcore.model.meeting import meet_lit
 
 _FRONT = 0.2
 """Share of the weight in front of which nothing is taken for a layer. Chosen on a figure of our own
@@ -67,28 +67,38 @@ def surface_of(
         return Met(surface=surface, gains=None)
     rows = torch.nonzero(met).squeeze(-1)
     weights, lines, points = attended.weights[rows], rays[rows], neighbours[rows]
-    if cutoff is not None:
-        weights = weights * _first_layer(cloud, lines, weights, points, cutoff)
     here = cloud.positions.detach()[points]
-    places = (weights.unsqueeze(-1) * here).sum(dim=1) / weights.sum(dim=1, keepdim=True)
-    if skin is not None:
-        on_skin, middle = meet(skin, lines, weights, points)
-        places = on_skin if skin.deep else places
-        if gains is not None:
-            gains = gains.index_copy(0, rows, gains_at(skin, lines, on_skin, middle))
+    if cutoff is not None:
+        depth = ((here - lines.origins.unsqueeze(1)) * lines.directions.unsqueeze(1)).sum(dim=-1)
+        rest = here if cloud.frames is None else cloud.frames.rest.detach()[points]
+        weights = weights * _first_layer(weights, depth, rest, cutoff)
+    if skin is None:
+        places = _mean(here, weights)
+        return Met(surface=surface.index_copy(0, rows, places), gains=None)
+    on_skin, factors = meet_lit(skin, lines, weights, points)
+    if gains is not None and factors is not None:
+        gains = gains.index_copy(0, rows, factors)
+    places = on_skin if skin.deep else _mean(here, weights)
     return Met(surface=surface.index_copy(0, rows, places), gains=gains)
 
 
-def _first_layer(
-    cloud: PointCloud, rays: RayBundle, weights: Tensor, points: Tensor, cutoff: float
-) -> Tensor:
-    """(R, k) bool, which points of rays belong to the layer that they meet first."""
-    here = cloud.positions.detach()[points]
-    depth = ((here - rays.origins.unsqueeze(1)) * rays.directions.unsqueeze(1)).sum(dim=-1)
+def _mean(places: Tensor, weights: Tensor) -> Tensor:
+    """Means (R, 3) of places (R, k, 3) by weights (R, k)."""
+    return (weights.unsqueeze(-1) * places).sum(dim=1) / weights.sum(dim=1, keepdim=True)
+
+
+def _first_layer(weights: Tensor, depth: Tensor, rest: Tensor, cutoff: float) -> Tensor:
+    """(R, k) bool, which points of rays belong to the layer that they meet first.
+
+    Args:
+        weights: (R, k) of the points.
+        depth: (R, k) along the rays, world units.
+        rest: (R, k, 3) places of the points at rest, world units.
+        cutoff: how far from the first of them, at rest, a layer's points lie at most.
+    """
     order = depth.argsort(dim=1)
     reached = weights.gather(1, order).cumsum(dim=1) >= _FRONT * weights.sum(dim=1, keepdim=True)
     first = order.gather(1, reached.int().argmax(dim=1, keepdim=True)).unsqueeze(-1)
-    rest = here if cloud.frames is None else cloud.frames.rest.detach()[points]
     apart = (rest - rest.take_along_dim(first, dim=1)).square().sum(dim=-1)
     return apart <= cutoff**2
 
