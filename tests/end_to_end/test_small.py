@@ -75,9 +75,13 @@ def test_from_photos_to_a_deformed_picture(tmp_path: Path) -> None:
         assert 50 < int(ball.sum()) < 110
         assert int(larger.sum()) > 1.2 * int(ball.sum())
         assert np.abs(plain["depth"][ball] - DISTANCE).max() < RADIUS
-        assert np.linalg.norm(plain["surface"][ball], axis=-1).max() < 1.1 * RADIUS
-        reach = np.linalg.norm(large["surface"][larger], axis=-1).max()
-        assert 1.1 * RADIUS < reach < 1.3 * 1.1 * RADIUS
+        # Planes over 300 points, seen by pixels as wide as those are apart, stick out at the rim.
+        far = np.linalg.norm(plain["surface"][ball], axis=-1)
+        assert far.max() < 1.2 * RADIUS
+        assert abs(np.median(far) - RADIUS) < 0.1 * RADIUS
+        reach = np.linalg.norm(large["surface"][larger], axis=-1)
+        assert abs(np.median(reach) - 1.3 * RADIUS) < 0.13 * RADIUS
+        assert 1.1 * RADIUS < reach.max() < 1.3 * 1.2 * RADIUS
         red, _, blue = plain["rgb"][4, 8]
         assert red > blue + 0.3
         red, _, blue = plain["rgb"][11, 8]
