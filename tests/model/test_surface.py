@@ -125,6 +125,15 @@ def test_with_a_skin_the_first_layer_is_met_in_its_own_light() -> None:
     depths, gains = depths_and_gains(replace(skin, deep=False), 0.5)
     assert depths[:2] == pytest.approx([0.05, behind + 0.5])
     assert gains == pytest.approx([0.5, 2.0, 1.0])
+    double = PointCloud(
+        positions=cloud.positions.double(), features=cloud.features, influence=cloud.influence
+    )
+    lines = RayBundle(origins=rays.origins.double(), directions=rays.directions.double())
+    met = attended(cloud, weights)
+    met = replace(met, surface=met.surface.double(), weights=met.weights.double())
+    found = surface_of(double.covered(skin), lines, met, neighbours, 0.5)
+    assert found.surface.dtype == torch.float64
+    assert found.surface[:2, 2].tolist() == pytest.approx([-0.45, behind])
     depths, none = depths_and_gains(replace(skin, gains=None), 0.5)
     assert depths[:2] == pytest.approx([-0.45, behind])
     assert none is None

@@ -50,8 +50,8 @@ def meet_lit(
     if gains is None:
         gains, beside = skin.places.new_ones(len(skin)), beside[:, :0]
     planes = Planes(places=skin.places, normals=skin.normals, changes=gains.log(), beside=beside)
-    reach, extent, width = (one * skin.spacing or 1.0 for one in (_NEAR, _EXTENT, _WIDTH))
-    limits = _FACING, _SLANT, reach * (skin.spacing > 0), extent, width, _HIDDEN
+    extent, width = (_reach(one, skin) for one in (_EXTENT, _WIDTH))
+    limits = _FACING, _SLANT, _NEAR * skin.spacing, extent, width, _HIDDEN
     places, factors = cpu_meeting.meet(
         planes, rays.origins, rays.directions, weights, points, limits
     )
@@ -111,6 +111,9 @@ def gains_at(skin: Skin, rays: RayBundle, places: Tensor, middle: Tensor) -> Ten
 
 def _nearness(squared: Tensor, spacings: float, skin: Skin) -> Tensor:
     """Weights of pieces by their squared distances: 1 at 0, a quarter after so many spacings."""
-    # A point alone is no distance from others.
-    width = spacings * skin.spacing or 1.0
-    return (1 + squared / width**2).pow(-2)
+    return (1 + squared / _reach(spacings, skin) ** 2).pow(-2)
+
+
+def _reach(spacings: float, skin: Skin) -> float:
+    """So many spacings in world units; 1 for a point alone, which is no distance from others."""
+    return spacings * skin.spacing or 1.0

@@ -77,8 +77,8 @@ def surface_of(
         return Met(surface=surface.index_copy(0, rows, places), gains=None)
     on_skin, factors = meet_lit(skin, lines, weights, points)
     if gains is not None and factors is not None:
-        gains = gains.index_copy(0, rows, factors)
-    places = on_skin if skin.deep else _mean(here, weights)
+        gains = gains.index_copy(0, rows, factors.to(gains))
+    places = on_skin.to(surface) if skin.deep else _mean(here, weights)
     return Met(surface=surface.index_copy(0, rows, places), gains=gains)
 
 
