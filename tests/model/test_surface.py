@@ -140,6 +140,43 @@ def test_with_a_skin_the_first_layer_is_met_in_its_own_light() -> None:
     assert depths_and_gains(None, 0.5)[1] is None
 
 
+@pytest.mark.parametrize("moved", [False, True])
+def test_the_kernel_of_the_cpu_finds_the_same_layer(
+    moved: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw = torch.Generator().manual_seed(5)
+    cloud = PointCloud(
+        positions=torch.rand(200, 3, generator=draw),
+        features=torch.zeros(200, 1),
+        influence=torch.ones(200),
+    )
+    if moved:
+        frames = LocalFrames(rest=cloud.positions, to_rest=torch.eye(3).expand(200, 3, 3))
+        cloud = cloud.moved(torch.rand(200, 3, generator=draw), frames)
+    weights = torch.rand(400, 9, generator=draw).pow(3)
+    weights[:, 6] = 0
+    weights[::11] = 0
+    weights = weights / weights.sum(dim=1, keepdim=True).clamp_min(1e-9)
+    ahead = torch.nn.functional.normalize(torch.randn(400, 3, generator=draw), dim=1)
+    rays = RayBundle(origins=0.5 - 3 * ahead, directions=ahead)
+    neighbours = torch.randint(0, 200, (400, 9), generator=draw)
+    met = Attended(
+        features=torch.zeros(400, 1),
+        background=torch.zeros(400),
+        weights=weights,
+        surface=torch.zeros(400, 3),
+        behind=torch.zeros(400),
+    )
+    found = surface_of(cloud, rays, met, neighbours, 0.4).surface
+    monkeypatch.setenv("PCORE_KERNELS", "reference")
+    expected = surface_of(cloud, rays, met, neighbours, 0.4).surface
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-5, equal_nan=True)
+    whole = surface_of(cloud, rays, met, neighbours, None).surface
+    apart = (expected - (weights.unsqueeze(2) * cloud.positions[neighbours]).sum(dim=1)).norm(dim=1)
+    assert float(apart.nanmedian()) > 0.05, "most rays meet several layers"
+    assert whole.shape == found.shape
+
+
 def test_no_gradient_and_no_change_of_what_the_losses_see() -> None:
     cloud = cloud_at([0.0, 3.0])
     met = attended(cloud, [[0.6, 0.4]])

@@ -16,6 +16,8 @@ from torch import Tensor
 
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
+from pcore.kernels import cpu_meeting
+from pcore.kernels.backends import takes_cpu
 from pcore.model.attention import Attended
 from pcore.model.meeting import meet_lit
 
@@ -67,40 +69,46 @@ def surface_of(
         return Met(surface=surface, gains=None)
     rows = torch.nonzero(met).squeeze(-1)
     weights, lines, points = attended.weights[rows], rays[rows], neighbours[rows]
-    here = cloud.positions.detach()[points]
-    if cutoff is not None:
-        depth = ((here - lines.origins.unsqueeze(1)) * lines.directions.unsqueeze(1)).sum(dim=-1)
-        rest = here if cloud.frames is None else cloud.frames.rest.detach()[points]
-        weights = weights * _first_layer(weights, depth, rest, cutoff)
+    weights, places = _first_layer(cloud, lines, weights, points, cutoff)
     if skin is None:
-        places = _mean(here, weights)
-        return Met(surface=surface.index_copy(0, rows, places), gains=None)
+        return Met(surface=surface.index_copy(0, rows, places.to(surface)), gains=None)
     on_skin, factors = meet_lit(skin, lines, weights, points)
     if gains is not None and factors is not None:
         gains = gains.index_copy(0, rows, factors.to(gains))
-    places = on_skin.to(surface) if skin.deep else _mean(here, weights)
+    places = (on_skin if skin.deep else places).to(surface)
     return Met(surface=surface.index_copy(0, rows, places), gains=gains)
 
 
-def _mean(places: Tensor, weights: Tensor) -> Tensor:
-    """Means (R, 3) of places (R, k, 3) by weights (R, k)."""
-    return (weights.unsqueeze(-1) * places).sum(dim=1) / weights.sum(dim=1, keepdim=True)
-
-
-def _first_layer(weights: Tensor, depth: Tensor, rest: Tensor, cutoff: float) -> Tensor:
-    """(R, k) bool, which points of rays belong to the layer that they meet first.
+def _first_layer(
+    cloud: PointCloud, rays: RayBundle, weights: Tensor, points: Tensor, cutoff: float | None
+) -> tuple[Tensor, Tensor]:
+    """Weights (R, k) of the points of the layer that rays meet first, and its mean place (R, 3).
 
     Args:
-        weights: (R, k) of the points.
-        depth: (R, k) along the rays, world units.
-        rest: (R, k, 3) places of the points at rest, world units.
-        cutoff: how far from the first of them, at rest, a layer's points lie at most.
+        cloud: the points.
+        rays: (R,) world units.
+        weights: (R, k) of the points that they met, not all zero.
+        points: (R, k) indices of those.
+        cutoff: how far from the first of them, at rest, a layer's points lie at most; None: all
+            are one layer.
     """
-    order = depth.argsort(dim=1)
-    reached = weights.gather(1, order).cumsum(dim=1) >= _FRONT * weights.sum(dim=1, keepdim=True)
-    first = order.gather(1, reached.int().argmax(dim=1, keepdim=True)).unsqueeze(-1)
-    apart = (rest - rest.take_along_dim(first, dim=1)).square().sum(dim=-1)
-    return apart <= cutoff**2
+    positions = cloud.positions.detach()
+    rest = positions if cloud.frames is None else cloud.frames.rest.detach()
+    if cutoff is not None and takes_cpu(weights) and takes_cpu(positions):
+        # Where along a ray its points lie is told but for where the ray begins.
+        limits = _FRONT, cutoff
+        return cpu_meeting.first_layer(weights, points, (positions, rest), rays.directions, limits)
+    here = positions[points]
+    if cutoff is not None:
+        depth = ((here - rays.origins.unsqueeze(1)) * rays.directions.unsqueeze(1)).sum(dim=-1)
+        order = depth.argsort(dim=1)
+        least = _FRONT * weights.sum(dim=1, keepdim=True)
+        reached = weights.gather(1, order).cumsum(dim=1) >= least
+        first = order.gather(1, reached.int().argmax(dim=1, keepdim=True)).unsqueeze(-1)
+        there = rest[points]
+        apart = (there - there.take_along_dim(first, dim=1)).square().sum(dim=-1)
+        weights = weights * (apart <= cutoff**2)
+    return weights, (weights.unsqueeze(-1) * here).sum(dim=1) / weights.sum(dim=1, keepdim=True)
 
 
 def middle_surface(surface: Tensor, origins: Tensor) -> Tensor:
