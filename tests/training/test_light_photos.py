@@ -152,6 +152,26 @@ def test_what_lies_beside_the_object_has_no_say_in_its_rim() -> None:
     assert bool(found[~inside & ~edge].isnan().all())
 
 
+def test_photos_show_what_faces_them_and_is_as_far_away_as_they_say() -> None:
+    """Up to 73 degrees, and within two spacings of the depth: three while heights are tried."""
+    normals, eye = sphere(1500), torch.tensor([0.0, 0.0, 3.5])
+    cosine = (F.normalize(eye - normals, dim=1) * normals).sum(dim=1)
+    one = ball_photo(eye)
+    known = ~colors_at(normals, normals, [one, one], 0.1).isnan().any(dim=1)
+    assert bool(known[cosine > 0.32].all())
+    assert not bool(known[cosine < 0.3].any())
+    top, spacing = cosine > 0.5, 0.1
+    for off, seen in ((0.17, True), (0.23, False), (-0.17, True), (-0.23, False)):
+        moved = replace(one, depth=one.depth + off)
+        found = colors_at(normals[top], normals[top], [moved, moved], spacing)
+        assert bool((~found.isnan()).all()) is seen, off
+        assert bool(found.isnan().all()) is not seen, off
+    for off, seen in ((0.25, True), (0.35, False)):
+        farther = [replace(each, depth=each.depth + off) for each in photos(40)]
+        at_all = light_photos._disagreement(normals, normals, farther, spacing).isfinite()
+        assert bool(at_all.any()) is seen, off
+
+
 def test_the_rim_of_a_photo_is_no_darker_than_its_middle() -> None:
     one = ball_photo(torch.tensor([0.0, 0.0, 3.5]))
     white = Shown(
