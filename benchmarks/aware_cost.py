@@ -15,10 +15,10 @@ from pathlib import Path
 
 import torch
 
+from pcore.cli.light import shading_of
 from pcore.evaluation.states import State, open_states
 from pcore.kernels.memory import keep_freed_memory
 from pcore.model.checkpoint import SavedModel, load_model
-from pcore.model.light_file import LIGHT_FILE, load_shading
 from pcore.model.render import render
 from pcore.model.shading import Shading
 
@@ -37,8 +37,7 @@ def main() -> None:
     torch.set_flush_denormal(True)
     saved = load_model(wish.run)
     states = open_states(wish.scene, factor=wish.factor).select(wish.states)[1:]
-    light = wish.run / LIGHT_FILE
-    shading = load_shading(light, saved.cloud.positions) if light.is_file() else None
+    shading = shading_of(wish.run, saved.cloud, None, aware=True)
     found = {state.name: measure(saved, shading, state, wish.rounds) for state in states}
     print(json.dumps(found, indent=1))
 

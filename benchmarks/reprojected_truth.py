@@ -46,10 +46,8 @@ class LookedUp:
 
 def look_up(points: Tensor, camera: Camera, photo: Tensor, depth: Tensor) -> LookedUp:
     """Look points (M, 3) up in a photo (H, W, 4) whose true depth (H, W) is known."""
-    local = (points - camera.center) @ camera.world_from_camera[:3, :3]
-    z = -local[:, 2]
-    x = local[:, 0] / z * camera.fx + camera.cx - 0.5
-    y = -local[:, 1] / z * camera.fy + camera.cy - 0.5
+    across, down, z = camera.project(points)
+    x, y = across - 0.5, down - 0.5
     column = x.round().long().clamp(0, camera.width - 1)
     row = y.round().long().clamp(0, camera.height - 1)
     grid = torch.stack([(2 * x + 1) / camera.width - 1, (2 * y + 1) / camera.height - 1], dim=-1)

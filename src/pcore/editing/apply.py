@@ -38,10 +38,10 @@ def deformed_cloud(
     positions = cloud.positions.detach()
     exact = positions.cpu().double()
     moved = deformation(exact).to(positions)
-    if _stays(deformation, exact):
-        return cloud.moved(moved).covered(shading and shading.rest.to(positions.device))
     if not (aware or shading):
         return cloud.moved(moved)
+    if _stays(deformation, exact):
+        return cloud.moved(moved).covered(shading and shading.rest.to(positions.device))
     frames = analytic_frames(deformation, positions.cpu())
     there = cloud.to("cpu").moved(moved.cpu(), frames if aware else None)
     return there.covered(shading and shading.skin(frames, there.positions)).to(positions.device)

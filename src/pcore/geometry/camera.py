@@ -130,6 +130,19 @@ class Camera:
         """How wide a pixel is as far away as a place (3,), world units."""
         return float((self.center - place).norm()) / self.fx
 
+    def project(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Column, row and camera z (N,) of world points (N, 3).
+
+        Columns and rows count from the picture's corner, pixels wide; those of points that are not
+        in front of the camera mean nothing.
+        """
+        pose = self.world_from_camera.to(points)
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        depth = -local[:, 2]
+        column = local[:, 0] / depth * self.fx + self.cx
+        row = -local[:, 1] / depth * self.fy + self.cy
+        return column, row, depth
+
     def depth(self, points: Tensor) -> Tensor:
         """Camera z of world points (..., 3): distance along the viewing axis, world units."""
         forward = -self.world_from_camera[:3, 2]

@@ -133,10 +133,5 @@ def unseen_share(pixels: Tensor, alpha: Tensor) -> float:
 
 def _projected(points: Tensor, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Column, row and depth (N,) of points; places in the picture of those behind mean nothing."""
-    from_world = np.linalg.inv(camera.world_from_camera.detach().cpu().double().numpy())
-    local = as_points(points) @ from_world[:3, :3].T + from_world[:3, 3]
-    depth = -local[:, 2]
-    divisor = np.where(depth > 0, depth, 1.0)
-    column = camera.cx + camera.fx * local[:, 0] / divisor
-    row = camera.cy - camera.fy * local[:, 1] / divisor
-    return column, row, depth
+    column, row, depth = camera.project(torch.from_numpy(as_points(points)))
+    return column.numpy(), row.numpy(), depth.numpy()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numba
 import numpy as np
@@ -11,24 +10,9 @@ import torch
 from numba import prange
 from torch import Tensor
 
+from pcore.geometry.rays import RayBundle
+from pcore.geometry.skin import Skin
 from pcore.kernels.numba_bridge import as_float32, use_torch_threads
-
-
-@dataclass(frozen=True, kw_only=True)
-class Planes:
-    """What N planes are to the kernel; all on the CPU.
-
-    Attributes:
-        places: (N, 3) world units.
-        normals: (N, 3) unit, or zero.
-        changes: (N,) logarithms of factors.
-        beside: (N, K) int64 planes around each.
-    """
-
-    places: Tensor
-    normals: Tensor
-    changes: Tensor
-    beside: Tensor
 
 
 def first_layer(
@@ -107,19 +91,13 @@ def _first_layer(
 
 
 def meet(
-    planes: Planes,
-    origins: Tensor,
-    directions: Tensor,
-    weights: Tensor,
-    points: Tensor,
-    limits: tuple[float, ...],
-) -> tuple[Tensor, Tensor]:
+    skin: Skin, rays: RayBundle, weights: Tensor, points: Tensor, limits: tuple[float, ...]
+) -> tuple[Tensor, Tensor | None]:
     """Places (M, 3) where rays meet planes and factors (M,) there; see `pcore.model.meeting`.
 
     Args:
-        planes: what is met.
-        origins: (M, 3) of the rays, world units.
-        directions: (M, 3) unit.
+        skin: the planes; without gains there are no factors.
+        rays: (M,) world units.
         weights: (M, k) of planes, not all zero.
         points: (M, k) which those are.
         limits: least cosine of facing, that of slanting, how far before and behind its place a
@@ -127,21 +105,26 @@ def meet(
             units, and the weight of what faces away.
     """
     use_torch_threads()
-    found, factors = torch.empty(len(origins), 3), torch.empty(len(origins))
+    gains = skin.gains
+    # Where there is no light nothing is beside a point, and nothing is read of its changes.
+    changes, beside = skin.places[:0, 0], skin.beside[:, :0]
+    if gains is not None:
+        changes, beside = gains.log(), skin.beside
+    found, factors = torch.empty(len(weights), 3), torch.empty(len(weights))
     _meet(
-        as_float32(planes.places),
-        as_float32(planes.normals),
-        as_float32(planes.changes),
-        planes.beside.contiguous().numpy(),
-        as_float32(origins),
-        as_float32(directions),
+        as_float32(skin.places),
+        as_float32(skin.normals),
+        as_float32(changes),
+        beside.contiguous().numpy(),
+        as_float32(rays.origins),
+        as_float32(rays.directions),
         as_float32(weights),
         points.contiguous().numpy(),
         np.array(limits, dtype=np.float32),
         found.numpy(),
         factors.numpy(),
     )
-    return found, factors
+    return found, None if gains is None else factors
 
 
 @numba.njit(cache=True, parallel=True)

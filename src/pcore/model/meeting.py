@@ -16,7 +16,6 @@ from pcore.geometry.rays import RayBundle
 from pcore.geometry.skin import Skin
 from pcore.kernels import cpu_meeting
 from pcore.kernels.backends import takes_cpu
-from pcore.kernels.cpu_meeting import Planes
 
 _FACING = 0.05
 """Least cosine between a ray and a piece of surface that it can see."""
@@ -46,16 +45,9 @@ def meet_lit(
     if not takes_cpu(skin.places):
         places, middle = meet(skin, rays, weights, points)
         return places, None if skin.gains is None else gains_at(skin, rays, places, middle)
-    gains, beside = skin.gains, skin.beside
-    if gains is None:
-        gains, beside = skin.places.new_ones(len(skin)), beside[:, :0]
-    planes = Planes(places=skin.places, normals=skin.normals, changes=gains.log(), beside=beside)
     extent, width = (_reach(one, skin) for one in (_EXTENT, _WIDTH))
     limits = _FACING, _SLANT, _NEAR * skin.spacing, extent, width, _HIDDEN
-    places, factors = cpu_meeting.meet(
-        planes, rays.origins, rays.directions, weights, points, limits
-    )
-    return places, None if skin.gains is None else factors
+    return cpu_meeting.meet(skin, rays, weights, points, limits)
 
 
 def meet(skin: Skin, rays: RayBundle, weights: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:

@@ -99,8 +99,8 @@ class Shading:
             known keeps its brightness.
 
         Raises:
-            InputError: frames of other points, points of another number, NaN or infinity, a factor
-                that is not above 0.
+            InputError: frames of other points or without an inverse, points of another number, NaN
+                or infinity, a factor that is not above 0.
         """
         if not (math.isfinite(world) and world > 0):
             raise InputError(f"shading: expected a world factor above 0, got {world}")

@@ -64,7 +64,6 @@ def surface_of(
     met = attended.weights.sum(dim=-1) > 0
     surface = attended.surface.masked_fill(~met.unsqueeze(1), math.nan)
     skin = cloud.skin
-    gains = None if skin is None or skin.gains is None else torch.ones_like(surface[:, 0])
     if cutoff is None and skin is None:
         return Met(surface=surface, gains=None)
     rows = torch.nonzero(met).squeeze(-1)
@@ -73,8 +72,9 @@ def surface_of(
     if skin is None:
         return Met(surface=surface.index_copy(0, rows, places.to(surface)), gains=None)
     on_skin, factors = meet_lit(skin, lines, weights, points)
-    if gains is not None and factors is not None:
-        gains = gains.index_copy(0, rows, factors.to(gains))
+    gains = None
+    if factors is not None:
+        gains = torch.ones_like(surface[:, 0]).index_copy(0, rows, factors.to(surface))
     places = (on_skin if skin.deep else places).to(surface)
     return Met(surface=surface.index_copy(0, rows, places), gains=gains)
 
@@ -95,7 +95,7 @@ def _first_layer(
     positions = cloud.positions.detach()
     rest = positions if cloud.frames is None else cloud.frames.rest.detach()
     if cutoff is not None and takes_cpu(weights) and takes_cpu(positions):
-        # Where along a ray its points lie is told but for where the ray begins.
+        # Points are ordered along one ray: where it begins does not matter.
         limits = _FRONT, cutoff
         return cpu_meeting.first_layer(weights, points, (positions, rest), rays.directions, limits)
     here = positions[points]

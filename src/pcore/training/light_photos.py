@@ -185,10 +185,7 @@ def colors_at(places: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: 
 def _colors(places: Tensor, normals: Tensor, shown: Shown, close: float) -> Tensor:
     """Colours (N, 3) that a photo shows at places (N, 3); NaN where it shows something else."""
     camera = shown.camera
-    local = (places - camera.center) @ camera.world_from_camera[:3, :3]
-    z = -local[:, 2]
-    x = local[:, 0] / z * camera.fx + camera.cx
-    y = -local[:, 1] / z * camera.fy + camera.cy
+    x, y, z = camera.project(places)
     inside = (z > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
     column = x.long().clamp(0, camera.width - 1)
     row = y.long().clamp(0, camera.height - 1)

@@ -163,11 +163,8 @@ def _widened(voxels: Tensor, reach: int) -> Tensor:
 
 def _look_up(points: Tensor, camera: Camera, mask: Tensor) -> tuple[Tensor, Tensor]:
     """Which points (P, 3) lie in the picture, and which of them in its mask."""
-    pose = camera.world_from_camera
-    local = (points - camera.center) @ pose[:3, :3]
-    depth = -local[:, 2]
-    column = (local[:, 0] / depth * camera.fx + camera.cx).floor().long()
-    row = (-local[:, 1] / depth * camera.fy + camera.cy).floor().long()
+    across, down, depth = camera.project(points)
+    column, row = across.floor().long(), down.floor().long()
     in_view = (depth > 0) & (column >= 0) & (column < camera.width)
     in_view &= (row >= 0) & (row < camera.height)
     value = mask[row.clamp(0, camera.height - 1), column.clamp(0, camera.width - 1)]

@@ -1,0 +1,40 @@
+"""Where a camera sees points: the other way round from its rays."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from pcore.geometry.camera import Camera
+
+
+def turned() -> Camera:
+    """No square pixels, no middle in the middle, no axis along the world's."""
+    angle = 0.7
+    turn = torch.tensor(
+        [
+            [math.cos(angle), 0.0, math.sin(angle)],
+            [0.0, 1.0, 0.0],
+            [-math.sin(angle), 0.0, math.cos(angle)],
+        ]
+    )
+    tilt = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]])
+    pose = torch.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn @ tilt, torch.tensor([1.0, -2.0, 3.0])
+    return Camera(width=7, height=5, fx=9.0, fy=11.0, cx=3.1, cy=2.2, world_from_camera=pose)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_points_on_the_rays_of_pixels_are_seen_there(dtype: torch.dtype) -> None:
+    camera = turned()
+    rays = camera.rays().flat()
+    distance = torch.linspace(0.5, 4.0, 35)[:, None]
+    points = (rays.origins + distance * rays.directions).to(dtype)
+    column, row, depth = camera.project(points)
+    rows, columns = torch.meshgrid(torch.arange(5), torch.arange(7), indexing="ij")
+    torch.testing.assert_close(column, columns.flatten().to(dtype) + 0.5, rtol=0, atol=1e-4)
+    torch.testing.assert_close(row, rows.flatten().to(dtype) + 0.5, rtol=0, atol=1e-4)
+    torch.testing.assert_close(depth, camera.depth(points))
+    assert bool((camera.project(2 * camera.center.to(dtype) - points)[2] < 0).all())
