@@ -107,7 +107,7 @@ def make_suzanne(out: Path, mesh: Path, cameras: Path) -> None:
 
 def make_figure(out: Path, cameras: Path) -> None:
     """A figure of rounded limbs: seven paints, three formulas and two poses."""
-    limbs, faces = limbs()
+    limbs, faces = figure_mesh()
     color = clothes(limbs)
     vertices, poses = _posed(limbs, cheerful=_cheerful, stroll=_stroll)
     records = {
@@ -120,7 +120,7 @@ def make_figure(out: Path, cameras: Path) -> None:
 
 def make_speckled(out: Path, cameras: Path) -> None:
     """The figure in other poses, its paint speckled at three sizes: two formulas, two poses."""
-    limbs, faces = limbs()
+    limbs, faces = figure_mesh()
     random = np.random.default_rng(1)
     speckles = np.zeros(len(limbs))
     for size in (9.0, 20.0, 45.0):
@@ -158,7 +158,7 @@ def clothes(vertices: Array) -> Array:
     return color
 
 
-def limbs() -> tuple[Array, NDArray[np.int64]]:
+def figure_mesh() -> tuple[Array, NDArray[np.int64]]:
     """Capsules around the bones, blended, as a mesh."""
     from skimage import measure
 

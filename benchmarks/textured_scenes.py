@@ -73,9 +73,7 @@ def write_scene(folder: Path, painted: Painted, resolution: int) -> None:
     for name, state in deformed_states(vertices).items():
         moved = state.deformation(torch.from_numpy(vertices)).numpy()
         views(folder / name, "test", test, moved, state.angle_x)
-        _write_json(
-            folder / name / "deformation.json", describe_state(state, vertices, moved)
-        )
+        _write_json(folder / name / "deformation.json", describe_state(state, vertices, moved))
         meshes[name] = moved.astype(np.float32)
     np.savez_compressed(folder / "meshes.npz", faces=faces.astype(np.int32), **meshes)
 
@@ -149,7 +147,7 @@ def _pebble() -> Painted:
 
 def _figure() -> Painted:
     """The figure of `lit_scenes` in speckled clothes with a light baked in."""
-    vertices, faces = lit_scenes.limbs()
+    vertices, faces = lit_scenes.figure_mesh()
     grain = _speckles(vertices, seed=1, sizes=(9.0, 20.0, 45.0))
     colors = lit_scenes.clothes(vertices) * np.exp(0.25 * grain)[:, None]
     return vertices, faces, np.clip(colors, 0.02, 0.98) ** (1 / 2.2)
@@ -187,7 +185,7 @@ def _two(mask: Array, first: tuple[float, ...], second: tuple[float, ...]) -> Ar
 
 
 def _speckles(points: Array, *, seed: int, sizes: tuple[float, ...]) -> Array:
-    """Smooth noise (...) of points (..., 3) with waves of these frequencies, about unit variance."""
+    """Smooth noise (...) of points (..., 3): waves of these frequencies, unit variance."""
     random = np.random.default_rng(seed)
     total = np.zeros(points.shape[:-1])
     for size in sizes:
