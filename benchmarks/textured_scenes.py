@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks import lit_scenes
-from pcore.data.sample_render import MeshCaster, camera_poses, render_rgba
-from pcore.data.sample_states import ANGLE_X, deformed_states, describe_state
+from pcore.sample.sample_render import MeshCaster, camera_poses, render_rgba
+from pcore.sample.sample_states import ANGLE_X, deformed_states, describe_state
 
 Array = NDArray[Any]
 Painted = tuple[Array, Array, Array]
