@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from pcore.errors import TrainingError
+from pcore.errors import InputError, TrainingError
 from pcore.training.budget import Budget, interpolated, largest_part
 
 BEFORE = {
@@ -103,3 +103,9 @@ def test_what_meets_the_budget_is_taken_as_it_is() -> None:
 
 def test_numbers_that_are_none_meet_no_budget() -> None:
     assert not Budget(before=BEFORE, psnr=30.0, largest_loss=99.0).met_by(math.nan)
+
+
+@pytest.mark.parametrize("largest_loss", [-0.1, math.nan])
+def test_no_budget_is_below_zero(largest_loss: float) -> None:
+    with pytest.raises(InputError, match="largest_loss of 0 dB or more"):
+        Budget(before=BEFORE, psnr=30.0, largest_loss=largest_loss)

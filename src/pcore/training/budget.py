@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from pcore.errors import TrainingError
+from pcore.errors import InputError, TrainingError
 
 _HALVINGS = 7
 _FREE = "skinning."
@@ -25,12 +25,19 @@ class Budget:
     Attributes:
         before: all weights before the stage, by name.
         psnr: PSNR of held-out training views with them, dB.
-        largest_loss: how far below that the result may lie, dB.
+        largest_loss: how far below that the result may lie, dB; 0 or more.
     """
 
     before: Mapping[str, Tensor]
     psnr: float
     largest_loss: float
+
+    def __post_init__(self) -> None:
+        if not self.largest_loss >= 0:
+            raise InputError(
+                f"fine-tuning: expected largest_loss of 0 dB or more, got {self.largest_loss}; "
+                "None leaves the budget out"
+            )
 
     def met_by(self, psnr: float) -> bool:
         """Whether a result of this PSNR (dB) costs no more than is allowed; not for NaN."""
