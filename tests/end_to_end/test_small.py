@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pcore.cli.main import main
+from pcore.files.model_file import load_model
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
-from pcore.model.checkpoint import load_model
 
 Array = NDArray[Any]
 SIZE = 16
