@@ -66,7 +66,7 @@ def script_of(edit: EditLike, time: float | None = None) -> EditScript:
 
 
 def bind_motion(
-    edit: Edit | None,
+    edit: object,
     points: Tensor,
     read_rig: Callable[[], AnchorRig | None],
     *,

@@ -16,11 +16,12 @@ from pcore.files.run_folder import RunFolder
 from pcore.files.run_record import RunRecord, relative
 from pcore.relight.estimate import fit_shading
 from pcore.relight.light_file import LIGHT_FILE, save_shading
+from pcore.training import presets
 from pcore.training.config import FinetuneConfig, PresetName, PretrainConfig
 from pcore.training.events import Listener, silent
 from pcore.training.finetune import finetune as run_finetuning
 from pcore.training.in_folder import FolderPlan, Train, disk_space, train_in_folder
-from pcore.training.presets import PretrainName, finetune_preset, preset, preset_of
+from pcore.training.presets import PretrainName
 from pcore.training.pretrain import pretrain
 from pcore.training.trained import Trained
 
@@ -79,8 +80,8 @@ def train(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     chosen = options or RunOptions()
-    config = preset(settings) if isinstance(settings, str) else settings
-    name = settings if isinstance(settings, str) else preset_of(config)
+    config = presets.preset(settings) if isinstance(settings, str) else settings
+    name = settings if isinstance(settings, str) else presets.preset_of(config)
     limit = config.grow.limit if config.grow else config.points
     record = RunRecord(
         path=None if folder is None else Path(folder),
@@ -171,7 +172,7 @@ def finetune_settings(
     known: dict[Any, PresetName] = {"tiny": "tiny", "fast": "fast"}
     chosen = name or known.get(asset.record.config.get("preset"), "paper")
     black = content.papr.config.background == (0.0, 0.0, 0.0)
-    return chosen, replace(finetune_preset(chosen), background="black" if black else "white")
+    return chosen, replace(presets.finetune_preset(chosen), background="black" if black else "white")
 
 
 def estimate_light(
