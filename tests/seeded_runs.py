@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from tests.cli.toys import write_run, write_scene
 
 from pcore.contrib.learned_skinning import SkinningConfig, untrained_skinning
 from pcore.deform.anchor_distance import path_distance
@@ -18,7 +19,6 @@ from pcore.geometry.farthest_points import farthest_points
 from pcore.relight.lamps import Light, sphere
 from pcore.relight.light_file import LIGHT_FILE, save_shading
 from pcore.relight.shading import Shading
-from tests.cli.toys import write_run, write_scene
 
 TWIST: dict[str, Any] = {"type": "twist", "axis": "z", "angle_deg": 60}
 TURN: dict[str, Any] = {"type": "rigid", "axis": "x", "angle_deg": 120}

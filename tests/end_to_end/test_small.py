@@ -62,7 +62,7 @@ def test_from_photos_to_a_deformed_picture(tmp_path: Path) -> None:
     assert main(train) == 0
     assert main(["finetune", str(run), "--steps", "5", *cpu]) == 0
     edit = tmp_path / "large.json"
-    edit.write_text('{"version": 1, "edits": [{"type": "scale", "factor": 1.3}]}')
+    edit.write_text('{"version": 2, "edits": [{"type": "scale", "factor": 1.3}]}')
     tuned = tmp_path / "run-pcore"
     render = ["render", str(tuned), "--split", "test", "--raw", "--normals", *cpu]
     assert main([*render, "-o", str(out / "plain")]) == 0

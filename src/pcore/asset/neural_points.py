@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from pcore.asset.content import Color, LightName, Motion, MovedPoints, RaysName, Sampling
 from pcore.editing.apply import deformed_cloud
 from pcore.errors import InputError
-from pcore.files.model_file import MODEL_FILE, load_model, save_model
+from pcore.files.model_file import MODEL_FILE, load_model, networks, save_model
 from pcore.files.provenance import Provenance
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr, Rendering
-from pcore.model.papr_config import PaprConfig
 from pcore.model.passes import Picture
 from pcore.model.raster import film_detail
 from pcore.model.render import FAST_THRESHOLD, render
@@ -134,19 +132,6 @@ class NeuralPoints:
         return self.light
 
 
-def networks(config: PaprConfig, state: Mapping[str, Tensor]) -> Papr:
-    """Build networks with these weights, in evaluation mode and without gradients.
-
-    Args:
-        config: their architecture.
-        state: state dict of `Papr(config)`.
-    """
-    with torch.random.fork_rng(devices=[]):  # Their initial weights are drawn and overwritten.
-        papr = Papr(config)
-    papr.load_state_dict(state)
-    return papr.requires_grad_(False).eval()
-
-
 def read_neural_points(path: Path, device: str) -> tuple[NeuralPoints, Provenance]:
     """Read a model file, or the one in a folder with the light that lies beside it.
 
@@ -166,7 +151,7 @@ def read_neural_points(path: Path, device: str) -> tuple[NeuralPoints, Provenanc
         return load_shading(light, cloud.positions)
 
     content = NeuralPoints(
-        papr=networks(saved.config, saved.papr_state).to(device),
+        papr=saved.papr().to(device),
         cloud=cloud,
         read_light=read_light if light.is_file() else None,
     )

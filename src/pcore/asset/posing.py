@@ -58,9 +58,9 @@ def script_of(edit: EditLike, time: float | None = None) -> EditScript:
         animation = load_animation(edit)
     if time is None and animation.end > animation.start:
         raise EditError(
-            f"{animation.source}: expected an edit that stands still, or --time between "
-            f"{animation.start:g} and {animation.end:g} (time= in Python), because it has "
-            "keyframes, got none; or use `pcore animate`"
+            f"{animation.source}: expected --time between {animation.start:g} and "
+            f"{animation.end:g} (time= in Python), because it has keyframes, got none; or use "
+            "`pcore animate`"
         )
     return animation.at(animation.start if time is None else time)
 

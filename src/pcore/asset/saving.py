@@ -41,8 +41,9 @@ def load(path: Path | str, *, device: str = "cpu") -> Asset:
             raise when they are first needed.
     """
     path = Path(path)
-    folder = path if path.is_dir() else None
-    stored = None if folder is None else RunRecord.read(folder)
+    # A model file that is not there is more likely a folder that is not there.
+    bare = path.is_file() or path.suffix == Path(MODEL_FILE).suffix
+    stored = None if bare else RunRecord.read(path)
     content, provenance = _reader_for(path)(path, device)
     points, weights = content.points, path / SKINNING_FILE
     return Asset(

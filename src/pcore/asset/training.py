@@ -172,7 +172,9 @@ def finetune_settings(
     known: dict[Any, PresetName] = {"tiny": "tiny", "fast": "fast"}
     chosen = name or known.get(asset.record.config.get("preset"), "paper")
     black = content.papr.config.background == (0.0, 0.0, 0.0)
-    return chosen, replace(presets.finetune_preset(chosen), background="black" if black else "white")
+    return chosen, replace(
+        presets.finetune_preset(chosen), background="black" if black else "white"
+    )
 
 
 def estimate_light(

@@ -33,6 +33,9 @@ class RenderCommand:
     edit: Annotated[Path | None, optional("FILE")] = None
     """Edit file (JSON) to deform the points with; bound to the canonical cloud."""
 
+    time: Number = None
+    """For an edit file with keyframes: the time to show."""
+
     rays: Literal["aware", "plain"] = "aware"
     """How deformed points are seen: aware of the deformation, or plain as in the paper."""
 
@@ -124,7 +127,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
     prepare_torch(command.threads)
     device = pick_device(command.device)
     asset = load(command.run_or_file, device=device)
-    posed = asset.pose(command.edit, rays=command.rays, light=command.light)
+    posed = asset.pose(command.edit, time=command.time, rays=command.rays, light=command.light)
     note(console, posed.notes)
     views = _views(command, asset, posed, console)
     if _films(command):

@@ -146,7 +146,7 @@ class EditSession:
         Raises:
             EditError: the file cannot be written.
         """
-        self.state.script.upgraded().save(path)
+        self.state.script.save(path)
 
     def load(self, path: Path | str, *, time: float | None = None) -> EditState:
         """Replace the present edits by those of an edit file; `undo` brings them back.
