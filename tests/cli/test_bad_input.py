@@ -167,7 +167,7 @@ CASES = [
     Case(f"{RENDER} --edit edit.json", "edit.json: expected an edit file in", cut("edit.json")),
     Case(
         f"{RENDER} --edit edit.json",
-        'expected "version": 1 or 2, got 7',
+        'expected "version": 2, got 7',
         edit({"version": 7, "edits": []}),
     ),
     Case(
@@ -313,7 +313,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     world = tmp_path_factory.mktemp("original") / "world"
     write_scene(world / "ball")
     papr, cloud = write_run(world / "run", scene="../ball", config=CONFIG, preset="tiny")
-    (world / "edit.json").write_text(json.dumps({"version": 1, "edits": [EDIT]}))
+    (world / "edit.json").write_text(json.dumps({"version": 2, "edits": [EDIT]}))
     save_points(world / "points.npy", torch.randn(9, 3))
     torch.save({"7": to_official_state(papr, cloud)}, world / "model.pth")
     (world / "lego.yml").write_text(yaml.safe_dump(OFFICIAL))

@@ -24,7 +24,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def write_edit(folder: Path, *edits: dict) -> None:
-    (folder / "edit.json").write_text(json.dumps({"version": 1, "edits": edits}))
+    (folder / "edit.json").write_text(json.dumps({"version": 2, "edits": edits}))
 
 
 def run(folder: Path, source: str = "in.npy", output: str = "out.npy", **options) -> Path:

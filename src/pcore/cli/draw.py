@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from pcore.cli.cameras import Named
     from pcore.data.video import VideoWriter
     from pcore.geometry.camera import Camera
-    from pcore.geometry.point_cloud import PointCloud
     from pcore.model.render import Picture
 
 FPS = 30
@@ -42,17 +41,17 @@ class Wanted:
 
 def draw(
     take: Callable[..., Picture],
-    cloud: PointCloud,
+    points: Tensor,
     views: Named,
     output: Path,
     wanted: Wanted,
     console: Console,
 ) -> list[Path]:
-    """Render views of a cloud and write them into the folder `output`.
+    """Render views of an object and write them into the folder `output`.
 
     Args:
-        take: makes the picture of a camera and tells `progress`, as `render` does.
-        cloud: what is rendered; its extent sets the shades of depth.
+        take: makes the picture of a camera and tells `progress`, as `Asset.render` does.
+        points: (N, 3) of what is rendered, world units; their extent sets the shades of depth.
         views: cameras by name.
         output: folder that is there.
         wanted: which files.
@@ -66,7 +65,7 @@ def draw(
     """
     from pcore.data.pictures import depth_range
 
-    shades = depth_range(cloud.positions, [camera for _, camera in views])
+    shades = depth_range(points, [camera for _, camera in views])
     files: list[Path] = []
     try:
         with ExitStack() as stack:

@@ -98,12 +98,13 @@ def train(command: TrainCommand, console: Console) -> None:
         TrainingError: training diverged or cannot write.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
+    from pcore.asset.training import RunOptions
+    from pcore.asset.training import train as make
     from pcore.cli.light import try_light
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.sessions import Session, disk_space, run_session, show_result
+    from pcore.cli.sessions import show_result, shown_training
     from pcore.data.load import load_scene
-    from pcore.files.records import to_dict
-    from pcore.training.pretrain import pretrain
+    from pcore.files.run_record import finished
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -112,35 +113,27 @@ def train(command: TrainCommand, console: Console) -> None:
     command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{command.preset}, {config.steps:,} steps on {device}")
-    limit = config.grow.limit if config.grow else config.points
-    session = Session(
-        path=command.output,
-        stage="pretrain",
-        scene=command.scene,
-        config={
-            "preset": command.preset,
-            "factor": command.factor,
-            "pretrain": to_dict(config),
-        },
-        resume=command.resume,
-        tensorboard=not command.no_tensorboard,
-        needed=disk_space(config.model, max(limit, config.points)),
-    )
-    trained = run_session(
-        session,
-        lambda run, tell: pretrain(
+    done = command.resume and finished(command.output)
+    with shown_training(console) as (listener, note):
+        options = RunOptions(
+            light=False,
+            resume=command.resume,
+            tensorboard=not command.no_tensorboard,
+            compiled=not command.no_compile,
+            preset=command.preset,
+            note=note,
+        )
+        asset = make(
             scene,
             config,
-            folder=run,
-            listener=tell,
+            folder=command.output,
+            listener=listener,
             device=device,
-            compiled=not command.no_compile,
-        ),
-        console,
-    )
-    if trained:
-        try_light(command.output, scene, device, console)
-    show_result(console, command.output, next_command=f"pcore finetune {command.output}")
+            options=options,
+        )
+    if not done:
+        try_light(asset, scene, console)
+    show_result(console, asset)
 
 
 def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainConfig:

@@ -42,7 +42,14 @@ def load_scene(
     if not transforms_path(root, "train").is_file():
         raise SceneError(_unknown_format(folder))
     views = load_splits(root, factor=factor, cache=cache)
-    scene = Scene(name=folder.name, root=root, views=views, states=find_states(folder))
+    scene = Scene(
+        name=folder.name,
+        root=root,
+        views=views,
+        states=find_states(folder),
+        folder=folder,
+        factor=factor,
+    )
     scene.split("train")  # Read now: without training views there is no scene.
     return scene
 

@@ -84,6 +84,8 @@ class Scene:
         views: split name -> views; at least one split, none of them empty. Loaders hand over
             splits that are read when they are asked for.
         states: names of deformed states whose test views `load_state` reads.
+        folder: what `load_scene` was given; None for scenes that come from elsewhere.
+        factor: whole number by which its images were down-scaled.
 
     The region of the object comes from the poses of the training views alone (of all views when
     there is no training split, as in a deformed state): no image is looked at, no test pose
@@ -94,6 +96,8 @@ class Scene:
     root: Path
     views: Mapping[str, tuple[View, ...]]
     states: tuple[str, ...] = ()
+    folder: Path | None = None
+    factor: int = 1
 
     @property
     def splits(self) -> tuple[str, ...]:
