@@ -133,7 +133,7 @@ def test_apply_at_a_time(folder: Path, capsys: pytest.CaptureFixture[str]):
     words = [folder / "points.npy", "--edit", edit, "-o", output]
     code, shown = call(capsys, "apply", *words)
     assert code == 2
-    assert "expected --time between 0 and 2, because it has keyframes, got none" in shown
+    assert "expected --time between 0 and 2 (time= in Python), because it has keyframes" in shown
     assert not output.exists()
     assert call(capsys, "apply", *words, "--time", 1)[0] == 0
     np.testing.assert_allclose(np.load(output), 2 * np.load(folder / "points.npy"), rtol=1e-6)

@@ -175,7 +175,7 @@ def test_a_pickle_that_is_no_state_is_not_executed(tmp_path: Path) -> None:
     [
         ({"weights": 1}, "is not a training state of pcore"),
         (torch.zeros(2), "is not a training state of pcore"),
-        ({"format": "pcore-state", "version": 3}, "has version 3 of the state format"),
+        ({"format": "pcore-state", "version": 2}, "has version 2 of the state format"),
         ({"format": "pcore-state", "version": 3, "state": {"step": 1.5}}, "entries best"),
     ],
 )
