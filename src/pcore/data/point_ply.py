@@ -53,18 +53,18 @@ class PointPly:
 
     def normals(self) -> tuple[str, ...] | None:
         """Names of the normals' properties; None where there are none."""
-        return next((names for names in _NORMALS if self._has(names)), None)
+        return next((names for names in _NORMALS if self.has(names)), None)
 
     def colors(self) -> tuple[NDArray[np.uint8] | None, str]:
         """Colours (N, 3 or 4), and why there are none where the file has some."""
-        names = next((names for names in _COLORS if self._has(names[:3])), None)
+        names = next((names for names in _COLORS if self.has(names[:3])), None)
         if names is None:
             return None, ""
         parts = [self.ply.scalars(place) for place in self._places(names[:3])]
         painted = _eight_bits(parts)
         if painted is None:
             return None, f"its colours ({', '.join(names[:3])}) are of no known range: not read"
-        if self._has(names[3:]):
+        if self.has(names[3:]):
             alpha = _eight_bits([self.ply.scalars(self._places(names[3:])[0])])
             painted = painted if alpha is None else np.concatenate([painted, alpha], axis=1)
         return painted, ""
@@ -132,7 +132,7 @@ class PointPly:
         others = [e for e in self.ply.header.elements if e.name not in skipped and e.length]
         return (*(own and [_counted(own)]), *(f"{e.length} {e.name}" for e in others))
 
-    def _has(self, names: Sequence[str]) -> bool:
+    def has(self, names: Sequence[str]) -> bool:
         """Whether the vertices have all of these, each of one number."""
         places = [self.vertex.find(name) for name in names]
         return all(k is not None and self.vertex.properties[k].count is None for k in places)
@@ -165,7 +165,7 @@ def read_point_ply(content: bytes, where: str) -> PointPly:
             f"{where}: SuperSplat's compressed PLY is not read (positions are packed): export an "
             "uncompressed one"
         )
-    if not read._has(PLACES):  # noqa: SLF001
+    if not read.has(PLACES):
         names = first_names(one.name for one in found[1].properties) or "nothing"
         raise InputError(f"{where}: expected a PLY with vertices x, y, z, got ones with {names}")
     return read
@@ -189,7 +189,9 @@ def turned(normals: NDArray[np.float64], maps: NDArray[Any]) -> NDArray[np.float
     """
     # The matrix of cofactors is det(J) times the inverse transpose and exists of any map.
     rows = maps.astype(np.float64)
-    cofactors = np.stack([np.cross(rows[:, (k + 1) % 3], rows[:, (k + 2) % 3]) for k in range(3)], 1)
+    cofactors = np.stack(
+        [np.cross(rows[:, (k + 1) % 3], rows[:, (k + 2) % 3]) for k in range(3)], 1
+    )
     new = np.einsum("nij,nj->ni", cofactors, normals)
     new *= np.where(np.linalg.det(rows) < 0, -1.0, 1.0)[:, None]
     length, old = (np.linalg.norm(one, axis=1, keepdims=True) for one in (new, normals))
@@ -211,10 +213,8 @@ def _eight_bits(parts: Sequence[NDArray[Any]]) -> NDArray[np.uint8] | None:
     least = float(values.min()) if values.size else 0.0
     if not (least >= 0 and most <= (255 if real else 65535)):
         return None
-    if real:
-        factor = 255.0 if most <= 1 else 1.0
-    else:
-        factor = 1.0 if most <= 255 else 1 / 257
+    sixteen = not real and most > 255
+    factor = 1 / 257 if sixteen else 255.0 if real and most <= 1 else 1.0
     return np.rint(values * factor).astype(np.uint8)
 
 

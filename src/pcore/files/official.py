@@ -14,6 +14,7 @@ from torch import Tensor
 from pcore.errors import CheckpointError, InputError
 from pcore.files.official_config import OfficialSettings, read_settings
 from pcore.files.official_file import read_tensors
+from pcore.files.official_older import todays_tensors
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.encoding import encoded_size
 from pcore.model.papr import Papr
@@ -84,7 +85,7 @@ def from_official_state(
     """Translate the original's tensors; the sizes are read from their shapes.
 
     Args:
-        tensors: the original's state dict.
+        tensors: the original's state dict, also under the names of before June 2024.
         settings: what its YAML says.
         where: the file, for messages.
 
@@ -94,6 +95,7 @@ def from_official_state(
     Raises:
         CheckpointError: tensors are missing, unknown, misshaped or not finite.
     """
+    tensors = todays_tensors(tensors)
     config = _config(tensors, settings, where)
     with torch.device("meta"):
         expected = {k: tuple(v.shape) for k, v in Papr(config).state_dict().items()}
