@@ -6,8 +6,8 @@ What is piped to a file or another program has no width: it gets every column in
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 from rich.cells import cell_len
@@ -15,6 +15,8 @@ from rich.console import Console
 from rich.text import Text
 
 _GAP = 2
+_MANY, _FEW = 4, 2
+"""So many figures stand beside the keys of a row at least: beside all, or without the first."""
 _LEAST = 24
 """Letters beside a name under which its value begins on a line of its own."""
 
@@ -50,18 +52,24 @@ def print_lines(console: Console, lines: Sequence[str]) -> None:
 
 
 def sheet_lines(sheet: Sheet, width: int | None) -> list[str]:
-    """Set a table: as one, as several of fewer columns, or as a block for each row.
+    """Set a table so that it fits.
+
+    As one where there is room; else as several of fewer columns; else as such tables for each
+    value of the first key; else as a list of figures for each row.
 
     Args:
         sheet: the table.
         width: of the terminal in letters; None for one table however wide.
     """
-    groups = _groups(sheet, width)
-    if groups is None:
-        return [sheet.title, *_blocks(sheet, width)]
+    groups = _groups(sheet, width, _MANY)
+    if groups is not None:
+        return [sheet.title, *_tables(sheet, groups)]
     lines = [sheet.title]
-    for number, group in enumerate(groups):
-        lines += [""] * (number > 0) + _table(sheet, group)
+    for first, rows in groupby(sheet.rows, key=lambda row: row[0][0]):
+        rest = tuple((keys[1:], values) for keys, values in rows)
+        part = replace(sheet, keys=sheet.keys[1:], rows=rest)
+        groups = _groups(part, width, _FEW)
+        lines += ["", first, *(_list(part) if groups is None else _tables(part, groups))]
     return lines
 
 
@@ -83,14 +91,14 @@ def pair_lines(rows: Sequence[tuple[str, str]], width: int | None) -> list[str]:
     return lines
 
 
-def _groups(sheet: Sheet, width: int | None) -> list[list[int]] | None:
-    """Figures that stand beside one another; None where there is no room for two of them."""
+def _groups(sheet: Sheet, width: int | None, least: int) -> list[list[int]] | None:
+    """Figures that stand beside one another; None where there is no room for the `least`."""
     everything = list(range(len(sheet.columns)))
     keys = sum(_key_width(sheet, k) + _GAP for k in range(len(sheet.keys)))
     needed = [_width(sheet, k) + _GAP for k in everything]
     if width is None or keys + sum(needed) - _GAP <= width:
         return [everything]
-    if keys + sum(sorted(needed)[-2:]) - _GAP > width:
+    if keys + sum(sorted(needed)[-least:]) - _GAP > width:
         return None
     groups: list[list[int]] = [[]]
     used = keys
@@ -101,6 +109,13 @@ def _groups(sheet: Sheet, width: int | None) -> list[list[int]] | None:
         groups[-1].append(k)
         used += needed[k]
     return groups
+
+
+def _tables(sheet: Sheet, groups: Sequence[Sequence[int]]) -> list[str]:
+    lines: list[str] = []
+    for number, group in enumerate(groups):
+        lines += [""] * (number > 0) + _table(sheet, group)
+    return lines
 
 
 def _table(sheet: Sheet, group: Sequence[int]) -> list[str]:
@@ -115,9 +130,9 @@ def _table(sheet: Sheet, group: Sequence[int]) -> list[str]:
     lines = [line for line in lines if line]
     before = ""
     for keys, values in sheet.rows:
-        told = ["" if keys[0] == before else keys[0], *keys[1:]]
+        told = ["" if keys[:1] == (before,) else keys[0], *keys[1:]] if keys else []
         lines.append(_line(told, widths, [values[k] for k in group], figures))
-        before = keys[0]
+        before = keys[0] if keys else ""
     return lines
 
 
@@ -129,18 +144,18 @@ def _line(
     return (" " * _GAP).join([*left, *right]).rstrip()
 
 
-def _blocks(sheet: Sheet, width: int | None) -> Iterator[str]:
+def _list(sheet: Sheet) -> list[str]:
     """A line for each figure, below the keys of its row."""
     heads = [" ".join(one.replace("-\n", "-").split()) for one in sheet.columns]
-    for first, rows in groupby(sheet.rows, key=lambda row: row[0][0]):
-        yield from ("", first)
-        for keys, values in rows:
-            for depth, key in enumerate(keys[1:], start=1):
-                yield " " * depth + key
-            pairs = [
-                (f"{' ' * len(keys)}{head}", one) for head, one in zip(heads, values, strict=True)
-            ]
-            yield from pair_lines(pairs, width)
+    first = max(map(cell_len, heads), default=0)
+    lines: list[str] = []
+    for keys, values in sheet.rows:
+        lines += [f" {key}" for key in keys]
+        size = max(map(cell_len, values), default=0)
+        lines += [
+            _line([f"  {h}"], [first + 2], [v], [size]) for h, v in zip(heads, values, strict=True)
+        ]
+    return lines
 
 
 def _two(heading: str) -> tuple[str, str]:

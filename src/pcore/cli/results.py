@@ -117,7 +117,8 @@ def _show_health(console: Console, means: Sequence[StateMean]) -> None:
     if any(one.scores.get("strain_99") is not None for one in chosen):
         for title, known in (("points", _HEALTH), ("points, holes and handles", _HOLES)):
             sheet = _sheet(title, chosen, known)
-            print_lines(console, sheet_lines(sheet, room(console)))
+            if sheet.columns:
+                print_lines(console, sheet_lines(sheet, room(console)))
         said = "unseen: share of the object's pixels that show what no training view saw"
         console.print(Text(said, "dim"), soft_wrap=True)
         console.print()

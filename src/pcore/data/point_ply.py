@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,8 +22,10 @@ _COLORS = (
     ("r", "g", "b", "a"),
 )
 _NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
-_TURNING = ("rot_", "scale_", "f_rest_", "tx", "ty", "tz", "tangent_", "binormal_", "cov_")
-"""How names of what would turn or stretch with space begin: of Gaussians, and of tangents."""
+_TURNING = re.compile(
+    r"(rot|scale|f_rest|cov|covariance)_\d+|[tb][xyz]|(tangent|binormal)(_[uv])?_?[xyz]"
+)
+"""Names of what would turn or stretch with space: of Gaussians, and of tangents."""
 _CORNERS = ("vertex_indices", "vertex_index", "vertex_ids")
 _NUMBERS_OF_VERTICES = ("vertex", "face", "edge", "tristrips", "material", "multi_texture_face")
 """Elements that have no places of their own."""
@@ -113,7 +116,7 @@ class PointPly:
 
     def stays(self) -> tuple[str, ...]:
         """What is written as it was although space turned or moved around it: for notes."""
-        left = [p.name for p in self.vertex.properties if p.name.startswith(_TURNING)]
+        left = [p.name for p in self.vertex.properties if _TURNING.fullmatch(p.name)]
         said = [f"not turned, kept as in the file: {_counted(left)}"] if left else []
         names = self.normals()
         if names is not None and not self._real(names):
