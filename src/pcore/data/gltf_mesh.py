@@ -30,6 +30,13 @@ def read_shape(glb: Glb) -> tuple[FloatArray, Faces]:
     Raises:
         InputError: damaged, compressed, or with something that is not read; the message names it.
     """
+    # Numbers that grow beyond all bounds are no error here: who reads looks at the result.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _joined(glb)
+
+
+def _joined(glb: Glb) -> tuple[FloatArray, Faces]:
+    """As `read_shape`."""
     world = _world_matrices(glb)
     vertices: list[FloatArray] = []
     faces: list[Faces] = []
