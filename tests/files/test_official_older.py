@@ -140,3 +140,13 @@ def test_configurations_in_other_encodings(tmp_path: Path, encoding: str) -> Non
     text = "# b\xfccher\n" + yaml.safe_dump(yaml_tree())
     (tmp_path / "a.yml").write_text(text, encoding=encoding)
     assert load_official(tmp_path / "model.pth", [tmp_path / "a.yml"]).config.negative_slope == 0.2
+
+
+@pytest.mark.parametrize("net", ["key", "query"])
+def test_a_skip_that_only_the_tensors_show_is_refused(tmp_path: Path, net: str) -> None:
+    state = official_state(skip=True)
+    inputs = {"key": 117, "query": 39}[net]
+    name = f"proximity_attn.embed.embed_{net[0]}.mlp.model.5.weight"
+    state[name] = torch.randn(WIDTH, WIDTH + inputs)
+    with pytest.raises(CheckpointError, match=f"no skip of the input in the {net} network, got"):
+        load(tmp_path, state, yaml_tree())
