@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -79,7 +80,8 @@ def recorded_scene(run: RunFolder | None) -> Path | None:
         return None  # It records a name, and a folder of that name may be anything.
     # Our own runs record it as seen from the run, so that both can move together.
     candidates = (run.path / run.scene, Path(run.scene))
-    return next((folder for folder in candidates if folder.is_dir()), None)
+    # Names that are too long are an error to pathlib, and here a folder that is not there.
+    return next((folder for folder in candidates if os.path.isdir(folder)), None)  # noqa: PTH112
 
 
 def scene_of(run: RunFolder, given: Path | None) -> Path:
