@@ -76,6 +76,7 @@ def ablate(command: AblateCommand, console: Console) -> None:
         TrainingError: a training diverged or cannot write.
         WeightsError: the preset asks for LPIPS and its weights are missing.
     """
+    from pcore.cli.diagnosing import note
     from pcore.cli.losses import check_weights
     from pcore.cli.models import open_run
     from pcore.cli.output import results_folder
@@ -96,6 +97,7 @@ def ablate(command: AblateCommand, console: Console) -> None:
     factor = run.factor if command.factor is None else command.factor
     places = open_states(scene_of(run.manifest, command.scene), factor=factor)
     states = places.select(command.state)
+    note(console, places.scene.notes)
     check_images(shot.view for state in states for shot in state.shots)
     if len(states) < 2:
         raise InputError(f"{places.path}: no deformed state to score; give --state scale:2")

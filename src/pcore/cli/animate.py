@@ -122,7 +122,7 @@ def animate(command: AnimateCommand, console: Console) -> None:
         _write_points(command.points, moved, command.points_format)
         console.print(Text(f"{len(moved)} files of points in {command.points}"), soft_wrap=True)
     if command.output is not None:
-        cameras = _cameras(command, run, saved.cloud, moved)
+        cameras = _cameras(command, run, saved.cloud, moved, console)
         papr = saved.papr().to(device)
         detail = film_detail(papr.config, moved, cameras)
         take = partial(render, papr, samples=command.samples, detail=detail)
@@ -182,18 +182,25 @@ def _write_points(folder: Path, moved: list[PointCloud], suffix: str) -> None:
 
 
 def _cameras(
-    command: AnimateCommand, run: RunFolder | None, cloud: PointCloud, moved: list[PointCloud]
+    command: AnimateCommand,
+    run: RunFolder | None,
+    cloud: PointCloud,
+    moved: list[PointCloud],
+    console: Console,
 ) -> list[Camera]:
     import torch
 
     from pcore.cli import cameras
+    from pcore.cli.diagnosing import note
     from pcore.cli.runtime import recorded_factor, recorded_scene
-    from pcore.data.load import load_scene
+    from pcore.data.load import camera_notes, load_scene
     from pcore.geometry.camera_path import path_through
     from pcore.geometry.orbit import growth
 
     if command.cameras is not None:
         given = cameras.cameras_of_file(command.cameras, command.size)
+        note(console, camera_notes(command.cameras))
+        cameras.check_seen(torch.cat([one.positions for one in moved]), given, str(command.cameras))
         return path_through([camera for _, camera in given], len(moved))
     wish = cameras.OrbitWish(
         count=len(moved) if command.orbit else 1,
@@ -205,6 +212,7 @@ def _cameras(
         views = cameras.orbit_of_cloud(torch.cat([one.positions for one in moved]), wish)
     else:
         scene = load_scene(folder, factor=recorded_factor(run))
+        note(console, scene.notes)
         # One distance for all frames: the farthest that any of them needs.
         reach = max(growth(cloud.positions, one.positions, scene.center) for one in moved)
         views = cameras.orbit_of_scene(scene, wish, scale=reach)

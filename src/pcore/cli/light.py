@@ -50,6 +50,7 @@ class LightCommand:
 
     def run(self) -> None:
         """Estimate; raises PcoreError subclasses for what the user can mend."""
+        from pcore.cli.diagnosing import note
         from pcore.cli.runtime import pick_device, prepare_torch, recorded_factor, scene_of
         from pcore.data.load import load_scene
         from pcore.files.run_folder import RunFolder
@@ -58,8 +59,9 @@ class LightCommand:
         device = pick_device(self.device)
         run = RunFolder.open(self.run_folder)
         factor = recorded_factor(run) if self.factor is None else self.factor
-        scene = load_scene(scene_of(run, self.scene), factor=factor)
-        estimate_light(self.run_folder, scene, device, Console())
+        scene, console = load_scene(scene_of(run, self.scene), factor=factor), Console()
+        note(console, scene.notes)
+        estimate_light(self.run_folder, scene, device, console)
 
 
 def estimate_light(path: Path, scene: Scene, device: str, console: Console) -> None:

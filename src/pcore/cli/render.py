@@ -199,15 +199,19 @@ def _views(
     console: Console,
 ) -> Named:
     from pcore.cli import cameras
+    from pcore.cli.diagnosing import note
     from pcore.cli.runtime import recorded_factor, recorded_scene
-    from pcore.data.load import load_scene
+    from pcore.data.load import camera_notes, load_scene
     from pcore.geometry.orbit import growth
 
     folder = command.scene or recorded_scene(run)
     factor = recorded_factor(run) if command.factor is None else command.factor
     if command.cameras is not None:
         fallback = None if folder is None else _image_size(folder, factor)
-        return cameras.cameras_of_file(command.cameras, command.size, fallback)
+        found = cameras.cameras_of_file(command.cameras, command.size, fallback)
+        note(console, camera_notes(command.cameras))
+        cameras.check_seen(cloud.positions, found, str(command.cameras))
+        return found
     if command.split is not None:
         if folder is None:
             raise InputError(
@@ -216,7 +220,10 @@ def _views(
                 "with --scene, or use --cameras or --orbit"
             )
         scene = load_scene(folder, factor=factor)
-        return cameras.cameras_of_split(scene, command.split, command.size)
+        found = cameras.cameras_of_split(scene, command.split, command.size)
+        note(console, scene.notes)
+        cameras.check_seen(cloud.positions, found, f"{folder}, {command.split}")
+        return found
     wish = cameras.OrbitWish(
         count=_FRAMES if command.orbit is None else command.orbit,
         size=command.size,
@@ -228,6 +235,7 @@ def _views(
             console.print("no scene at hand: the orbit is fitted to the points")
         return cameras.orbit_of_cloud(cloud.positions, wish)
     scene = load_scene(folder, factor=factor)
+    note(console, scene.notes)
     # An edit that makes the object larger moves the cameras back.
     reach = growth(canonical.positions, cloud.positions, scene.center)
     return cameras.orbit_of_scene(scene, wish, scale=reach)
@@ -241,8 +249,8 @@ def _default_output(command: RenderCommand) -> Path:
 
 
 def _tell(console: Console, views: Named, output: Path, files: list[Path]) -> None:
-    camera = views[0][1]
+    sizes = dict.fromkeys(f"{camera.width} x {camera.height}" for _, camera in views)
     names = ", ".join(file.name for file in files[:3]) + ", ..." * (len(files) > 3)
     count = "1 view" if len(views) == 1 else f"{len(views)} views"
-    text = f"{count} of {camera.width} x {camera.height} pixels in {output}: {names}"
+    text = f"{count} of {' and '.join(sizes)} pixels in {output}: {names}"
     console.print(Text(text), soft_wrap=True)
