@@ -35,32 +35,33 @@ def read_json(path: Path, *, what: str, error: type[PcoreError]) -> Any:
         what: what the file is to the user, for the message ("scene file", "edit file").
         error: the class to raise when the file is missing, unreadable or not JSON.
     """
-    return parse_json(read_text(path, what=what, error=error), where=f"{what} {path}", error=error)
+    where = f"{what} {path}"
+    return parse_json(read_text(path, where=where, error=error), where=where, error=error)
 
 
-def read_text(path: Path, *, what: str, error: type[PcoreError]) -> str:
+def read_text(path: Path, *, where: str, error: type[PcoreError]) -> str:
     """Read a text file that a user gave; its encoding is told by its first bytes, as in RFC 4627.
 
     Editors and tools of Windows write a byte order mark, or UTF-16.
 
     Args:
         path: the file.
-        what: what the file is to the user, for the message.
+        where: what the file is, with its path; starts the message.
         error: the class to raise when it is missing, unreadable or no text.
     """
     try:
         content = path.read_bytes()
     except FileNotFoundError:
-        raise error(f"{what} {path}: no such file; check the path") from None
+        raise error(f"{where}: no such file; check the path") from None
     except OSError as problem:
-        raise error(f"{what} {path}: cannot be read ({problem.strerror})") from problem
+        raise error(f"{where}: cannot be read ({problem.strerror})") from problem
     encoding = json.detect_encoding(content)
     try:
         return content.decode(encoding).removeprefix("\ufeff")
     except UnicodeDecodeError as problem:
         name = encoding.upper().removesuffix("-SIG")
         raise error(
-            f"{what} {path}: expected text in UTF-8, got bytes that are not {name} "
+            f"{where}: expected text in UTF-8, got bytes that are not {name} "
             f"(from byte {problem.start:,}); save it as UTF-8"
         ) from problem
 

@@ -167,7 +167,7 @@ CASES = [
     Case("finetune run -o mine", "mine holds other files (mine.txt): expected a", folder("mine")),
     # --- render: edits, cameras, options
     Case(f"{RENDER} --edit absent.json", "absent.json: edit file not found; expected a JSON file"),
-    Case(f"{RENDER} --edit ball", "ball: cannot read the edit file, expected JSON text"),
+    Case(f"{RENDER} --edit ball", "ball: cannot be read (Is a directory)"),
     Case(f"{RENDER} --edit edit.json", "edit.json: expected an edit file in", cut("edit.json")),
     Case(
         f"{RENDER} --edit edit.json",

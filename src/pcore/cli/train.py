@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 _LOOKS, _LOOK_SIDE, _FAINT = 3, 64, 0.02
 """Views that are looked at in the end, the size of these pictures, and what opacity is nothing."""
+_EARLY = 50
+"""Pictures of a training of fewer steps may still be empty."""
 _HAZE = 0.5
 """More faint pixels than that per solid one are no rims (clean masks: `faint_share`)."""
 
@@ -142,7 +144,8 @@ def train(command: TrainCommand, console: Console) -> None:
     )
     if trained:
         try_light(command.output, scene, device, console)
-    check_shows(command.output, scene, device)
+    if config.steps >= _EARLY:
+        check_shows(command.output, scene, device)
     show_result(console, command.output, next_command=f"pcore finetune {command.output}")
 
 

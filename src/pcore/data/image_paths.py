@@ -159,19 +159,21 @@ class Finder:
         )
 
     def _elsewhere(self, wanted: Wanted) -> str:
-        """Where in the folder a file of that name lies; empty when there is none."""
+        """Where in the folder files of that name lie; empty when there are none."""
         name = PureWindowsPath(wanted.path).name
         keys = {key for keys in _keys_of_file(name) for key in keys}
+        found: list[str] = []
         seen = 0
         for folder, _, files in os.walk(self.root):
             seen += len(files)
             if seen > _SEARCHED:
                 break
-            for file in sorted(files):
-                if _key(file) in keys:
-                    place = Path(folder, file).relative_to(self.root)
-                    return f". {place.as_posix()} is there: write it so, relative to the folder"
-        return ""
+            places = [Path(folder, file).relative_to(self.root) for file in files]
+            found += [place.as_posix() for place in places if _key(place.name) in keys]
+        if not found:
+            return ""
+        listed = ", ".join(sorted(found)[:3])
+        return f". A file of that name is there: {listed}; write it so, relative to the folder"
 
 
 def _plain(wanted: Wanted) -> str:

@@ -78,12 +78,10 @@ def check_poses(poses: Tensor, cameras: Sequence[Camera], names: Sequence[str], 
         SceneError: all cameras at one place, a place that single precision cannot hold, or most
             of them looking away from what another reading of the matrices has them all look at.
     """
-    if len(poses) < 2:
-        return ""
     point = closest_to_axes(poses)
-    far = _check_precision(poses, cameras, point, where)
     if point is None:
-        return far
+        return ""  # Parallel axes are refused where the object's place is asked for.
+    far = _check_precision(poses, cameras, point, where)
     seen = _seen(poses, cameras, point)
     away = [name for name, sees in zip(names, seen, strict=True) if not sees]
     if not away:
@@ -101,15 +99,11 @@ def check_poses(poses: Tensor, cameras: Sequence[Camera], names: Sequence[str], 
     return f"{note}; {far}" if far else note
 
 
-def _check_precision(
-    poses: Tensor, cameras: Sequence[Camera], point: Tensor | None, where: str
-) -> str:
+def _check_precision(poses: Tensor, cameras: Sequence[Camera], point: Tensor, where: str) -> str:
     """Refuse cameras at one place, or too far from the origin; a note where it gets coarse."""
     centers = poses[:, :3, 3]
     middle = centers.mean(dim=0)
-    scale = float((centers - middle).norm(dim=-1).mean())
-    if point is not None:
-        scale = max(scale, float((centers - point).norm(dim=-1).mean()))
+    scale = max(float((centers - place).norm(dim=-1).mean()) for place in (middle, point))
     farthest = float(centers.abs().max())
     rounding = farthest * _HALF_STEP
     if rounding <= _TOLD * scale:

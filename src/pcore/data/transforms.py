@@ -143,7 +143,7 @@ def read_transforms(path: Path) -> Transforms:
 
 def _read(path: Path, where: str) -> Mapping[str, Any]:
     """The object of the file; SceneError when it is something else."""
-    text = read_text(path, what="scene file", error=SceneError)
+    text = read_text(path, where=where, error=SceneError)
     foreign = foreign_text(text)
     content = None if foreign else parse_json(text, where=where, error=SceneError)
     foreign = foreign or foreign_json(content)

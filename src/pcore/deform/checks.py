@@ -75,6 +75,8 @@ def _upright(deformation: Deformation, points: Tensor) -> Tensor:
 
     The closed form of the determinant loses in strong shears what a factorisation keeps.
     """
+    if not len(points):
+        return torch.zeros(0, dtype=torch.bool, device=points.device)
     with torch.no_grad():
         jacobian = deformation.jacobian(points)
         finite = torch.isfinite(jacobian).all(dim=-1).all(dim=-1)
