@@ -64,7 +64,8 @@ WRONG = {
     "OpenCV axes, object aside": orbit(at=(3.0, -2.0, 1.0)) @ OPENCV,
     "world-to-camera, OpenCV axes (COLMAP)": np.linalg.inv(orbit() @ OPENCV),
 }
-READ_AS = {"OpenCV axes": "Read as camera-to-world with OpenCV axes"}
+LEVEL = np.array([pose(0.8 * i) for i in range(8)])
+"""A turntable: read as camera-to-world, the axes of its world-to-camera matrices are parallel."""
 
 
 @pytest.mark.parametrize("kind", WRONG)
@@ -77,6 +78,12 @@ def test_matrices_of_another_kind_are_named(kind: str) -> None:
     assert "subtract" not in message
     inverted = "world-to-camera" in kind
     assert f"Read as {'world-to-camera' if inverted else 'camera-to-world with OpenCV'}" in message
+
+
+@pytest.mark.parametrize("poses", [np.linalg.inv(LEVEL), np.linalg.inv(LEVEL @ OPENCV)])
+def test_matrices_of_a_turntable_are_named_too(poses: np.ndarray) -> None:
+    with pytest.raises(SceneError, match=r"axes of all 8 views are parallel; check that poses are"):
+        look(poses)
 
 
 def test_a_scene_of_world_to_camera_matrices_is_not_loaded(tmp_path: Path) -> None:

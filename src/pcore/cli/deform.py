@@ -12,7 +12,7 @@ import tyro
 
 from pcore.data.points import check_point_path, read_point_file, save_points
 from pcore.deform.base import Deformation
-from pcore.deform.checks import count_folded, count_sheared
+from pcore.deform.checks import count_folds
 from pcore.editing.script import load_edit
 from pcore.errors import InputError
 from pcore.geometry.extent import size_of
@@ -91,7 +91,7 @@ def _print_change(points: torch.Tensor, moved: torch.Tensor) -> None:
 
 
 def _print_folds(deformation: Deformation, points: torch.Tensor) -> None:
-    folded, sheared = count_folded(deformation, points), count_sheared(deformation, points)
+    folded, sheared = count_folds(deformation, points)
     if sheared:
         print(
             f"  note: the edit shears space more than a run can render at {sheared:,} of "

@@ -80,7 +80,14 @@ def check_poses(poses: Tensor, cameras: Sequence[Camera], names: Sequence[str], 
     """
     point = closest_to_axes(poses)
     if point is None:
-        return ""  # Parallel axes are refused where the object's place is asked for.
+        # Others with parallel axes are refused where the object's place is asked for.
+        better = _better_reading(poses, cameras)
+        if better:
+            raise SceneError(
+                f"{where}: the viewing axes of all {len(names)} views are parallel; check that "
+                f"poses are camera-to-world, OpenGL axes{better}"
+            )
+        return ""
     far = _check_precision(poses, cameras, point, where)
     seen = _seen(poses, cameras, point)
     away = [name for name, sees in zip(names, seen, strict=True) if not sees]

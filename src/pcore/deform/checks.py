@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -12,20 +14,27 @@ _ROUNDING = 64.0
 """Singular values closer than so many roundings to nothing are taken for nothing."""
 
 
-def count_folded(deformation: Deformation, points: Tensor) -> int:
-    """At how many of the points (N, 3) the map flattens space or turns it inside out."""
-    return int(deformation.folded(points.detach()).sum()) - count_sheared(deformation, points)
+class Folds(NamedTuple):
+    """At how many points a map cannot be rendered.
 
-
-def count_sheared(deformation: Deformation, points: Tensor) -> int:
-    """At how many of the points (N, 3) space stays right side out and is too strained to render.
-
-    It is then stretched a thousand times as much in one direction as in another, so that single
-    precision cannot carry directions through: what turning about a far origin does.
+    Attributes:
+        folded: where it flattens space or turns it inside out.
+        sheared: where space stays right side out, but is stretched a thousand times as much in one
+            direction as in another, so that single precision cannot carry directions through. That
+            is what turning about a far origin does.
     """
-    folded = deformation.folded(points.detach())
-    strained = folded & ~(orientation(deformation, points.detach()) > SINGULAR)
-    return int(_upright(deformation, points.detach()[strained]).sum())
+
+    folded: int
+    sheared: int
+
+
+def count_folds(deformation: Deformation, points: Tensor) -> Folds:
+    """Count the points (N, 3) where the map folds space, or shears it too much."""
+    places = points.detach()
+    odd = deformation.folded(places)
+    strained = odd & ~(orientation(deformation, places) > SINGULAR)
+    sheared = int(_upright(deformation, places[strained]).sum())
+    return Folds(folded=int(odd.sum()) - sheared, sheared=sheared)
 
 
 def check_invertible(
