@@ -200,7 +200,8 @@ def _cameras(
     if command.cameras is not None:
         given = cameras.cameras_of_file(command.cameras, command.size)
         note(console, camera_notes(command.cameras))
-        cameras.check_seen(torch.cat([one.positions for one in moved]), given, str(command.cameras))
+        everywhere = torch.cat([one.positions for one in moved])
+        cameras.that_see(given, everywhere, str(command.cameras))
         return path_through([camera for _, camera in given], len(moved))
     wish = cameras.OrbitWish(
         count=len(moved) if command.orbit else 1,

@@ -54,12 +54,12 @@ def cameras_of_file(path: Path, size: Size | None, fallback: Size | None = None)
         raise
 
 
-def check_seen(points: Tensor, views: Named, what: str) -> None:
-    """Refuse cameras none of which has a point in its picture, or close beside it.
+def that_see(views: Named, points: Tensor, what: str) -> Named:
+    """Return cameras; refuse them when none has a point in its picture, or close beside it.
 
     Args:
-        points: (N, 3) world units.
         views: cameras by name.
+        points: (N, 3) world units.
         what: where the cameras come from.
 
     Raises:
@@ -70,7 +70,7 @@ def check_seen(points: Tensor, views: Named, what: str) -> None:
         column, row, depth = camera.project(places)
         near = (depth > 0) & ((column / camera.width - 0.5).abs() < 1)
         if bool((near & ((row / camera.height - 0.5).abs() < 1)).any()):
-            return
+            return views
     raise InputError(
         f"{what}: 0 of {len(points):,} points lie in what its {len(views)} camera(s) see; are they "
         "in the coordinates of the scene, camera-to-world with OpenGL axes?"

@@ -210,8 +210,7 @@ def _views(
         fallback = None if folder is None else _image_size(folder, factor)
         found = cameras.cameras_of_file(command.cameras, command.size, fallback)
         note(console, camera_notes(command.cameras))
-        cameras.check_seen(cloud.positions, found, str(command.cameras))
-        return found
+        return cameras.that_see(found, cloud.positions, str(command.cameras))
     if command.split is not None:
         if folder is None:
             raise InputError(
@@ -222,8 +221,7 @@ def _views(
         scene = load_scene(folder, factor=factor)
         found = cameras.cameras_of_split(scene, command.split, command.size)
         note(console, scene.notes)
-        cameras.check_seen(cloud.positions, found, f"{folder}, {command.split}")
-        return found
+        return cameras.that_see(found, cloud.positions, f"{folder}, {command.split}")
     wish = cameras.OrbitWish(
         count=_FRAMES if command.orbit is None else command.orbit,
         size=command.size,

@@ -121,6 +121,41 @@ _OBJECTS: tuple[tuple[frozenset[str], Foreign], ...] = (
     ),
 )
 
+# Keys that the first item of a list must have, and what the list then is.
+_ITEMS: tuple[tuple[frozenset[str], Foreign], ...] = (
+    (
+        frozenset({"position", "rotation"}),
+        Foreign(
+            "the cameras.json of a 3D Gaussian splatting run",
+            "write 'rotation' (camera-to-world; the rows are its rows) and 'position' as the 4 x 4 "
+            f"'transform_matrix' of a frame and {_OPENCV}; 'fx', 'fy' are 'fl_x', 'fl_y', and "
+            "'width', 'height' are 'w', 'h'",
+        ),
+    ),
+    (
+        frozenset({"cameras", "shots"}),
+        Foreign(
+            "a reconstruction of OpenSfM or OpenDroneMap",
+            "convert it with nerfstudio's `ns-process-data odm`",
+        ),
+    ),
+    (
+        frozenset({"transform"}),
+        Foreign(
+            "cameras that nerfstudio exported (ns-export cameras)",
+            "write each 'transform' with the row [0, 0, 0, 1] below it as the 'transform_matrix' "
+            f"of a frame, beside the lens (fl_x, fl_y, cx, cy, w, h){_OWN_WORLD}",
+        ),
+    ),
+    (
+        frozenset({"transform_matrix"}),
+        Foreign(
+            "a bare list of frames",
+            'put it into an object with the lens: {"camera_angle_x": ..., "frames": [...]}',
+        ),
+    ),
+)
+
 _MATRICES = ("transform", "camera_to_world", "c2w", "pose", "cam2world", "matrix", "extrinsics")
 
 
@@ -187,9 +222,7 @@ def foreign_matrix(frame: Mapping[str, Any]) -> str | None:
 
 
 def _foreign_list(items: list[Any]) -> Foreign | None:
-    if not items:
-        return None
-    first = items[0]
+    first = items[0] if items else None
     if isinstance(first, list):
         return Foreign(
             "a bare list of matrices",
@@ -198,33 +231,11 @@ def _foreign_list(items: list[Any]) -> Foreign | None:
     if not isinstance(first, dict):
         return None
     keys = set(cast("dict[str, Any]", first))
-    if {"position", "rotation"} <= keys:
-        return Foreign(
-            "the cameras.json of a 3D Gaussian splatting run",
-            "write 'rotation' (camera-to-world; the rows are its rows) and 'position' as the 4 x 4 "
-            f"'transform_matrix' of a frame and {_OPENCV}; 'fx', 'fy' are 'fl_x', 'fl_y', and "
-            "'width', 'height' are 'w', 'h'",
-        )
-    if {"cameras", "shots"} <= keys:
-        return Foreign(
-            "a reconstruction of OpenSfM or OpenDroneMap",
-            "convert it with nerfstudio's `ns-process-data odm`",
-        )
-    if "transform" in keys:
-        return Foreign(
-            "cameras that nerfstudio exported (ns-export cameras)",
-            "write each 'transform' with the row [0, 0, 0, 1] below it as the 'transform_matrix' "
-            f"of a frame, beside the lens (fl_x, fl_y, cx, cy, w, h){_OWN_WORLD}",
-        )
-    if "transform_matrix" in keys:
-        return Foreign(
-            "a bare list of frames",
-            'put it into an object with the lens: {"camera_angle_x": ..., "frames": [...]}',
-        )
-    if set(_MATRICES) & keys:
+    known = next((what for needed, what in _ITEMS if needed <= keys), None)
+    if known is None and set(_MATRICES) & keys:
         return Foreign(
             "a bare list of cameras",
             'write {"camera_angle_x": ..., "frames": [{"transform_matrix": [...]}, ...]}, '
             "camera-to-world with OpenGL axes",
         )
-    return None
+    return known
