@@ -77,6 +77,7 @@ def ablate(command: AblateCommand, console: Console) -> None:
         WeightsError: the preset asks for LPIPS and its weights are missing.
     """
     from pcore.asset.saving import load
+    from pcore.cli.diagnosing import note
     from pcore.cli.losses import check_weights
     from pcore.cli.output import results_folder
     from pcore.cli.runtime import pick_device, prepare_torch
@@ -97,6 +98,7 @@ def ablate(command: AblateCommand, console: Console) -> None:
     factor = record.factor if command.factor is None else command.factor
     places = open_states(record.scene_or(command.scene), factor=factor)
     states = places.select(command.state)
+    note(console, places.scene.notes)
     check_images(shot.view for state in states for shot in state.shots)
     if len(states) < 2:
         raise InputError(f"{places.path}: no deformed state to score; give --state scale:2")

@@ -118,7 +118,7 @@ def animate(command: AnimateCommand, console: Console) -> None:
         _write_points(command.points, moved, command.points_format)
         console.print(Text(f"{len(moved)} files of points in {command.points}"), soft_wrap=True)
     if command.output is not None:
-        film = asset.film(moved, _cameras(command, asset, moved), samples=command.samples)
+        film = asset.film(moved, _cameras(command, asset, moved, console), samples=command.samples)
         _film(command.output, command.fps, film, len(moved), console)
         console.print(Text(f"{len(moved)} frames in {command.output}"), soft_wrap=True)
 
@@ -167,16 +167,22 @@ def _write_points(folder: Path, moved: list[Posed], suffix: str) -> None:
         save(folder / f"frame_{number:0{digits}}.{suffix}", posed.points)
 
 
-def _cameras(command: AnimateCommand, asset: Asset, moved: list[Posed]) -> list[Camera]:
+def _cameras(
+    command: AnimateCommand, asset: Asset, moved: list[Posed], console: Console
+) -> list[Camera]:
     import torch
 
     from pcore.cli import cameras
-    from pcore.data.load import load_scene
+    from pcore.cli.diagnosing import note
+    from pcore.data.load import camera_notes, load_scene
     from pcore.geometry.camera_path import path_through
     from pcore.geometry.orbit import growth
 
     if command.cameras is not None:
         given = cameras.cameras_of_file(command.cameras, command.size)
+        note(console, camera_notes(command.cameras))
+        everywhere = torch.cat([one.points for one in moved])
+        cameras.that_see(given, everywhere, str(command.cameras))
         return path_through([camera for _, camera in given], len(moved))
     wish = cameras.OrbitWish(
         count=len(moved) if command.orbit else 1,
@@ -188,6 +194,7 @@ def _cameras(command: AnimateCommand, asset: Asset, moved: list[Posed]) -> list[
         views = cameras.orbit_of_cloud(torch.cat([one.points for one in moved]), wish)
     else:
         scene = load_scene(folder, factor=asset.record.factor)
+        note(console, scene.notes)
         # One distance for all frames: the farthest that any of them needs.
         reach = max(growth(asset.points, one.points, scene.center) for one in moved)
         views = cameras.orbit_of_scene(scene, wish, scale=reach)

@@ -51,6 +51,29 @@ def cameras_of_file(path: Path, size: Size | None, fallback: Size | None = None)
         raise
 
 
+def that_see(views: Named, points: Tensor, what: str) -> Named:
+    """Return cameras; refuse them when none has a point in its picture, or close beside it.
+
+    Args:
+        views: cameras by name.
+        points: (N, 3) world units.
+        what: where the cameras come from.
+
+    Raises:
+        InputError: all pictures would be empty.
+    """
+    places = points.detach().cpu()
+    for _, camera in views:
+        column, row, depth = camera.project(places)
+        near = (depth > 0) & ((column / camera.width - 0.5).abs() < 1)
+        if bool((near & ((row / camera.height - 0.5).abs() < 1)).any()):
+            return views
+    raise InputError(
+        f"{what}: 0 of {len(points):,} points lie in what its {len(views)} camera(s) see; are they "
+        "in the coordinates of the scene, camera-to-world with OpenGL axes?"
+    )
+
+
 def cameras_of_split(scene: Scene, split: str, size: Size | None) -> Named:
     """Cameras of a split of a scene, named like its views.
 

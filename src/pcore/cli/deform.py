@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -11,9 +12,13 @@ import tyro
 
 from pcore.data.points import check_point_path, read_point_file, save_moved
 from pcore.deform.base import Deformation
-from pcore.deform.checks import count_folded
+from pcore.deform.checks import count_folds
 from pcore.editing.script import load_edit
 from pcore.errors import InputError
+from pcore.geometry.extent import size_of
+
+_COARSE = 1e-4
+"""Steps between the numbers of a file, as a share of the object, that are told of."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,16 +69,19 @@ def deform(command: DeformCommand) -> None:
     print(f"{command.input}: {len(points):,} points, {kinds}")
     _print_change(points, moved)
     _print_folds(deformation, points)
+    _print_coarseness(source.positions)
     for line in [*bound.notes, *source.notes, *left]:
         print(f"  note: {line}")
     print(f"written to {command.output}")
 
 
 def _print_change(points: torch.Tensor, moved: torch.Tensor) -> None:
+    digits = _digits(points)
     for name, cloud in (("before", points), ("after", moved)):
         lower, upper = cloud.amin(dim=0).tolist(), cloud.amax(dim=0).tolist()
         box = "  ".join(
-            f"{axis} {lo:.4g} to {hi:.4g}" for axis, lo, hi in zip("xyz", lower, upper, strict=True)
+            f"{axis} {lo:.{digits}g} to {hi:.{digits}g}"
+            for axis, lo, hi in zip("xyz", lower, upper, strict=True)
         )
         print(f"  {name}: {box}")
     distance = (moved - points).norm(dim=-1)
@@ -83,12 +91,34 @@ def _print_change(points: torch.Tensor, moved: torch.Tensor) -> None:
 
 
 def _print_folds(deformation: Deformation, points: torch.Tensor) -> None:
-    folded = count_folded(deformation, points)
+    folded, sheared = count_folds(deformation, points)
+    if sheared:
+        print(
+            f"  note: the edit shears space more than a run can render at {sheared:,} of "
+            f'{len(points):,} points; is its "origin" far from them?'
+        )
     if folded:
         print(
             f"  note: the edit flattens space or turns it inside out at {folded:,} of "
             f"{len(points):,} points; a run would refuse to render it"
         )
+
+
+def _print_coarseness(given: torch.Tensor) -> None:
+    """Say so where the precision of the file is coarse for the object."""
+    size, farthest = size_of(given.double()), float(given.abs().max())
+    step = farthest * torch.finfo(given.dtype).eps
+    if step > _COARSE * size > 0:
+        print(
+            f"  note: numbers of the file's precision are {step:.2g} apart at these coordinates, "
+            f"and the object is {size:.3g} large; write it in double precision or near the origin"
+        )
+
+
+def _digits(points: torch.Tensor) -> int:
+    """Significant digits with which coordinates show four of the object itself."""
+    size, farthest = size_of(points), float(points.abs().max())
+    return 4 + (max(0, math.ceil(math.log10(farthest / size))) if size > 0 and farthest > 0 else 0)
 
 
 def _same_file(first: Path, second: Path) -> bool:

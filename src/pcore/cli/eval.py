@@ -96,6 +96,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         EditError: an edit file is not valid or does not fit the points.
         InputError: an unknown state, a factor that does not fit, or an output folder in use.
     """
+    from pcore.cli.diagnosing import note
     from pcore.cli.output import results_folder
     from pcore.cli.results import counting
     from pcore.cli.runtime import pick_device, prepare_torch
@@ -117,6 +118,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     states = places.select(command.state or (() if command.edit else ("all",)))
     edited, odd = _edited(command, places, runs)
     states += edited
+    note(console, places.scene.notes)
     check_images(shot.view for state in states for shot in state.shots)
     output = command.output or command.run_folder / "eval"
     results_folder(output, about=run.path)

@@ -50,12 +50,14 @@ class LightCommand:
     def run(self) -> None:
         """Estimate; raises PcoreError subclasses for what the user can mend."""
         from pcore.asset.saving import load
+        from pcore.cli.diagnosing import note
         from pcore.cli.runtime import pick_device, prepare_torch
 
         prepare_torch(self.threads)
         asset = load(self.run_folder, device=pick_device(self.device))
-        scene = asset.scene(self.scene, factor=self.factor)
-        show_light(asset, scene, Console())
+        scene, console = asset.scene(self.scene, factor=self.factor), Console()
+        note(console, scene.notes)
+        show_light(asset, scene, console)
 
 
 def show_light(asset: Asset, scene: Scene, console: Console) -> None:

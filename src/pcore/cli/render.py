@@ -175,7 +175,8 @@ def _image_size(folder: Path, factor: int) -> tuple[int, int]:
 
 def _views(command: RenderCommand, asset: Asset, posed: Posed, console: Console) -> Named:
     from pcore.cli import cameras
-    from pcore.data.load import load_scene
+    from pcore.cli.diagnosing import note
+    from pcore.data.load import camera_notes, load_scene
     from pcore.geometry.orbit import growth
 
     record = asset.record
@@ -183,7 +184,9 @@ def _views(command: RenderCommand, asset: Asset, posed: Posed, console: Console)
     factor = record.factor if command.factor is None else command.factor
     if command.cameras is not None:
         fallback = None if folder is None else _image_size(folder, factor)
-        return cameras.cameras_of_file(command.cameras, command.size, fallback)
+        found = cameras.cameras_of_file(command.cameras, command.size, fallback)
+        note(console, camera_notes(command.cameras))
+        return cameras.that_see(found, posed.points, str(command.cameras))
     if command.split is not None:
         if folder is None:
             raise InputError(
@@ -192,7 +195,9 @@ def _views(command: RenderCommand, asset: Asset, posed: Posed, console: Console)
                 "with --scene, or use --cameras or --orbit"
             )
         scene = load_scene(folder, factor=factor)
-        return cameras.cameras_of_split(scene, command.split, command.size)
+        found = cameras.cameras_of_split(scene, command.split, command.size)
+        note(console, scene.notes)
+        return cameras.that_see(found, posed.points, f"{folder}, {command.split}")
     wish = cameras.OrbitWish(
         count=_FRAMES if command.orbit is None else command.orbit,
         size=command.size,
@@ -204,6 +209,7 @@ def _views(command: RenderCommand, asset: Asset, posed: Posed, console: Console)
             console.print("no scene at hand: the orbit is fitted to the points")
         return cameras.orbit_of_cloud(posed.points, wish)
     scene = load_scene(folder, factor=factor)
+    note(console, scene.notes)
     # An edit that makes the object larger moves the cameras back.
     reach = growth(asset.points, posed.points, scene.center)
     return cameras.orbit_of_scene(scene, wish, scale=reach)
@@ -217,8 +223,8 @@ def _default_output(command: RenderCommand) -> Path:
 
 
 def _tell(console: Console, views: Named, output: Path, files: list[Path]) -> None:
-    camera = views[0][1]
+    sizes = dict.fromkeys(f"{camera.width} x {camera.height}" for _, camera in views)
     names = ", ".join(file.name for file in files[:3]) + ", ..." * (len(files) > 3)
     count = "1 view" if len(views) == 1 else f"{len(views)} views"
-    text = f"{count} of {camera.width} x {camera.height} pixels in {output}: {names}"
+    text = f"{count} of {' and '.join(sizes)} pixels in {output}: {names}"
     console.print(Text(text), soft_wrap=True)
