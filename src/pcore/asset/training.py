@@ -170,7 +170,7 @@ def finetune_settings(
     """
     content = neural_points_of(asset, "finetune")
     known: dict[Any, PresetName] = {"tiny": "tiny", "fast": "fast"}
-    chosen = name or known.get(asset.record.config.get("preset"), "paper")
+    chosen = name or known.get(str(asset.record.config.get("preset")), "paper")
     black = content.papr.config.background == (0.0, 0.0, 0.0)
     return chosen, replace(
         presets.finetune_preset(chosen), background="black" if black else "white"

@@ -9,7 +9,7 @@ from typing import Annotated
 import torch
 import tyro
 
-from pcore.data.points import check_point_path, read_point_file, save_points
+from pcore.data.points import check_point_path, read_point_file, save_moved
 from pcore.deform.base import Deformation
 from pcore.deform.checks import count_folded
 from pcore.editing.script import load_edit
@@ -27,7 +27,8 @@ class DeformCommand:
     """Edit file (JSON); an edit without "extent" takes that of these points, as Blender does."""
 
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
-    """Where to write: .npy or .ply; a PLY keeps vertex colours and faces. Replaced if it exists."""
+    """Where to write: .npy or .ply; a PLY of a PLY keeps all that the file holds, and its normals
+    are turned. Replaced if it exists."""
 
     strict: bool = False
     """Refuse an edit that folds space anywhere, as rendering does, instead of only saying so."""
@@ -40,7 +41,7 @@ class DeformCommand:
 def deform(command: DeformCommand) -> None:
     """Read points and edits, move the points in double precision, write them and say what was done.
 
-    The result has the precision of the input file (a .ply stores float32).
+    The result has the precision of the input file.
 
     Raises:
         InputError: the points cannot be read or written, or would replace their own file.
@@ -57,14 +58,13 @@ def deform(command: DeformCommand) -> None:
     points = source.positions.double()
     bound = script.bound(points, allow_folds=not command.strict)
     deformation, moved = bound.deformation, bound.setting.points
-    save_points(
-        command.output, moved.to(source.positions.dtype), colors=source.colors, faces=source.faces
-    )
+    maps = deformation.jacobian(points) if source.has_normals else None
+    left = save_moved(command.output, source, moved.to(source.positions.dtype), maps)
     kinds = ", ".join(edit.type for edit in script.edits) or "no edit"
     print(f"{command.input}: {len(points):,} points, {kinds}")
     _print_change(points, moved)
     _print_folds(deformation, points)
-    for line in bound.notes:
+    for line in [*bound.notes, *source.notes, *left]:
         print(f"  note: {line}")
     print(f"written to {command.output}")
 

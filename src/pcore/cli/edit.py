@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from pcore.asset.asset import Asset
+    from pcore.data.points import PointFile
     from pcore.editing.anchors import AnchorRig
     from pcore.editing.diagnosis import Diagnosis
     from pcore.editing.handles import HandleDiagnosis
@@ -148,14 +149,14 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
     from pcore.asset.posing import script_of
     from pcore.cli.diagnosing import note, report
     from pcore.cli.edit_picture import write_picture
-    from pcore.data.points import save_points
+    from pcore.data.points import save_moved, save_points
     from pcore.editing.diagnosis import diagnose, with_exposed
     from pcore.editing.handles import handles_of
 
     _check_outputs(command)
     script = script_of(command.edit, command.time)
     subject = read_subject(command.source)
-    points, rig = subject.points, subject.rig
+    source, points, rig = subject.file, subject.points, subject.rig
     bound = script.bound(points, rig=rig)
     moved = bound.setting.points.to(points.dtype)
     found = diagnose(points, moved)
@@ -168,10 +169,16 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         raise InputError(
             f"--colors {command.colors}: expected an edit by anchors in {command.edit}, got none"
         )
-    save_points(command.output, moved, colors.get(command.colors))
+    left: tuple[str, ...] = ()
+    if command.colors == "none":
+        maps = bound.deformation.jacobian(points) if source.has_normals else None
+        left = save_moved(command.output, source, moved, maps)
+    else:
+        save_points(command.output, moved, colors[command.colors], source.faces)
+        left = source.not_written()
     for line in [*lines_of(script), *report(points, moved, found, handles, why_not)]:
         console.print(Text(line), soft_wrap=True)
-    note(console, bound.notes)
+    note(console, [*bound.notes, *source.notes, *left])
     if command.picture is not None:
         write_picture(command.picture, moved, colors)
     console.print(Text(f"written to {command.output}"), soft_wrap=True)
@@ -205,20 +212,25 @@ def read_subject(path: Path) -> Subject:
         InputError: a file of points that cannot be read.
     """
     from pcore.asset.saving import load
-    from pcore.data.points import POINT_SUFFIXES, read_point_file
+    from pcore.data.points import POINT_SUFFIXES, PointFile, read_point_file
 
     if path.suffix.lower() in POINT_SUFFIXES:
-        return Subject(points=read_point_file(path).positions)
+        return Subject(file=read_point_file(path))
     asset = load(path)
-    return Subject(points=asset.points, asset=asset)
+    return Subject(file=PointFile(positions=asset.points), asset=asset)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Subject:
-    """Points (N, 3) to edit, and the asset that they are of; None for bare points."""
+    """A file of points to edit, or the points of an asset; None for bare points."""
 
-    points: Tensor
+    file: PointFile
     asset: Asset | None = None
+
+    @property
+    def points(self) -> Tensor:
+        """(N, 3) what is edited, world units."""
+        return self.file.positions
 
     @property
     def rig(self) -> AnchorRig | None:

@@ -59,7 +59,9 @@ class RunRecord:
             return None  # An import records a name, and a folder of that name may be anything.
         # Our own runs record it as seen from the run, so that both can move together.
         beside = () if self.path is None else (self.path / self.scene,)
-        return next((one for one in (*beside, Path(self.scene)) if one.is_dir()), None)
+        candidates = (*beside, Path(self.scene))
+        # Names that are too long are an error to pathlib, and here a folder that is not there.
+        return next((one for one in candidates if os.path.isdir(one)), None)  # noqa: PTH112
 
     def scene_or(self, given: Path | None) -> Path:
         """Folder of the scene to work on: the one given, else the one it was trained on.
