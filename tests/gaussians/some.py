@@ -6,7 +6,9 @@ from torch.nn.functional import normalize
 from pcore.gaussians.gaussians import Gaussians
 
 
-def some_gaussians(count: int, *, degree: int = 3, seed: int = 0, dtype=torch.float32) -> Gaussians:
+def some_gaussians(
+    count: int, *, degree: int = 3, seed: int = 0, dtype: torch.dtype = torch.float32
+) -> Gaussians:
     """Random ones in the unit ball, a tenth of a unit large, some of them needles."""
     source = torch.Generator().manual_seed(seed)
 
