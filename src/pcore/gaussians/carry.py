@@ -12,6 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from pcore.deform.base import Deformation
 from pcore.errors import EditError
 from pcore.gaussians.covariance import covariances, quaternions, rotations
 from pcore.gaussians.gaussians import Gaussians
@@ -53,6 +54,16 @@ def carried(gaussians: Gaussians, positions: Tensor, local_maps: Tensor) -> Gaus
         scales=torch.maximum(sizes, least).to(gaussians.scales),
         sh=gaussians.sh if gaussians.degree == 0 else rotated(gaussians.sh, polar(maps)),
     )
+
+
+def deformed(gaussians: Gaussians, deformation: Deformation) -> Gaussians:
+    """Gaussians moved by a map of space, evaluated in float64; see `carried`.
+
+    Raises:
+        EditError: the map is not finite, or shrinks to nothing, at some of the means.
+    """
+    means = gaussians.means.detach().cpu().double()
+    return carried(gaussians, deformation(means), deformation.jacobian(means))
 
 
 def carried_covariances(gaussians: Gaussians, local_maps: Tensor) -> Tensor:
