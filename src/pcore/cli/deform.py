@@ -13,7 +13,7 @@ from pcore.cli.deform_gaussians import deform_gaussians
 from pcore.cli.diagnosing import script_at
 from pcore.cli.options import Number, optional
 from pcore.data.gaussian_formats import check_gaussian_output, holds_gaussians
-from pcore.data.points import check_point_path, read_point_file, save_points
+from pcore.data.points import check_point_path, read_point_file, save_moved
 from pcore.deform.checks import count_folded
 from pcore.errors import InputError
 
@@ -30,8 +30,8 @@ class DeformCommand:
     """Edit file (JSON); an edit without "extent" takes that of these points, as Blender does."""
 
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
-    """Where to write: .npy or .ply; a PLY keeps vertex colours and faces. For Gaussians: .ply,
-    .splat or .glb. Replaced if it exists."""
+    """Where to write: .npy or .ply; a PLY of a PLY keeps all that the file holds, and its normals
+    are turned. For Gaussians: .ply, .splat or .glb. Replaced if it exists."""
 
     time: Number = None
     """For an edit file with keyframes: the time to apply."""
@@ -51,7 +51,7 @@ class DeformCommand:
 def deform(command: DeformCommand) -> None:
     """Read points and edits, move the points in double precision, write them and say what was done.
 
-    The result has the precision of the input file (a .ply stores float32).
+    The result has the precision of the input file.
 
     Raises:
         InputError: the points cannot be read or written, or would replace their own file.
@@ -77,15 +77,14 @@ def deform(command: DeformCommand) -> None:
     points = source.positions.double()
     bound = script.bound(points, allow_folds=not command.strict)
     deformation, moved = bound.deformation, bound.setting.points
-    save_points(
-        command.output, moved.to(source.positions.dtype), colors=source.colors, faces=source.faces
-    )
+    maps = deformation.jacobian(points) if source.has_normals else None
+    left = save_moved(command.output, source, moved.to(source.positions.dtype), maps)
     kinds = ", ".join(edit.type for edit in script.edits) or "no edit"
     print(f"{command.input}: {len(points):,} points, {kinds}")
     print("\n".join(change_lines(points, moved)))
     for line in fold_lines(count_folded(deformation, points), len(points)):
         print(line)
-    for line in bound.notes:
+    for line in [*bound.notes, *source.notes, *left]:
         print(f"  note: {line}")
     print(f"written to {command.output}")
 

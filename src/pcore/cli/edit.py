@@ -17,6 +17,7 @@ from pcore.errors import InputError
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from pcore.data.points import PointFile
     from pcore.editing.diagnosis import Diagnosis
     from pcore.editing.handles import HandleDiagnosis
     from pcore.editing.script import EditScript
@@ -167,14 +168,15 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
     """
     from pcore.cli.diagnosing import note, report, script_at, training_cameras
     from pcore.cli.edit_picture import write_picture
-    from pcore.data.points import save_points
+    from pcore.data.points import save_moved, save_points
     from pcore.editing.diagnosis import diagnose, with_exposed
     from pcore.editing.handles import handles_of
     from pcore.editing.runs import learned_rig
 
     _check_outputs(command)
     script = script_at(command.edit, command.time)
-    points = read_source(command.source)
+    source = _source(command.source)
+    points = source.positions
     rig = learned_rig(command.source, points)
     bound = script.bound(points, rig=rig)
     moved = bound.setting.points.to(points.dtype)
@@ -188,10 +190,16 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         raise InputError(
             f"--colors {command.colors}: expected an edit by anchors in {command.edit}, got none"
         )
-    save_points(command.output, moved, colors.get(command.colors))
+    left: tuple[str, ...] = ()
+    if command.colors == "none":
+        maps = bound.deformation.jacobian(points) if source.has_normals else None
+        left = save_moved(command.output, source, moved, maps)
+    else:
+        save_points(command.output, moved, colors[command.colors], source.faces)
+        left = source.not_written()
     for line in [*lines_of(script), *report(points, moved, found, handles, why_not)]:
         console.print(Text(line), soft_wrap=True)
-    note(console, bound.notes)
+    note(console, [*bound.notes, *source.notes, *left])
     if command.picture is not None:
         write_picture(command.picture, moved, colors)
     console.print(Text(f"written to {command.output}"), soft_wrap=True)
@@ -224,13 +232,18 @@ def read_source(path: Path) -> Tensor:
         CheckpointError: no model there.
         InputError: a file of points that cannot be read.
     """
-    from pcore.data.points import POINT_SUFFIXES, read_point_file
+    return _source(path).positions
+
+
+def _source(path: Path) -> PointFile:
+    """As `read_source`, with what else a file of points holds."""
+    from pcore.data.points import POINT_SUFFIXES, PointFile, read_point_file
 
     if path.suffix.lower() in POINT_SUFFIXES:
-        return read_point_file(path).positions
+        return read_point_file(path)
     from pcore.cli.runtime import open_model
 
-    return open_model(path)[0].cloud.positions
+    return PointFile(positions=open_model(path)[0].cloud.positions)
 
 
 def lines_of(script: EditScript) -> list[str]:
