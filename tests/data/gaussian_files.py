@@ -8,8 +8,10 @@ import numpy as np
 from pcore.gaussians.gaussians import Gaussians
 
 
-def columns_of(gaussians: Gaussians, *, flat: bool = False) -> dict[str, np.ndarray]:
-    """What INRIA's trainer writes for each Gaussian."""
+def columns_of(
+    gaussians: Gaussians, *, flat: bool = False, unit: bool = False
+) -> dict[str, np.ndarray]:
+    """What INRIA's trainer writes for each Gaussian; `unit` for quaternions of length 1."""
     own = {name: value.double().numpy() for name, value in vars(gaussians).items()}
     n, k = len(gaussians), gaussians.sh.shape[1]
     result = dict(zip("xyz", own["means"].T, strict=True))
@@ -21,7 +23,7 @@ def columns_of(gaussians: Gaussians, *, flat: bool = False) -> dict[str, np.ndar
     result["opacity"] = np.log(own["opacities"] / (1 - own["opacities"]))
     result |= {f"scale_{i}": np.log(own["scales"][:, i]) for i in range(2 if flat else 3)}
     # Trainers leave quaternions at any length.
-    length = np.linspace(0.5, 3.0, n)
+    length = np.ones(n) if unit else np.linspace(0.5, 3.0, n)
     return result | {f"rot_{i}": own["quats"][:, i] * length for i in range(4)}
 
 
@@ -46,7 +48,10 @@ def write_ply(path: Path, gaussians: Gaussians, **options) -> Path:
 def read_plain(content: bytes) -> dict[str, np.ndarray]:
     """Columns of a little-endian PLY of vertices alone, by another reader than pcore's."""
     head, _, body = content.partition(b"end_header\n")
-    words = [line.split() for line in head.decode().splitlines()]
+    lines = head.decode().splitlines()
+    first = next(k for k, line in enumerate(lines) if line.startswith("element vertex"))
+    last = next((k for k, s in enumerate(lines) if k > first and s.startswith("element")), None)
+    words = [line.split() for line in lines[first:last]]
     count = next(int(w[2]) for w in words if w[:2] == ["element", "vertex"])
     kinds = {"float": "<f4", "double": "<f8", "uchar": "u1", "int": "<i4"}
     dtype = [(w[2], kinds[w[1]]) for w in words if w[:1] == ["property"]]

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 import torch
+from tests.data.gaussian_files import columns_of, ply_bytes
+from tests.gaussians.some import some_gaussians
 
 from pcore.data import compressed_gaussians
 from pcore.data.compressed_gaussians import read_compressed
 from pcore.errors import DependencyError, InputError
-from tests.data.gaussian_files import columns_of, ply_bytes
-from tests.gaussians.some import some_gaussians
 
 gaussforge = pytest.importorskip("gaussforge")
 
@@ -20,9 +20,15 @@ def gaussians():
 
 @pytest.fixture(scope="module")
 def contents(gaussians):
-    source = ply_bytes(columns_of(gaussians))
+    # Its writer takes quaternions for units.
+    source = ply_bytes(columns_of(gaussians, unit=True))
     convert = gaussforge.GaussForge().convert
-    return {kind: bytes(convert(source, "ply", kind)["data"]) for kind in TOLERANCE}
+    made = {kind: bytes(convert(source, "ply", kind)["data"]) for kind in TOLERANCE}
+    # It writes these by coefficient; SuperSplat's files have all of red first, as PLY has.
+    rest = gaussians.sh[:, 1:].transpose(1, 2).reshape(600, 45).numpy()
+    packed = np.clip((rest / 8 + 0.5) * 256, 0, 255).astype(np.uint8).tobytes()
+    made["compressed.ply"] = made["compressed.ply"][: -len(packed)] + packed
+    return made
 
 
 @pytest.mark.parametrize("kind", TOLERANCE)
@@ -37,7 +43,7 @@ def test_compressed_files_are_read(kind: str, contents, gaussians):
     assert float(logs.max()) < TOLERANCE[kind]
     same = (found.quats[nearest] * gaussians.quats).sum(dim=1).abs()
     assert float(same.min()) > 0.999
-    assert float((found.sh[nearest] - gaussians.sh).abs().median()) < 0.02
+    assert float((found.sh[nearest] - gaussians.sh).abs().median()) < 0.03
     assert found.degree == 3
 
 

@@ -4,12 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tests.data.gaussian_files import splat_bytes, write_ply
+from tests.gaussians.some import some_gaussians
 
 from pcore.data.gaussian_formats import holds_gaussians, read_gaussians, save_gaussians
 from pcore.data.points import save_points
 from pcore.errors import InputError
-from tests.data.gaussian_files import splat_bytes, write_ply
-from tests.gaussians.some import some_gaussians
 
 
 def test_files_are_told_apart(tmp_path: Path):

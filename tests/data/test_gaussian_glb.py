@@ -4,11 +4,11 @@ import struct
 import numpy as np
 import pytest
 import torch
+from tests.gaussians.some import some_gaussians
 
 from pcore.data.gaussian_glb import glb_content
 from pcore.gaussians.covariance import covariances
 from pcore.gaussians.spherical_harmonics import basis
-from tests.gaussians.some import some_gaussians
 
 NAME = "KHR_gaussian_splatting"
 

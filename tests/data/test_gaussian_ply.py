@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tests.data.gaussian_files import columns_of, ply_bytes, read_plain
+from tests.gaussians.some import some_gaussians
 
 from pcore.data.gaussian_ply import gaussian_ply, is_gaussian, lost, read_gaussian_ply
 from pcore.data.ply import parse_ply
 from pcore.errors import InputError
-from tests.data.gaussian_files import columns_of, ply_bytes, read_plain
-from tests.gaussians.some import some_gaussians
 
 
 def read(content: bytes):
@@ -84,7 +84,7 @@ def test_types_of_the_file_stay():
     content = ply_bytes(columns).replace(b"property float x\n", b"property double x\n", 1)
     head = content.index(b"end_header\n") + 11
     rows = np.frombuffer(content[head:], "<f4").reshape(3, -1)
-    wide = b"".join(np.float64(row[0] + 5e6).tobytes() + row[1:].tobytes() for row in rows)
+    wide = b"".join(np.float64(float(row[0]) + 5e6).tobytes() + row[1:].tobytes() for row in rows)
     file = read(content[:head] + wide)
     assert float(file.gaussians.means[0, 0]) == float(rows[0, 0]) + 5e6
     part = read_plain(gaussian_ply(file.chosen(np.array([2, 1]))))
@@ -108,6 +108,12 @@ def test_missing_properties_are_named(missing: str):
     del columns[missing]
     with pytest.raises(InputError, match=f"got no .*{missing}"):
         read(ply_bytes(columns))
+
+
+def test_whole_numbers_are_no_gaussians():
+    content = ply_bytes(columns_of(some_gaussians(3, dtype=torch.float64)))
+    with pytest.raises(InputError, match="other types in rot_2"):
+        read(content.replace(b"property float rot_2", b"property int rot_2"))
 
 
 @pytest.mark.parametrize("count", [1, 10, 12, 44])

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 import torch
+from tests.data.gaussian_files import splat_bytes
+from tests.gaussians.some import some_gaussians
 
 from pcore.data.gaussian_splat import read_splat, splat_content
 from pcore.errors import InputError
-from tests.data.gaussian_files import splat_bytes
-from tests.gaussians.some import some_gaussians
 
 
 def test_a_row_means_what_the_format_says():
@@ -22,7 +22,9 @@ def test_a_row_means_what_the_format_says():
 def test_reading_and_writing_changes_a_bit_of_the_quaternions_at_most():
     content = splat_bytes(200)
     again = splat_content(read_splat(content, "a.splat").gaussians)
-    before, after = (np.frombuffer(c, np.uint8).reshape(-1, 32).astype(int) for c in (content, again))
+    before, after = (
+        np.frombuffer(c, np.uint8).reshape(-1, 32).astype(int) for c in (content, again)
+    )
     assert (before[:, :28] == after[:, :28]).all()
     assert np.abs(before[:, 28:] - after[:, 28:]).max() <= 1
 

@@ -2,6 +2,7 @@ import math
 
 import pytest
 import torch
+from tests.gaussians.some import some_gaussians
 
 from pcore.deform.base import Affine, Deformation
 from pcore.editing.script import parse_edit
@@ -10,7 +11,6 @@ from pcore.gaussians.carry import deformed
 from pcore.gaussians.covariance import covariances
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.refine import bending, refined
-from tests.gaussians.some import some_gaussians
 
 
 def bend(degrees: float) -> Deformation:

@@ -47,12 +47,14 @@ def read_compressed(content: bytes, kind: str, where: str) -> GaussianFile:
     head, values = _decoded(content, kind, where)
     count, degree = int(head["count"]), int(head["degree"])
     harmonics = values["sh"].reshape(count, -1, 3)[:, : (degree + 1) ** 2 - 1]
-    quats = torch.from_numpy(values["rotations"].reshape(count, 4).astype(np.float64))
+    with np.errstate(invalid="ignore"):
+        wide = {name: torch.from_numpy(value.astype(np.float64)) for name, value in values.items()}
+    quats = wide["rotations"].reshape(count, 4)
     gaussians = Gaussians(
-        means=torch.from_numpy(values["positions"].reshape(count, 3).astype(np.float64)),
+        means=wide["positions"].reshape(count, 3),
         quats=quats / quats.norm(dim=1, keepdim=True),
-        scales=torch.from_numpy(values["scales"].reshape(count, 3).astype(np.float64)).exp(),
-        opacities=torch.from_numpy(values["alphas"].astype(np.float64)).sigmoid(),
+        scales=wide["scales"].reshape(count, 3).exp(),
+        opacities=wide["alphas"].sigmoid(),
         sh=torch.from_numpy(
             np.concatenate([values["colors"].reshape(count, 1, 3), harmonics], axis=1)
         ),

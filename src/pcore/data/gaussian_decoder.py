@@ -20,7 +20,7 @@ def main() -> None:
     os.dup2(2, 1)
     import gaussforge  # pyright: ignore[reportMissingImports]
 
-    found: dict[str, Any] = gaussforge.GaussForge().read(sys.stdin.buffer.read(), sys.argv[1], True)
+    found: dict[str, Any] = gaussforge.GaussForge().read(sys.stdin.buffer.read(), sys.argv[1])
     if "error" in found:
         answer.write(json.dumps({"error": str(found["error"])}).encode() + b"\n")
     else:

@@ -59,8 +59,8 @@ class GaussianFile:
 def sound(file: GaussianFile) -> GaussianFile:
     """Leave out Gaussians that are none, and say how many; check the others.
 
-    None are those with NaN or infinity, without axes (a quaternion of length 0), or so large that
-    their covariance is not finite in single precision.
+    None are those with NaN or infinity, without axes (a quaternion of length 0), or so large
+    or far away that squares are not finite in single precision.
 
     Raises:
         InputError: more than half of them are none, or nothing can be seen of the others.
@@ -70,7 +70,7 @@ def sound(file: GaussianFile) -> GaussianFile:
     for tensor in (own.means, own.quats, own.scales, own.opacities, own.sh):
         good &= torch.isfinite(tensor).reshape(len(own), -1).all(dim=1)
     good &= (own.quats.norm(dim=1) - 1).abs() < 1e-3
-    good &= (own.scales < _LARGEST).all(dim=1)
+    good &= (own.scales < _LARGEST).all(dim=1) & (own.means.abs() < _LARGEST).all(dim=1)
     bad = int((~good).sum())
     if bad > _MOST_LOST * len(own):
         raise InputError(

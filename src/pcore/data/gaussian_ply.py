@@ -56,19 +56,18 @@ def read_gaussian_ply(ply: Ply, where: str) -> GaussianFile:
         InputError: properties are missing, are lists or fit no degree of harmonics; or see `sound`.
     """
     vertices = _Vertices(ply, where)
-    scales = [name for name in ("scale_0", "scale_1", "scale_2") if vertices.has(name)]
-    vertices.demand((*_PLACES, "opacity", *(scales if len(scales) == 2 else _names("scale_", 3))))
-    vertices.demand(_QUAT)
+    flat = vertices.has("scale_0", "scale_1") and not vertices.has("scale_2")
+    scales = _names("scale_", 2 if flat else 3)
+    vertices.demand((*_PLACES, "opacity", *scales, *_QUAT))
     quats = vertices.read(_QUAT)
-    with np.errstate(all="ignore"):
-        gaussians = Gaussians(
-            means=vertices.read(_PLACES),
-            quats=quats / quats.norm(dim=1, keepdim=True),
-            scales=_scales(vertices.read(scales)),
-            opacities=torch.sigmoid(vertices.read(("opacity",)).squeeze(1)),
-            sh=_harmonics(vertices),
-        )
-    normals = vertices.read(_NORMALS).numpy() if vertices.has(*_NORMALS) else None
+    gaussians = Gaussians(
+        means=vertices.read(_PLACES),
+        quats=quats / quats.norm(dim=1, keepdim=True),
+        scales=_scales(vertices.read(scales)),
+        opacities=torch.sigmoid(vertices.read(("opacity",)).squeeze(1)),
+        sh=_harmonics(vertices),
+    )
+    normals = vertices.read(_NORMALS).numpy() if vertices.real(*_NORMALS) else None
     return sound(
         GaussianFile(
             gaussians=gaussians,
@@ -76,7 +75,7 @@ def read_gaussian_ply(ply: Ply, where: str) -> GaussianFile:
             rows=np.arange(len(gaussians), dtype=np.int64),
             ply=ply,
             normals=normals if normals is not None and normals.any() else None,
-            flat=len(scales) == 2,
+            flat=flat,
         )
     )
 
@@ -131,22 +130,22 @@ class _Vertices:
         assert one is not None
         return self.number, one
 
-    def demand(self, names: tuple[str, ...]) -> None:
+    def demand(self, names: tuple[str, ...], *, real: bool = True) -> None:
         missing = [name for name in names if not self.has(name)]
-        lists = [n for n in names if self.has(n) and self._property(n).count is not None]
-        if missing or lists:
-            what = f"no {', '.join(missing)}" if missing else f"lists in {', '.join(lists)}"
+        others = [name for name in names if self.has(name) and not self._fits(name, real)]
+        if missing or others:
+            what = f"no {', '.join(missing)}" if missing else f"other types in {', '.join(others)}"
             raise InputError(
-                f"{self.where}: expected Gaussians with {', '.join(names)}, got {what}; export "
-                "the splats again as an uncompressed PLY"
+                f"{self.where}: expected Gaussians with real numbers {', '.join(names)}, got "
+                f"{what}; export the splats again as an uncompressed PLY"
             )
 
-    def read(self, names: tuple[str, ...] | list[str]) -> Tensor:
+    def read(self, names: tuple[str, ...]) -> Tensor:
         """Values (N, len(names)) float64."""
-        self.demand(tuple(names))
         stacked = np.empty((self.element.length, len(names)), dtype=np.float64)
-        for column, name in enumerate(names):
-            stacked[:, column] = self.ply.scalars(self.place(name))
+        with np.errstate(invalid="ignore"):
+            for column, name in enumerate(names):
+                stacked[:, column] = self.ply.scalars(self.place(name))
         return torch.from_numpy(stacked)
 
     def all_rows(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
@@ -156,8 +155,13 @@ class _Vertices:
     def types(self) -> dict[str, np.dtype[Any]]:
         return {one.name: one.dtype for one in self.element.properties if one.count is None}
 
-    def _property(self, name: str) -> Any:
-        return self.element.properties[self.place(name)[1]]
+    def _fits(self, name: str, real: bool) -> bool:
+        one = self.element.properties[self.place(name)[1]]
+        return one.count is None and (one.dtype.kind == "f" or not real)
+
+    def real(self, *names: str) -> bool:
+        """Whether there are such properties, each of one real number."""
+        return self.has(*names) and all(self._fits(name, real=True) for name in names)
 
 
 def _names(stem: str, count: int) -> tuple[str, ...]:
@@ -175,6 +179,7 @@ def _scales(logarithms: Tensor) -> Tensor:
 def _harmonics(vertices: _Vertices) -> Tensor:
     """Coefficients (N, K, 3) float32."""
     if not vertices.has(*_DC) and vertices.has(*_PAINT):
+        vertices.demand(_PAINT, real=False)
         return ((vertices.read(_PAINT) / 255 - 0.5) / CONSTANT)[:, None].float()
     vertices.demand(_DC)
     rest = [one.name for one in vertices.element.properties if one.name.startswith("f_rest_")]
@@ -186,6 +191,7 @@ def _harmonics(vertices: _Vertices) -> Tensor:
             f"{vertices.where}: expected 0, 9, 24, 45 or 72 properties f_rest_0, f_rest_1, ... "
             f"(spherical harmonics of degree 0 to 4), got {len(rest)}; was the file cut by a tool?"
         )
+    vertices.demand(tuple(rest))
     sh = torch.empty(vertices.element.length, count, 3)
     sh[:, 0] = vertices.read(_DC)
     for channel in range(3):

@@ -34,12 +34,14 @@ def read_splat(content: bytes, where: str) -> GaussianFile:
             "bytes, which is no multiple; the file is cut short or of another kind"
         )
     rows = np.frombuffer(content, dtype=_ROW)
+    with np.errstate(invalid="ignore"):
+        means, scales = (torch.from_numpy(rows[k].astype(np.float64)) for k in ("means", "scales"))
     quats = torch.from_numpy((rows["quats"].astype(np.float64) - 128) / 128)
     paint = torch.from_numpy(rows["paint"].astype(np.float64) / 255)
     gaussians = Gaussians(
-        means=torch.from_numpy(rows["means"].astype(np.float64)),
+        means=means,
         quats=quats / quats.norm(dim=1, keepdim=True),
-        scales=torch.from_numpy(rows["scales"].astype(np.float64)).clamp_min(_SMALLEST),
+        scales=scales.clamp_min(_SMALLEST),
         opacities=paint[:, 3],
         sh=((paint[:, None, :3] - 0.5) / CONSTANT).float(),
     )

@@ -79,9 +79,7 @@ def _parsed(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     try:
         content = path.read_bytes()
     except FileNotFoundError:
-        raise InputError(
-            f"{path}: no such file; expected a mesh (.ply, .obj or .glb)"
-        ) from None
+        raise InputError(f"{path}: no such file; expected a mesh (.ply, .obj or .glb)") from None
     except OSError as error:
         raise InputError(f"{path}: cannot read the mesh: {error.strerror}") from error
     where = str(path)

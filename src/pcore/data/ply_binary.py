@@ -101,9 +101,7 @@ class _Short(Exception):
         self.rows = rows
 
 
-def _locate(
-    flat: Bytes, content: bytes, element: Element, place: int
-) -> tuple[BinaryRows, int]:
+def _locate(flat: Bytes, content: bytes, element: Element, place: int) -> tuple[BinaryRows, int]:
     """Rows of one element and where the next one begins."""
     least = sum((one.count or one.dtype).itemsize for one in element.properties)
     if least * element.length > len(content) - place:
@@ -137,9 +135,7 @@ def _alike(
     return begins, tuple(lengths), size
 
 
-def _first_row(
-    content: bytes, element: Element, place: int
-) -> tuple[list[int], list[int], int]:
+def _first_row(content: bytes, element: Element, place: int) -> tuple[list[int], list[int], int]:
     begins: list[int] = []
     lengths: list[int] = []
     for one in element.properties:
@@ -155,9 +151,7 @@ def _first_row(
     return begins, lengths, place
 
 
-def _walked(
-    flat: Bytes, content: bytes, element: Element, place: int
-) -> tuple[BinaryRows, int]:
+def _walked(flat: Bytes, content: bytes, element: Element, place: int) -> tuple[BinaryRows, int]:
     """Go from row to row, because each begins where the lists of the one before end."""
     shape = (len(element.properties), element.length)
     begins, lengths = np.zeros(shape, dtype=np.int64), np.ones(shape, dtype=np.int64)
@@ -166,9 +160,7 @@ def _walked(
             begins[:, row], lengths[:, row], place = _first_row(content, element, place)
         except _Short:
             raise _Short(row) from None
-    rows = BinaryRows(
-        element=element, content=flat, begins=tuple(begins), lengths=tuple(lengths)
-    )
+    rows = BinaryRows(element=element, content=flat, begins=tuple(begins), lengths=tuple(lengths))
     return rows, place
 
 

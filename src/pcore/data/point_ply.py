@@ -189,7 +189,9 @@ def turned(normals: NDArray[np.float64], maps: NDArray[Any]) -> NDArray[np.float
     """
     # The matrix of cofactors is det(J) times the inverse transpose and exists of any map.
     rows = maps.astype(np.float64)
-    cofactors = np.stack([np.cross(rows[:, (k + 1) % 3], rows[:, (k + 2) % 3]) for k in range(3)], 1)
+    cofactors = np.stack(
+        [np.cross(rows[:, (k + 1) % 3], rows[:, (k + 2) % 3]) for k in range(3)], 1
+    )
     new = np.einsum("nij,nj->ni", cofactors, normals)
     new *= np.where(np.linalg.det(rows) < 0, -1.0, 1.0)[:, None]
     length, old = (np.linalg.norm(one, axis=1, keepdims=True) for one in (new, normals))

@@ -84,11 +84,12 @@ def refined(gaussians: Gaussians, deformation: Deformation, tolerance: float) ->
 
 
 def bending(gaussians: Gaussians, deformation: Deformation) -> Tensor:
-    """How far a map departs from the affine one within each Gaussian.
+    """How far a map departs from the affine one within each Gaussian, to second order.
 
     Returns:
-        (N, 3) for each axis the departure at one standard deviation from the mean, over the
-        standard deviation of the moved Gaussian in the direction of the departure; float64.
+        (N, 3) for each axis the largest departure that splitting it lessens, at one standard
+        deviation from the mean, over the standard deviation of the moved Gaussian in the direction
+        of the departure; float64.
     """
     if not len(gaussians):
         return torch.zeros(0, 3, dtype=torch.float64)
@@ -96,18 +97,32 @@ def bending(gaussians: Gaussians, deformation: Deformation) -> Tensor:
     middle, jacobian = deformation(own.means), deformation.jacobian(own.means)
     axes = rotations(own.quats) * own.scales.unsqueeze(-2)
     factors = jacobian @ axes
+
+    def second(offset: Tensor) -> Tensor:
+        """Half the second derivative along an offset (N, 3)."""
+        there, back = (deformation(own.means + sign * _REACH * offset) for sign in (1.0, -1.0))
+        return ((there + back) / 2 - middle) / _REACH**2
+
+    pure = [second(axes[..., i]) for i in range(3)]
+    result = torch.stack([_shares(one, factors) for one in pure], dim=1)
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        # What remains of a diagonal is the mixed derivative: a sheet that is twisted has no other.
+        mixed = _shares(second(axes[..., i] + axes[..., j]) - pure[i] - pure[j], factors)
+        for axis in (i, j):
+            result[:, axis] = torch.maximum(result[:, axis], mixed)
+    return result
+
+
+def _shares(departure: Tensor, factors: Tensor) -> Tensor:
+    """Lengths (N,) of departures (N, 3) over the thickness of F F^T, F (N, 3, 3), along them."""
+    tiny = torch.finfo(departure.dtype).tiny
+    length = departure.norm(dim=1)
+    direction = departure / length.clamp_min(tiny)[:, None]
+    thickness = (direction.unsqueeze(1) @ factors).squeeze(1).norm(dim=1)
     longest = factors.norm(dim=1).amax(dim=1)
-    result: list[Tensor] = []
-    for axis in axes.unbind(dim=-1):
-        there, back = (deformation(own.means + sign * _REACH * axis) for sign in (1.0, -1.0))
-        departure = ((there + back) / 2 - middle) / _REACH**2
-        length = departure.norm(dim=1)
-        direction = departure / length.clamp_min(torch.finfo(length.dtype).tiny)[:, None]
-        thickness = (direction.unsqueeze(1) @ factors).squeeze(1).norm(dim=1)
-        allowed = torch.maximum(thickness, _THINNEST * longest)
-        result.append(length / allowed.clamp_min(torch.finfo(length.dtype).tiny))
-    # A step, such as a region's edge without falloff, is no bend that pieces could follow.
-    return torch.stack(result, dim=1).nan_to_num(nan=0.0, posinf=0.0)
+    shares = length / torch.maximum(thickness, _THINNEST * longest).clamp_min(tiny)
+    # Not finite is no bend that pieces could follow.
+    return shares.nan_to_num(nan=0.0, posinf=0.0)
 
 
 def _part(gaussians: Gaussians, which: Tensor) -> Gaussians:
