@@ -43,7 +43,7 @@ def deform_gaussians(
     return [
         f"{source}: {len(before):,} Gaussians, harmonics of degree {degree}, {kinds}",
         *change_lines(before, after),
-        *fold_lines(int(edited.folded.sum()), len(edited.folded)),
+        *fold_lines(edited.folded, len(before)),
         *(f"  note: {line}" for line in [*file.notes, *_notes(edited), *edited.bound.notes, *said]),
         f"written to {output}",
     ]
@@ -53,13 +53,13 @@ def _notes(edited: EditedGaussians) -> list[str]:
     notes: list[str] = []
     if edited.bent:
         notes.append(
-            f"{edited.bent:,} Gaussians are bent within themselves by more than {BENT:g} of their "
-            f"thickness and stay straight; --split {BENT:g} makes several of each"
+            f"{edited.bent:,} of the {edited.looked_at:,} largest Gaussians are bent within "
+            f"themselves by more than {BENT:g} of their thickness and stay straight; "
+            f"--split {BENT:g} makes several of each"
         )
     if edited.split:
         now = len(edited.file.gaussians)
         notes.append(f"{edited.split:,} Gaussians that the edit bends were split; now {now:,}")
-    mended = int(edited.mended.sum())
-    if mended:
-        notes.append(f"at {mended:,} Gaussians the shape of the map is a substitute")
+    if edited.mended:
+        notes.append(f"at {edited.mended:,} Gaussians the shape of the map is a substitute")
     return notes
