@@ -17,10 +17,10 @@ import torch
 
 from pcore.cli.light import shading_of
 from pcore.evaluation.states import State, open_states
+from pcore.files.model_file import SavedModel, load_model
 from pcore.kernels.memory import keep_freed_memory
-from pcore.model.checkpoint import SavedModel, load_model
 from pcore.model.render import render
-from pcore.model.shading import Shading
+from pcore.relight.shading import Shading
 
 
 def main() -> None:

@@ -29,10 +29,10 @@ from torch import Tensor
 
 from pcore.data.images import area_downscale, composite
 from pcore.data.load import load_scene
-from pcore.data.sample_render import MeshCaster
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.states import CANONICAL, State, open_states
 from pcore.geometry.camera import Camera
+from pcore.sample.sample_render import MeshCaster
 
 _SUPERSAMPLING = 2
 _FILL = 8

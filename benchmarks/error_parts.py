@@ -27,7 +27,7 @@ from pcore.data.load import load_scene
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.runner import Method, carry
 from pcore.evaluation.states import CANONICAL, State, open_states
-from pcore.model.checkpoint import load_model
+from pcore.files.model_file import load_model
 from pcore.model.render import render
 
 PARTS = ("edge", "jump", "inside")

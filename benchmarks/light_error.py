@@ -24,13 +24,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.data.load import load_scene
-from pcore.data.sample_render import MeshCaster, sample_surface
 from pcore.data.scene import View
 from pcore.evaluation.ground_truth import mesh_depth
 from pcore.evaluation.states import CANONICAL, open_states
-from pcore.geometry.local_frames import LocalFrames
-from pcore.training.light_fit import shading_from
-from pcore.training.light_photos import Observed
+from pcore.geometry.local_maps import LocalMaps
+from pcore.relight.estimate import shading_from
+from pcore.relight.photos import Observed
+from pcore.sample.sample_render import MeshCaster, sample_surface
 
 _FACING = 0.3
 _TOLERANCE = 0.015
@@ -125,11 +125,11 @@ class Spots:
         places = np.einsum("ni,nic->nc", self._weights, vertices[mine])
         return torch.from_numpy(places).float(), torch.where(alike, round_, flat).float()
 
-    def frames(self, before: np.ndarray, after: np.ndarray) -> LocalFrames:
+    def frames(self, before: np.ndarray, after: np.ndarray) -> LocalMaps:
         """Maps of the triangles, from one mesh to another."""
         mine = self._faces[self._face]
         back = face_frames(before[mine]) @ np.linalg.pinv(face_frames(after[mine]))
-        return LocalFrames(rest=self.of(before)[0], to_rest=torch.from_numpy(back).float())
+        return LocalMaps(rest=self.of(before)[0], to_rest=torch.from_numpy(back).float())
 
 
 def colours(

@@ -16,11 +16,11 @@ import torch
 from torch import Tensor
 
 from pcore.data.images import area_downscale
-from pcore.data.sample_render import MeshCaster
 from pcore.data.scene import Scene, View
 from pcore.deform.base import Deformation
 from pcore.evaluation.ground_truth import mesh_depth
 from pcore.geometry.camera import Camera
+from pcore.sample.sample_render import MeshCaster
 
 _SUPERSAMPLING = 2
 _DEPTH_TOLERANCE = 0.02

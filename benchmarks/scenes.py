@@ -13,8 +13,8 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.config import PaprConfig
 from pcore.model.papr import Papr
+from pcore.model.papr_config import PaprConfig
 
 _DISTANCE = 4.0
 _ANGLE = 0.6911

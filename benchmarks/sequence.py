@@ -28,12 +28,12 @@ from torch import Tensor
 
 from pcore.editing.apply import deformed_cloud
 from pcore.editing.session import EditSession
-from pcore.evaluation.image_metrics import psnr
 from pcore.evaluation.protocol import STANDARD, measure
 from pcore.evaluation.states import Shot, open_states
+from pcore.files.model_file import SavedModel, load_model
 from pcore.geometry.extent import size_of
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.checkpoint import SavedModel, load_model
+from pcore.metrics.image_metrics import psnr
 from pcore.model.render import render
 
 TRUTH, ANGLE = "twist60", 60.0

@@ -27,6 +27,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pcore.contrib.learned_skinning import SkinningConfig, untrained_skinning
+from pcore.contrib.skinning_fit import SkinningFitConfig, fit_skinning, skinning_error
 from pcore.deform.anchor_distance import (
     PathDistance,
     StraightDistance,
@@ -34,22 +36,20 @@ from pcore.deform.anchor_distance import (
     distance_weigher,
     path_distance,
 )
-from pcore.deform.local_frames import estimated_frames
+from pcore.deform.jacobian import estimated_frames
 from pcore.deform.sampler import DeformationRanges, sample_deformation
 from pcore.deform.skinning import Weigher, skin
 from pcore.editing.anchors import SIGMA, anchor_graph, pose_from_places
 from pcore.evaluation.ground_truth import DeformedTruth
-from pcore.evaluation.point_metrics import compare_clouds
 from pcore.evaluation.protocol import STANDARD, Perceptual, load_perceptual, measure
 from pcore.evaluation.states import State, open_states
 from pcore.evaluation.surface_samples import load_samples
-from pcore.geometry.anchors import ANCHORS, farthest_points
+from pcore.files.model_file import SavedModel, load_model
+from pcore.files.skinning_file import load_skinning
+from pcore.geometry.farthest_points import ANCHORS, farthest_points
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.checkpoint import SavedModel, load_model
+from pcore.metrics.point_metrics import compare_clouds
 from pcore.model.render import render
-from pcore.model.skinning import SkinningConfig, untrained_skinning
-from pcore.model.skinning_file import load_skinning
-from pcore.training.skinning_fit import SkinningFitConfig, fit_skinning, skinning_error
 
 MOTIONS = {"knight": ("run", "cheer", "sit"), "robot": ("run", "wave", "dance")}
 TRUE = "true motion"

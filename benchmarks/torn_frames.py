@@ -16,8 +16,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from pcore.deform.local_frames import estimated_frames
-from pcore.model.checkpoint import load_model
+from pcore.deform.jacobian import estimated_frames
+from pcore.files.model_file import load_model
 
 CUTS = (
     (0, 0.35, 50, (0.0, 0.0, 0.0)),

@@ -21,11 +21,11 @@ from benchmarks.plan import Plan
 from pcore.data.load import load_scene
 from pcore.data.scene import Scene
 from pcore.geometry.point_cloud import PointCloud
+from pcore.metrics.perceptual import find_weights
 from pcore.model.papr import Papr
 from pcore.model.render import FAST_THRESHOLD, render
 from pcore.training.config import PatchConfig, PretrainConfig
 from pcore.training.events import Event, StepReport, ValidationReport
-from pcore.training.perceptual import find_weights
 from pcore.training.presets import preset
 from pcore.training.pretrain import pretrain
 from pcore.training.trained import Trained

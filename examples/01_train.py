@@ -11,9 +11,9 @@ from pathlib import Path
 import tyro
 
 import pcore
-from pcore.model.records import to_dict
+from pcore.files.records import to_dict
+from pcore.files.run_folder import RunFolder
 from pcore.training.events import Event, StepReport, ValidationReport
-from pcore.training.output import RunFolder
 
 
 class Watch:

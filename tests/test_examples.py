@@ -14,10 +14,10 @@ from PIL import Image
 
 import tiny_scene
 from pcore.editing.script import load_edit
+from pcore.files.model_file import describe_model, save_model
+from pcore.files.provenance import provenance_of
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.checkpoint import describe_model, save_model
 from pcore.model.papr import Papr
-from pcore.model.provenance import provenance_of
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 EDIT = '{"version": 1, "edits": [{"type": "scale", "factor": 0.5}]}'

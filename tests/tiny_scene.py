@@ -10,14 +10,14 @@ from PIL import Image
 from torch import Tensor
 
 from pcore.evaluation.ground_truth import mesh_depth
+from pcore.files.provenance import provenance_of
+from pcore.files.run_folder import RunFolder
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.papr import Papr
-from pcore.model.provenance import provenance_of
+from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
 from pcore.model.render import Picture
-from pcore.training.output import RunFolder
 
 SIZE, ANGLE = 24, 0.7
 CONFIG = PaprConfig(

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from pcore.editing.script import load_edit
     from pcore.editing.session import EditSession
     from pcore.errors import PcoreError
+    from pcore.files.model_file import load_model
     from pcore.geometry.camera import Camera
     from pcore.geometry.point_cloud import PointCloud
     from pcore.geometry.rays import RayBundle
-    from pcore.model.checkpoint import load_model
     from pcore.model.papr import Papr, Rendering
     from pcore.model.render import render
     from pcore.training.finetune import finetune
@@ -63,7 +63,7 @@ _HOMES = {
     "finetune": "pcore.training.finetune",
     "finetune_preset": "pcore.training.presets",
     "load_edit": "pcore.editing.script",
-    "load_model": "pcore.model.checkpoint",
+    "load_model": "pcore.files.model_file",
     "load_scene": "pcore.data.load",
     "preset": "pcore.training.presets",
     "pretrain": "pcore.training.pretrain",

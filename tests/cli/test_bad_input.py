@@ -37,7 +37,7 @@ from toys import CONFIG, write_run, write_scene
 
 from pcore.cli.main import main
 from pcore.data.points import save_points
-from pcore.model.official import to_official_state
+from pcore.files.official import to_official_state
 
 OFFICIAL = {"dataset": {"coord_scale": 10.0}}
 EMPTY_PLY = b"""ply

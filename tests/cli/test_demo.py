@@ -12,9 +12,9 @@ from pcore.cli import demo
 from pcore.cli.demo import DemoSettings, make_demo
 from pcore.cli.demo_folder import DemoFolder, peak_memory, stamp_of
 from pcore.cli.main import main
-from pcore.data import sample
 from pcore.errors import DependencyError, InputError
 from pcore.evaluation import report
+from pcore.sample import sample
 from pcore.training.config import FinetuneConfig, PatchConfig, PretrainConfig, Rates
 from pcore.training.schedule import Schedule
 

@@ -13,9 +13,9 @@ from torch import Tensor
 
 import tiny_scene
 from pcore.cli.main import main
-from pcore.deform.local_frames import estimated_frames
+from pcore.deform.jacobian import estimated_frames
 from pcore.evaluation import states
-from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.local_maps import LocalMaps
 
 
 @pytest.fixture(scope="module")
@@ -180,7 +180,7 @@ def test_two_runs_of_one_kind_are_told_apart(run: Path, scene: Path, tmp_path: P
 def test_frames_that_had_to_be_replaced_are_in_the_notes(
     run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def folded(rest: Tensor, moved: Tensor) -> LocalFrames:
+    def folded(rest: Tensor, moved: Tensor) -> LocalMaps:
         return replace(estimated_frames(rest, moved), mended=torch.tensor([1, 3]))
 
     monkeypatch.setattr(states, "estimated_frames", folded)

@@ -11,10 +11,10 @@ import torch
 from toys import CONFIG, logged_losses, write_run, write_scene
 
 from pcore.cli.main import main
-from pcore.model.checkpoint import load_model
-from pcore.model.skinning_file import load_skinning
+from pcore.files.model_file import load_model
+from pcore.files.run_folder import RunFolder
+from pcore.files.skinning_file import load_skinning
 from pcore.training import finetune
-from pcore.training.output import RunFolder
 from pcore.training.presets import skinning_preset
 
 

@@ -8,15 +8,15 @@ import yaml
 
 from pcore.cli import doctor
 from pcore.cli.main import main
+from pcore.files.model_file import load_model
+from pcore.files.official import to_official_state
+from pcore.files.provenance import provenance_of
+from pcore.files.run_folder import RunFolder
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels import backends
-from pcore.model.checkpoint import load_model
-from pcore.model.config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
-from pcore.model.official import to_official_state
 from pcore.model.papr import Papr
-from pcore.model.provenance import provenance_of
-from pcore.training.output import RunFolder
+from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
 
 CONFIG = PaprConfig(
     neighbours=3,

@@ -15,12 +15,12 @@ from pcore.cli.main import main
 from pcore.deform.base import Identity
 from pcore.editing.apply import deformed_cloud
 from pcore.editing.script import load_edit
-from pcore.geometry.light import Light, sphere
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.light_file import LIGHT_FILE, load_shading, save_shading
 from pcore.model.papr import Papr
 from pcore.model.render import render
-from pcore.model.shading import Shading
+from pcore.relight.lamps import Light, sphere
+from pcore.relight.light_file import LIGHT_FILE, load_shading, save_shading
+from pcore.relight.shading import Shading
 
 TURN = {"version": 2, "edits": [{"type": "rigid", "axis": "x", "angle_deg": 120}]}
 
@@ -206,7 +206,7 @@ def test_a_random_run_has_no_normals_to_speak_of(
 def test_an_evaluation_shows_pictures_with_the_light_and_without(tmp_path: Path) -> None:
     scene = tiny_scene.write_scene(tmp_path / "box")
     run = tiny_scene.write_run(tmp_path / "run", scene)
-    from pcore.model.checkpoint import load_model
+    from pcore.files.model_file import load_model
 
     cloud = load_model(run).cloud
     write_light(run, cloud)

@@ -16,19 +16,19 @@ from toys import toy_cameras, write_cameras, write_run, write_scene
 
 from pcore.cli import draw
 from pcore.cli.main import main
+from pcore.contrib.learned_skinning import SkinningConfig, untrained_skinning
 from pcore.data.load import load_cameras, load_scene
 from pcore.deform.anchor_distance import path_distance
-from pcore.deform.local_frames import estimated_frames
+from pcore.deform.jacobian import estimated_frames
 from pcore.editing.anchors import rig_with
 from pcore.editing.script import load_edit
 from pcore.errors import EditError
-from pcore.geometry.anchors import farthest_points
-from pcore.geometry.local_frames import LocalFrames
+from pcore.files.skinning_file import SKINNING_FILE, save_skinning
+from pcore.geometry.farthest_points import farthest_points
+from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 from pcore.model.render import FAST_THRESHOLD, normals, render
-from pcore.model.skinning import SkinningConfig, untrained_skinning
-from pcore.model.skinning_file import SKINNING_FILE, save_skinning
 
 Made = tuple[Path, Papr, PointCloud]
 
@@ -130,7 +130,7 @@ def test_an_edit_moves_the_canonical_points(made: Made, tmp_path: Path, rays: st
     moved = cloud.moved(torch.stack([-y, x, z], dim=-1))
     if rays == "aware":
         back = torch.tensor([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-        frames = LocalFrames(rest=cloud.positions, to_rest=back.expand(len(cloud), 3, 3))
+        frames = LocalMaps(rest=cloud.positions, to_rest=back.expand(len(cloud), 3, 3))
         moved = cloud.moved(moved.positions, frames)
     picture = render(papr, moved, toy_cameras(2, size=8, elevation=0.1)[0])
     with np.load(run / "renders" / "test-turn" / "r_0.npz") as raw:

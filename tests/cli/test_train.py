@@ -14,8 +14,8 @@ from toys import logged_losses, write_scene
 
 from pcore.cli.main import main
 from pcore.data.points import save_points
-from pcore.model.checkpoint import load_model
-from pcore.training.output import RunFolder
+from pcore.files.model_file import load_model
+from pcore.files.run_folder import RunFolder
 
 
 @pytest.fixture
@@ -272,7 +272,7 @@ def test_a_full_disk_in_the_middle_keeps_what_was_saved(
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("pcore.training.state.write_atomically", full)
+    monkeypatch.setattr("pcore.files.training_state.write_atomically", full)
     assert call(scene, run, "--resume", steps=4) == 2
     assert "space" in capsys.readouterr().err.lower()
     assert (run / "state.pt").read_bytes() == before

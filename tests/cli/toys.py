@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from PIL import Image
 
+from pcore.files.provenance import provenance_of
+from pcore.files.run_folder import RunFolder
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.papr import Papr
-from pcore.model.provenance import provenance_of
-from pcore.training.output import RunFolder
+from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
 
 CONFIG = PaprConfig(
     neighbours=3,

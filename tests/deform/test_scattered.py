@@ -5,7 +5,7 @@ import torch
 
 from pcore.deform.base import Compose
 from pcore.deform.checks import count_folded
-from pcore.deform.local_frames import fitted_maps
+from pcore.deform.jacobian import fitted_maps
 from pcore.deform.scattered import PointMotion, Scattered, scalar_slopes
 from pcore.deform.simple import rigid, uniform_scale
 from pcore.errors import InputError

@@ -23,7 +23,7 @@ from pcore.deform.skinning import (
     softmax_weights,
 )
 from pcore.errors import InputError
-from pcore.geometry.anchors import farthest_points
+from pcore.geometry.farthest_points import farthest_points
 
 POINTS = torch.rand(300, 3, generator=torch.Generator().manual_seed(4)) * 2 - 1
 

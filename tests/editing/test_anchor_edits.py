@@ -17,7 +17,7 @@ from pcore.editing.script import parse_edit
 from pcore.errors import EditError, InputError
 from pcore.evaluation.ground_truth import load_truth
 from pcore.evaluation.surface_samples import load_samples
-from pcore.geometry.anchors import farthest_points
+from pcore.geometry.farthest_points import farthest_points
 
 
 def bar(count: int = 600) -> torch.Tensor:

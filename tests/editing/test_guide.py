@@ -12,7 +12,7 @@ from tests.cli.toys import write_run
 
 from pcore.editing.animation import parse_animation
 from pcore.editing.session import EditSession
-from pcore.model.checkpoint import load_model
+from pcore.files.model_file import load_model
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide"
 

@@ -10,6 +10,7 @@ import torch
 from tests.cli.toys import write_run
 
 from pcore.cli.main import main
+from pcore.contrib.learned_skinning import SkinningConfig, untrained_skinning
 from pcore.data.points import load_points
 from pcore.deform.anchor_distance import path_distance
 from pcore.editing.anchors import AnchorRig, rig_with
@@ -19,9 +20,8 @@ from pcore.editing.runs import learned_rig
 from pcore.editing.script import EditScript, parse_edit
 from pcore.editing.session import EditSession
 from pcore.errors import EditError
-from pcore.geometry.anchors import farthest_points
-from pcore.model.skinning import SkinningConfig, untrained_skinning
-from pcore.model.skinning_file import SKINNING_FILE, save_skinning
+from pcore.files.skinning_file import SKINNING_FILE, save_skinning
+from pcore.geometry.farthest_points import farthest_points
 
 GENERATOR = torch.Generator().manual_seed(1)
 BAR = (torch.rand(300, 3, generator=GENERATOR) * 2 - 1) * torch.tensor([1.0, 0.1, 0.1])

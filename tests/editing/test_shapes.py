@@ -8,7 +8,7 @@ import torch
 import trimesh
 
 from pcore.deform.cage import Cage
-from pcore.editing import cage as cages
+from pcore.editing import cage_edit as cages
 from pcore.editing.animation import parse_animation
 from pcore.editing.script import EditScript, load_edit, parse_edit
 from pcore.editing.session import EditSession

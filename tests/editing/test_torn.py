@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pcore.deform.checks import count_folded
-from pcore.deform.local_frames import estimated_frames
+from pcore.deform.jacobian import estimated_frames
 from pcore.deform.motion import rigid
 from pcore.editing.apply import deformed_cloud
 from pcore.editing.script import EditScript, parse_edit

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from pcore.cli.main import main
-from pcore.model.config import MlpConfig, Octaves, PaprConfig
+from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
 from pcore.training import presets
 from pcore.training.config import GrowConfig, PatchConfig, PruneConfig
 

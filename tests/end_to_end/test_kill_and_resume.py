@@ -19,8 +19,8 @@ from safetensors.torch import load_file
 from small_pcore import small_presets
 
 from pcore.cli.main import main
+from pcore.files.run_folder import RunFolder
 from pcore.training import presets
-from pcore.training.output import RunFolder
 from tiny_scene import write_scene
 
 STEPS, TUNING_STEPS = 150, 60

@@ -11,9 +11,9 @@ import torch
 from PIL import Image
 
 from pcore.cli.main import main
+from pcore.files.model_file import load_model
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
-from pcore.model.checkpoint import load_model
 
 SIZE = 16
 ANGLE_X = 0.7

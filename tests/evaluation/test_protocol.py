@@ -17,7 +17,7 @@ from pcore.evaluation.protocol import (
     measure,
     on_white,
 )
-from pcore.training.perceptual import Lpips
+from pcore.metrics.perceptual import Lpips
 
 
 @pytest.fixture

@@ -9,22 +9,22 @@ import torch
 from torch import Tensor
 
 from pcore.deform.base import Affine, Compose, Deformation, Identity
-from pcore.deform.local_frames import analytic_frames, estimated_frames, unchecked_frames
+from pcore.deform.jacobian import analytic_frames, estimated_frames, unchecked_frames
 from pcore.deform.motion import rigid
 from pcore.deform.simple import uniform_scale
 from pcore.editing.apply import deformed_cloud
 from pcore.errors import EditError, InputError
 from pcore.geometry.camera import Camera
-from pcore.geometry.light import Light, sphere
-from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels.reference import encode
-from pcore.model.config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
 from pcore.model.papr import Papr, Rendering
+from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
 from pcore.model.render import render
-from pcore.model.shading import Shading
 from pcore.model.surface import surface_of
+from pcore.relight.lamps import Light, sphere
+from pcore.relight.shading import Shading
 
 CONFIG = PaprConfig(
     neighbours=5,
@@ -245,7 +245,7 @@ def test_the_query_sees_the_mean_direction_of_the_neighbours() -> None:
     papr, seen = Papr(replace(CONFIG, neighbours=2)).eval(), list[Tensor]()
     papr.attention.query.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
     with torch.no_grad():
-        papr.attend(cloud.moved(places, LocalFrames(rest=places, to_rest=turns)), rays.flat())
+        papr.attend(cloud.moved(places, LocalMaps(rest=places, to_rest=turns)), rays.flat())
     expected = encode(rays.flat().directions, CONFIG.octaves.direction)
     torch.testing.assert_close(seen[0], expected, rtol=0, atol=1e-6)
 
@@ -254,7 +254,7 @@ def test_the_anisotropy_of_an_edit_is_that_of_most_points() -> None:
     rest, eye = torch.rand(100, 3), torch.eye(3).repeat(100, 1, 1)
     flat = eye * torch.tensor([1.0, 1.0, 0.1])
     few = torch.where((torch.arange(100) < 3)[:, None, None], flat, eye)
-    found = [LocalFrames(rest=rest, to_rest=maps).anisotropy for maps in (eye, 3 * flat, few)]
+    found = [LocalMaps(rest=rest, to_rest=maps).anisotropy for maps in (eye, 3 * flat, few)]
     assert found == pytest.approx([1.0, 10.0, 1.0])
 
 
@@ -277,7 +277,7 @@ def test_the_identity_edit_is_the_identical_picture(cloud: PointCloud) -> None:
 
 def test_frames_of_the_identity_change_nothing_that_is_seen(cloud: PointCloud) -> None:
     papr, rays = network(REFERENCE), camera().rays()
-    frames = LocalFrames(rest=cloud.positions, to_rest=torch.eye(3).expand(200, 3, 3))
+    frames = LocalMaps(rest=cloud.positions, to_rest=torch.eye(3).expand(200, 3, 3))
     with torch.no_grad():
         plain, framed = papr(cloud, rays), papr(cloud.moved(cloud.positions, frames), rays)
     torch.testing.assert_close(framed.rgb, plain.rgb, rtol=0, atol=1e-4)
@@ -349,7 +349,7 @@ def test_frames_that_fold_space_are_not_drawn(cloud: PointCloud) -> None:
     maps = torch.eye(3).repeat(200, 1, 1)
     maps[7:10, 2, 2] = -1.0
     maps[11] = 0.0
-    folded = cloud.moved(cloud.positions, LocalFrames(rest=cloud.positions, to_rest=maps))
+    folded = cloud.moved(cloud.positions, LocalMaps(rest=cloud.positions, to_rest=maps))
     with pytest.raises(InputError, match=r"det > 0\), got 4 of 200 that do not"):
         render(network(None), folded, camera())
 

@@ -11,8 +11,8 @@ from pcore.editing.script import parse_edit
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.config import MlpConfig, PaprConfig
 from pcore.model.papr import Papr, Rendering
+from pcore.model.papr_config import MlpConfig, PaprConfig
 
 CONFIG = PaprConfig(
     neighbours=5,

@@ -11,7 +11,7 @@ from pcore.data.load import load_scene
 from pcore.evaluation.protocol import PROTOCOLS
 from pcore.evaluation.runner import Method, evaluate, mean
 from pcore.evaluation.states import CANONICAL, open_states
-from pcore.model.config import MlpConfig
+from pcore.model.papr_config import MlpConfig
 from pcore.model.render import render
 from pcore.training.presets import TINY
 from pcore.training.pretrain import pretrain

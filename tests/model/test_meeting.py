@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.geometry.rays import RayBundle
-from pcore.geometry.skin import Skin
+from pcore.geometry.surfels import Surfels
 from pcore.model.meeting import gains_at, meet, meet_lit
 
 STEP = 0.1
@@ -19,24 +19,24 @@ INSIDE = 0.05
 """How deep below the surface points lie."""
 
 
-def skin_of(points: Tensor, normals: Tensor, gains: Tensor, lift: float = INSIDE) -> Skin:
+def skin_of(points: Tensor, normals: Tensor, gains: Tensor, lift: float = INSIDE) -> Surfels:
     known = torch.nonzero(normals.square().sum(dim=1) > 0.5).squeeze(1)
     beside = known[torch.cdist(points, points[known]).argsort(dim=1)[:, :16]]
-    return Skin(
+    return Surfels(
         places=points + lift * normals, normals=normals, gains=gains, beside=beside, spacing=STEP
     )
 
 
-def gains_of_rays(surface: Skin, rays: RayBundle, weights: Tensor, near: Tensor) -> Tensor:
+def gains_of_rays(surface: Surfels, rays: RayBundle, weights: Tensor, near: Tensor) -> Tensor:
     return gains_at(surface, rays, *meet(surface, rays, weights, near))
 
 
-def log_gains(surface: Skin) -> Tensor:
+def log_gains(surface: Surfels) -> Tensor:
     assert surface.gains is not None
     return surface.gains.log2()
 
 
-def roof() -> tuple[Tensor, Skin]:
+def roof() -> tuple[Tensor, Surfels]:
     """Two slopes that meet along y at x = z = 0, the left one dark and the right one bright.
 
     No point is nearer to the ridge than half a step.
@@ -97,7 +97,7 @@ def test_what_faces_away_has_no_say() -> None:
     torch.testing.assert_close(found, torch.full((3,), 2.0), rtol=1e-3, atol=0)
 
 
-def sheet() -> tuple[Tensor, Skin]:
+def sheet() -> tuple[Tensor, Surfels]:
     """A thin sheet whose upper side got brighter and whose lower side darker."""
     grid = STEP * torch.cartesian_prod(torch.arange(-6.0, 7), torch.arange(-6.0, 7))
     upper = torch.cat([grid, torch.full((len(grid), 1), 0.01)], dim=1)
@@ -256,7 +256,7 @@ def test_the_kernel_of_the_cpu_says_the_same(
 
 
 def test_a_point_alone() -> None:
-    one = Skin(
+    one = Surfels(
         places=torch.zeros(1, 3),
         normals=torch.tensor([[0.0, 0.0, 1.0]]),
         gains=torch.tensor([1.25]),

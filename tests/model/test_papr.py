@@ -17,9 +17,9 @@ from pcore.kernels.backends import usable
 from pcore.kernels.reference import encode
 from pcore.model import papr as papr_module
 from pcore.model.attention import Mlp
-from pcore.model.config import MlpConfig, PaprConfig, ReferenceOrigin
 from pcore.model.encoding import Normalisation, encoded_size
 from pcore.model.papr import Papr
+from pcore.model.papr_config import MlpConfig, PaprConfig, ReferenceOrigin
 from pcore.model.unet import Unet
 
 

@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 
 import tiny_scene
-from pcore.deform.local_frames import estimated_frames
+from pcore.deform.jacobian import estimated_frames
 from pcore.deform.simple import uniform_scale
 from pcore.editing.apply import deformed_cloud
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.skin import Skin
+from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
 from pcore.model.passes import mean_around
 from pcore.model.progressive import render_progressively
@@ -180,9 +180,9 @@ def test_the_rim_of_a_picture_is_no_frame() -> None:
     assert float(error[~ring].mean()) < 0.01 * spread
 
 
-def evenly(points: PointCloud, gain: float) -> Skin:
+def evenly(points: PointCloud, gain: float) -> Surfels:
     """All of a surface that many times as bright."""
-    return Skin(
+    return Surfels(
         places=points.positions,
         normals=torch.nn.functional.normalize(points.positions, dim=1),
         gains=torch.full((len(points),), gain),

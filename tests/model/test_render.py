@@ -14,11 +14,11 @@ from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.skin import Skin
+from pcore.geometry.surfels import Surfels
 from pcore.model import passes
 from pcore.model import render as render_module
-from pcore.model.config import MlpConfig, Octaves, PaprConfig
 from pcore.model.papr import Papr
+from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
 from pcore.model.passes import RenderCancelledError
 from pcore.model.render import (
     FAST_THRESHOLD,
@@ -141,7 +141,7 @@ def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(cloud: PointCloud) ->
 def in_light(cloud: PointCloud, gains: Tensor) -> PointCloud:
     """Every point a piece of surface of its own that faces away from the middle."""
     outwards = torch.nn.functional.normalize(cloud.positions - cloud.sphere[0], dim=1)
-    skin = Skin(
+    skin = Surfels(
         places=cloud.positions,
         normals=outwards,
         gains=gains,

@@ -12,14 +12,14 @@ import pcore.model.papr as papr_module
 import pcore.model.sight as sight_module
 import tiny_scene
 from pcore.geometry.camera import Camera
-from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels.ray_layers import LayerRules
 from pcore.model.attention import Attended
-from pcore.model.config import ReferenceOrigin
 from pcore.model.papr import Papr
+from pcore.model.papr_config import ReferenceOrigin
 from pcore.model.sight import Hidden, look, look_behind
 from pcore.model.strangers import behind, layer_rules
 
@@ -57,7 +57,7 @@ def two_sheets(front: float) -> PointCloud:
     moved = rest.clone()
     moved[:SHEET] += torch.tensor([0.5, 0.0, 0.0])
     moved[SHEET:] += torch.tensor([-0.5, 0.0, front])
-    frames = LocalFrames(rest=rest, to_rest=torch.eye(3).expand(2 * SHEET, 3, 3))
+    frames = LocalMaps(rest=rest, to_rest=torch.eye(3).expand(2 * SHEET, 3, 3))
     cloud = PointCloud(
         positions=rest,
         features=torch.randn(2 * SHEET, 5),
@@ -134,7 +134,7 @@ def half_transparent() -> tuple[Papr, PointCloud]:
     assert frames is not None
     to_rest = frames.to_rest.clone()
     to_rest[:SHEET, 0, 0] = 0.5
-    stretched = LocalFrames(rest=frames.rest, to_rest=to_rest)
+    stretched = LocalMaps(rest=frames.rest, to_rest=to_rest)
     papr = Papr(replace(CONFIG, background_score=2.0)).eval()
     return papr, cloud.moved(cloud.positions, stretched)
 
@@ -224,9 +224,7 @@ def test_slots_without_a_point_are_mute(monkeypatch: pytest.MonkeyPatch) -> None
     kept = [*range(150, 155), *range(SHEET, 2 * SHEET)]
     few = PointCloud(
         positions=frames.rest[kept], features=cloud.features[kept], influence=cloud.influence[kept]
-    ).moved(
-        cloud.positions[kept], LocalFrames(rest=frames.rest[kept], to_rest=frames.to_rest[kept])
-    )
+    ).moved(cloud.positions[kept], LocalMaps(rest=frames.rest[kept], to_rest=frames.to_rest[kept]))
     monkeypatch.setattr(sight_module, "_MOST_CANDIDATES", len(kept))
     monkeypatch.setattr(sight_module, "_CANDIDATES", len(kept))
     sight = look(few, camera().rays().flat(), CONFIG.neighbours, CUTOFF)
@@ -321,7 +319,7 @@ def test_one_affine_map_has_no_strangers() -> None:
         features, influence = torch.zeros(40, 1), torch.ones(40)
         cloud = PointCloud(positions=rest, features=features, influence=influence)
         assert not cloud.moved_as_one, "nothing was moved"
-        return cloud.moved(positions, LocalFrames(rest=rest, to_rest=to_rest)).moved_as_one
+        return cloud.moved(positions, LocalMaps(rest=rest, to_rest=to_rest)).moved_as_one
 
     assert as_one(moved, back)
     apart = moved.clone()

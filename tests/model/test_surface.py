@@ -8,10 +8,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.geometry.skin import Skin
+from pcore.geometry.surfels import Surfels
 from pcore.model.attention import Attended
 from pcore.model.surface import middle_surface, surface_of
 
@@ -80,7 +80,7 @@ def test_layers_are_as_thick_as_at_rest() -> None:
     weights = [[0.3, 0.3, 0.4]]
     small = depths_of(rest, weights, 0.5)
     assert small == pytest.approx([0.2])
-    frames = LocalFrames(rest=rest.positions, to_rest=torch.eye(3).expand(3, 3, 3) / 10)
+    frames = LocalMaps(rest=rest.positions, to_rest=torch.eye(3).expand(3, 3, 3) / 10)
     assert depths_of(rest.moved(10 * rest.positions, frames), weights, 0.5) == pytest.approx([2.0])
     assert depths_of(rest.moved(10 * rest.positions), weights, 0.5) == pytest.approx([0.0])
 
@@ -93,7 +93,7 @@ def test_what_lies_nearer_along_the_ray_comes_first_also_in_other_orders() -> No
 def test_with_a_skin_the_first_layer_is_met_in_its_own_light() -> None:
     """Points at 0 and 3 along the ray, planes half a unit before them; cut-offs tell layers."""
     cloud = cloud_at([3.0, 0.0, 0.1, 3.1])
-    skin = Skin(
+    skin = Surfels(
         places=cloud.positions - torch.tensor([0.0, 0.0, 0.5]),
         normals=torch.tensor([[0.0, 0.0, -1.0]]).expand(4, 3),
         beside=torch.tensor([[0, 3], [1, 2], [1, 2], [0, 3]]),
@@ -108,7 +108,7 @@ def test_with_a_skin_the_first_layer_is_met_in_its_own_light() -> None:
     neighbours = torch.arange(4).expand(3, -1)
 
     def depths_and_gains(
-        skin: Skin | None, cutoff: float | None
+        skin: Surfels | None, cutoff: float | None
     ) -> tuple[list[float], list[float] | None]:
         met = attended(cloud, weights)
         found = surface_of(cloud.covered(skin), rays, met, neighbours, cutoff)
@@ -151,7 +151,7 @@ def test_the_kernel_of_the_cpu_finds_the_same_layer(
         influence=torch.ones(200),
     )
     if moved:
-        frames = LocalFrames(rest=cloud.positions, to_rest=torch.eye(3).expand(200, 3, 3))
+        frames = LocalMaps(rest=cloud.positions, to_rest=torch.eye(3).expand(200, 3, 3))
         cloud = cloud.moved(torch.rand(200, 3, generator=draw), frames)
     weights = torch.rand(400, 9, generator=draw).pow(3)
     weights[:, 6] = 0

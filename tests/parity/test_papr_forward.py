@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from pcore.cli.main import main
+from pcore.files.model_file import load_model
+from pcore.files.official import from_official_state
+from pcore.files.official_config import OfficialSettings
 from pcore.geometry.camera import Camera
-from pcore.model.checkpoint import load_model
-from pcore.model.official import from_official_state
-from pcore.model.official_config import OfficialSettings
 from pcore.model.papr import Papr, Rendering
 
 TOLERANCE = 4e-5

@@ -17,14 +17,14 @@ from torch.fx import GraphModule
 
 from pcore.data.scene import Scene
 from pcore.errors import InputError, TrainingError
+from pcore.files.run_folder import RunFolder
+from pcore.files.training_state import TrainingState
+from pcore.metrics.perceptual import Lpips
 from pcore.training import compiling, losses
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import PopulationReport
 from pcore.training.finetune import finetune
-from pcore.training.output import RunFolder
-from pcore.training.perceptual import Lpips
 from pcore.training.pretrain import pretrain
-from pcore.training.state import TrainingState
 
 # Torch's own, while it looks at what the attention hands to the renderer.
 pytestmark = pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor:UserWarning")

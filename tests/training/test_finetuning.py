@@ -25,14 +25,14 @@ from pcore.data.load import load_scene
 from pcore.data.scene import Scene
 from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
-from pcore.model.checkpoint import load_model
+from pcore.files.model_file import load_model
+from pcore.files.run_folder import RunFolder
 from pcore.model.papr import Papr
 from pcore.training import finetune as module
 from pcore.training import loop, objective
 from pcore.training.config import FinetuneConfig, PatchConfig, Rates
 from pcore.training.events import StepReport, Stopped, ValidationReport
 from pcore.training.finetune import finetune
-from pcore.training.output import RunFolder
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
 from tiny_scene import write_scene

@@ -20,23 +20,23 @@ from small_training import (
     weights_of,
 )
 
+from pcore.contrib.learned_skinning import Skinning
+from pcore.contrib.skinning_fit import skinning_error
 from pcore.data.scene import Scene
 from pcore.deform.base import Deformation
 from pcore.deform.sampler import DeformationRanges, sample_deformation
 from pcore.errors import CheckpointError, InputError
-from pcore.model.records import from_dict, to_dict
-from pcore.model.skinning import Skinning
-from pcore.model.skinning_file import load_skinning
+from pcore.files.records import from_dict, to_dict
+from pcore.files.run_folder import RunFolder
+from pcore.files.skinning_file import load_skinning
 from pcore.training import finetune as module
 from pcore.training import loop
 from pcore.training.config import FinetuneConfig, Rates, SkinningTrainConfig
 from pcore.training.events import Listener, Saved, StepReport, silent
 from pcore.training.finetune import finetune
-from pcore.training.motion import skinning_to_train
-from pcore.training.output import RunFolder
 from pcore.training.presets import skinning_preset
+from pcore.training.random_motion import skinning_to_train
 from pcore.training.schedule import Schedule
-from pcore.training.skinning_fit import skinning_error
 from pcore.training.trained import Trained
 
 FROZEN = Rates(**dict.fromkeys(RATES.named(), ZERO))

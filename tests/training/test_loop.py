@@ -13,13 +13,13 @@ from small_training import RATES, Heard, assert_same, box_work, copied, weights_
 from torch import Tensor
 
 from pcore.errors import CheckpointError, TrainingError
-from pcore.model.checkpoint import load_model
+from pcore.files.model_file import load_model
+from pcore.files.run_folder import RunFolder
 from pcore.training import loop
 from pcore.training.config import Rates
 from pcore.training.events import Saved, StepReport, Stopped, ValidationReport
 from pcore.training.loop import Plan, run_loop
 from pcore.training.losses import Losses
-from pcore.training.output import RunFolder
 from pcore.training.schedule import Schedule
 from pcore.training.trainable import Trainable
 from pcore.training.trained import Trained

@@ -8,8 +8,8 @@ from typing import get_args
 import pytest
 
 from pcore.errors import InputError
-from pcore.model.config import Octaves
-from pcore.model.records import from_dict, to_dict
+from pcore.files.records import from_dict, to_dict
+from pcore.model.papr_config import Octaves
 from pcore.training.config import FinetuneConfig, PresetName, PretrainConfig
 from pcore.training.presets import demo_finetune, demo_pretrain, finetune_preset, preset
 

@@ -15,11 +15,11 @@ from pcore.data.load import load_scene
 from pcore.data.points import save_points
 from pcore.data.scene import Scene, hold_out
 from pcore.errors import InputError, SceneError, TrainingError
-from pcore.model.config import MlpConfig, Octaves, PaprConfig
+from pcore.files.run_folder import RunFolder
+from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
 from pcore.training import pretrain as module
 from pcore.training.config import GrowConfig, PatchConfig, PretrainConfig, PruneConfig, Rates
 from pcore.training.events import PopulationReport, StepReport, ValidationReport
-from pcore.training.output import RunFolder
 from pcore.training.pretrain import pretrain
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained

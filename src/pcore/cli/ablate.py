@@ -133,7 +133,7 @@ def _train(
 ) -> None:
     from pcore.cli.sessions import Session, disk_space, run_session
     from pcore.cli.stages import begun, relative
-    from pcore.model.records import to_dict
+    from pcore.files.records import to_dict
     from pcore.training.finetune import finetune
     from pcore.training.trained import Trained
 
@@ -196,7 +196,7 @@ def _score(
     from pcore.evaluation.figures import png_bytes
     from pcore.evaluation.protocol import load_perceptual
     from pcore.evaluation.runner import evaluate
-    from pcore.model.atomic import write_atomically
+    from pcore.files.atomic import write_atomically
     from pcore.model.render import render
 
     run, places = source

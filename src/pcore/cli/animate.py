@@ -20,10 +20,10 @@ from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.editing.animation import Animation
+    from pcore.files.run_folder import RunFolder
     from pcore.geometry.camera import Camera
     from pcore.geometry.point_cloud import PointCloud
     from pcore.model.render import Picture
-    from pcore.training.output import RunFolder
 
 
 @dataclass(frozen=True, kw_only=True)

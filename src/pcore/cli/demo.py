@@ -17,7 +17,7 @@ from pcore.cli.runtime import DeviceName
 if TYPE_CHECKING:
     from pcore.cli.demo_folder import DemoFolder
     from pcore.cli.sessions import Session
-    from pcore.model.provenance import Stage
+    from pcore.files.provenance import Stage
     from pcore.training.config import FinetuneConfig, PretrainConfig
 
 STAGES = ("sample", "pre-training", "fine-tuning", "evaluation", "videos", "report")
@@ -82,9 +82,9 @@ def make_demo(path: Path, settings: DemoSettings, console: Console, *, device: s
     """
     from pcore.cli.demo_folder import DemoFolder
     from pcore.cli.demo_story import evaluate_demo, film_demo, models_of
-    from pcore.data.sample_render import ray_caster_class
     from pcore.data.video import require_video
     from pcore.evaluation.report import require_jinja
+    from pcore.sample.sample_render import ray_caster_class
 
     for check in (require_jinja, require_video, ray_caster_class):
         check()
@@ -111,7 +111,7 @@ def _say(console: Console, number: int, what: str) -> None:
 def _sample(folder: DemoFolder, settings: DemoSettings, console: Console) -> None:
     from pcore.cli.demo_folder import stamp_of
     from pcore.cli.results import counting
-    from pcore.data.sample import make_sample
+    from pcore.sample.sample import make_sample
 
     size = {
         "resolution": settings.resolution,
@@ -129,7 +129,7 @@ def _pretrain(folder: DemoFolder, settings: DemoSettings, console: Console, devi
     from pcore.cli.demo_folder import stamp_of
     from pcore.cli.sessions import disk_space, run_session
     from pcore.data.load import load_scene
-    from pcore.model.records import to_dict
+    from pcore.files.records import to_dict
     from pcore.training.pretrain import pretrain
 
     wanted = settings.pretrain
@@ -151,8 +151,8 @@ def _finetune(folder: DemoFolder, settings: DemoSettings, console: Console, devi
     from pcore.cli.demo_folder import stamp_of
     from pcore.cli.sessions import disk_space, run_session
     from pcore.data.load import load_scene
-    from pcore.model.checkpoint import MODEL_FILE, load_model
-    from pcore.model.records import to_dict
+    from pcore.files.model_file import MODEL_FILE, load_model
+    from pcore.files.records import to_dict
     from pcore.training.finetune import finetune
     from pcore.training.trained import Trained
 
@@ -196,7 +196,7 @@ def _report(folder: DemoFolder, settings: DemoSettings, console: Console) -> Pat
     """Write the page; made anew every time, from the files of the other stages."""
     from pcore.cli.demo_report import build_report, summary_lines
     from pcore.evaluation.report import render_report
-    from pcore.model.atomic import write_atomically
+    from pcore.files.atomic import write_atomically
 
     target = folder.path / "report.html"
     write_atomically(target, render_report(build_report(folder, settings)).encode())

@@ -36,7 +36,7 @@ from pcore.evaluation.report import (
 )
 from pcore.evaluation.summary import Gain, StateMean
 from pcore.evaluation.tables import SUMMARY_FILE, read_summary, shown
-from pcore.model.checkpoint import describe_model
+from pcore.files.model_file import describe_model
 
 if TYPE_CHECKING:
     from pcore.cli.demo import DemoSettings

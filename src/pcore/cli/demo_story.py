@@ -22,9 +22,9 @@ from pcore.evaluation.runner import Method, Taken, carry, evaluate
 from pcore.evaluation.states import SceneStates, State, open_states
 from pcore.evaluation.summary import gains, state_means
 from pcore.evaluation.tables import SUMMARY_FILE, read_summary, summary_record, write_tables
+from pcore.files.atomic import write_atomically
+from pcore.files.model_file import MODEL_FILE
 from pcore.geometry.orbit import orbit_like
-from pcore.model.atomic import write_atomically
-from pcore.model.checkpoint import MODEL_FILE
 from pcore.model.render import render
 
 if TYPE_CHECKING:

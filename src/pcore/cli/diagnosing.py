@@ -33,7 +33,7 @@ def training_cameras(source: Path, scene: Path | None) -> tuple[list[Camera], st
     """
     from pcore.cli.runtime import recorded_factor, recorded_scene
     from pcore.data.load import load_scene
-    from pcore.training.output import RunFolder
+    from pcore.files.run_folder import RunFolder
 
     run = RunFolder.open(source) if source.is_dir() else None
     folder = scene or recorded_scene(run)

@@ -209,8 +209,8 @@ def _packages() -> list[Finding]:
 
 
 def _lpips() -> list[Finding]:
-    from pcore.training.perceptual import find_weights, missing_weights
-    from pcore.training.trunks import TRUNKS
+    from pcore.metrics.perceptual import find_weights, missing_weights
+    from pcore.metrics.trunks import TRUNKS
 
     findings: list[Finding] = []
     for trunk in TRUNKS:

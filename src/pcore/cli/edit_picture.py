@@ -26,7 +26,7 @@ def write_picture(path: Path, points: Tensor, colors: Mapping[str, Tensor]) -> N
     from pcore.editing.diagnosis import HOLE_LEGEND, STRAIN_LEGEND
     from pcore.editing.handles import HANDLE_LEGEND
     from pcore.evaluation.figures import png_bytes, sheet, with_legend
-    from pcore.model.atomic import write_atomically
+    from pcore.files.atomic import write_atomically
 
     cameras = [camera for _, camera in orbit_of_cloud(points, OrbitWish(count=VIEWS))]
     rows = [

@@ -280,7 +280,7 @@ def _name(run: Run, *, aware: bool, lit: bool) -> str:
 def _sheet_writer(folder: Path, methods: Sequence[Method]) -> Callable[[Taken], None]:
     from pcore.evaluation.figures import png_bytes
     from pcore.evaluation.panels import comparison_sheet
-    from pcore.model.atomic import write_atomically
+    from pcore.files.atomic import write_atomically
 
     folder.mkdir(parents=True, exist_ok=True)
     names = [method.name for method in methods]

@@ -15,9 +15,9 @@ from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
-    from pcore.model.checkpoint import SavedModel
+    from pcore.files.model_file import SavedModel
+    from pcore.files.run_folder import RunFolder
     from pcore.training.config import FinetuneConfig
-    from pcore.training.output import RunFolder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,10 +98,10 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     from pcore.cli.stages import relative
     from pcore.cli.train import announce
     from pcore.data.load import load_scene
-    from pcore.model.checkpoint import load_model
-    from pcore.model.records import to_dict
+    from pcore.files.model_file import load_model
+    from pcore.files.records import to_dict
+    from pcore.files.run_folder import RunFolder
     from pcore.training.finetune import finetune
-    from pcore.training.output import RunFolder
     from pcore.training.trained import Trained
 
     prepare_torch(command.threads)

@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 
 from pcore.cli.options import optional
 from pcore.errors import InputError
-from pcore.model.config import ReferenceOrigin
+from pcore.model.papr_config import ReferenceOrigin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,10 +41,10 @@ class ImportPaprCommand:
 
     def run(self) -> None:
         """Import; raises CheckpointError, InputError or TrainingError and then leaves no run."""
-        from pcore.model.official import load_official
-        from pcore.model.provenance import provenance_of
-        from pcore.model.records import to_dict
-        from pcore.training.output import RunFolder, bytes_needed
+        from pcore.files.official import load_official
+        from pcore.files.provenance import provenance_of
+        from pcore.files.records import to_dict
+        from pcore.files.run_folder import RunFolder, bytes_needed
 
         reference = self._reference()
         official = load_official(self.model, self.config)

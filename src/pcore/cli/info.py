@@ -39,7 +39,7 @@ def describe(path: Path) -> Rows:
     Raises:
         CheckpointError: there is neither, or what is there is damaged.
     """
-    from pcore.training.output import RunFolder
+    from pcore.files.run_folder import RunFolder
 
     if not path.is_dir():
         return _model_rows(path)
@@ -78,8 +78,8 @@ def _score_rows(folder: Path) -> Rows:
 
 
 def _model_rows(path: Path) -> Rows:
-    from pcore.model.checkpoint import describe_model
-    from pcore.model.records import to_dict
+    from pcore.files.model_file import describe_model
+    from pcore.files.records import to_dict
 
     summary = describe_model(path)
     came, size = summary.provenance, path.stat().st_size / 1e6
@@ -95,8 +95,8 @@ def _model_rows(path: Path) -> Rows:
 
 
 def _skinning_rows(path: Path) -> Rows:
-    from pcore.model.records import to_dict
-    from pcore.model.skinning_file import describe_skinning
+    from pcore.files.records import to_dict
+    from pcore.files.skinning_file import describe_skinning
 
     summary = describe_skinning(path)
     return [
@@ -108,8 +108,8 @@ def _skinning_rows(path: Path) -> Rows:
 def _light_rows(folder: Path) -> Rows:
     from pcore.cli.light import description
     from pcore.errors import CheckpointError
-    from pcore.model.checkpoint import load_model
-    from pcore.model.light_file import LIGHT_FILE, load_shading
+    from pcore.files.model_file import load_model
+    from pcore.relight.light_file import LIGHT_FILE, load_shading
 
     if not (folder / LIGHT_FILE).is_file():
         return []

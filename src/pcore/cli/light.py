@@ -17,7 +17,7 @@ from pcore.errors import InputError
 if TYPE_CHECKING:
     from pcore.data.scene import Scene
     from pcore.geometry.point_cloud import PointCloud
-    from pcore.model.shading import Shading
+    from pcore.relight.shading import Shading
 
 LightName = Literal["still", "baked"]
 LightChoice = Annotated[LightName | None, optional("{still,baked}")]
@@ -52,7 +52,7 @@ class LightCommand:
         """Estimate; raises PcoreError subclasses for what the user can mend."""
         from pcore.cli.runtime import pick_device, prepare_torch, recorded_factor, scene_of
         from pcore.data.load import load_scene
-        from pcore.training.output import RunFolder
+        from pcore.files.run_folder import RunFolder
 
         prepare_torch(self.threads)
         device = pick_device(self.device)
@@ -72,9 +72,9 @@ def estimate_light(path: Path, scene: Scene, device: str, console: Console) -> N
     """
     from pcore.cli.results import counting
     from pcore.data.scene import check_images
-    from pcore.model.checkpoint import load_model
-    from pcore.model.light_file import LIGHT_FILE, save_shading
-    from pcore.training.light_fit import fit_shading
+    from pcore.files.model_file import load_model
+    from pcore.relight.estimate import fit_shading
+    from pcore.relight.light_file import LIGHT_FILE, save_shading
 
     saved, views = load_model(path), scene.split("train")
     check_images(views)
@@ -135,7 +135,7 @@ def shading_of(
         CheckpointError: the file is damaged or belongs to other points.
         InputError: a light is asked for and there is none.
     """
-    from pcore.model.light_file import LIGHT_FILE, load_shading
+    from pcore.relight.light_file import LIGHT_FILE, load_shading
 
     if choice == "baked" or (choice is None and not aware):
         return None

@@ -60,7 +60,7 @@ class LossOptions:
 
 def check_weights(weight: float, trunk: TrunkName) -> None:
     """Raise WeightsError, naming files and places, when a wanted LPIPS loss cannot be computed."""
-    from pcore.training.perceptual import missing_weights
+    from pcore.metrics.perceptual import missing_weights
 
     advice = missing_weights(trunk) if weight > 0 else None
     if advice is not None:

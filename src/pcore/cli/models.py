@@ -11,12 +11,12 @@ from torch import Tensor
 from pcore.cli.runtime import recorded_factor
 from pcore.data.scene import Scene
 from pcore.errors import CheckpointError
+from pcore.files.model_file import SavedModel, load_model
+from pcore.files.run_folder import RunFolder
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.visibility import seen_by
-from pcore.model.checkpoint import SavedModel, load_model
 from pcore.model.papr import Papr
 from pcore.training.config import FinetuneConfig, PresetName
-from pcore.training.output import RunFolder
 
 _WHITE = (1.0, 1.0, 1.0)
 UNTUNED = "PAPR"

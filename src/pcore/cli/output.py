@@ -67,7 +67,7 @@ def results_folder(folder: Path, *, about: Path) -> None:
 def _content(folder: Path, kind: str) -> str:
     """First names in a folder, empty when there are none; InputError for a file or a run."""
     from pcore.errors import InputError
-    from pcore.training.manifest import MANIFEST_FILE
+    from pcore.files.manifest import MANIFEST_FILE
     from pcore.validation import first_names
 
     if folder.exists() and not folder.is_dir():

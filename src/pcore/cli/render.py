@@ -18,8 +18,8 @@ from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.cli.cameras import Named
+    from pcore.files.run_folder import RunFolder
     from pcore.geometry.point_cloud import PointCloud
-    from pcore.training.output import RunFolder
 
 _FRAMES = 60
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from pcore.model.checkpoint import SavedModel
-    from pcore.training.output import RunFolder
+    from pcore.files.model_file import SavedModel
+    from pcore.files.run_folder import RunFolder
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 
@@ -64,8 +64,8 @@ def open_model(path: Path) -> tuple[SavedModel, RunFolder | None]:
     Raises:
         CheckpointError: there is neither, or it is damaged.
     """
-    from pcore.model.checkpoint import load_model
-    from pcore.training.output import RunFolder
+    from pcore.files.model_file import load_model
+    from pcore.files.run_folder import RunFolder
 
     run = RunFolder.open(path) if path.is_dir() else None
     return load_model(path), run

@@ -15,10 +15,10 @@ from rich.text import Text
 from pcore.errors import DependencyError, PcoreError
 
 if TYPE_CHECKING:
-    from pcore.model.config import PaprConfig
-    from pcore.model.provenance import Stage
+    from pcore.files.provenance import Stage
+    from pcore.files.run_folder import RunFolder
+    from pcore.model.papr_config import PaprConfig
     from pcore.training.events import Listener
-    from pcore.training.output import RunFolder
     from pcore.training.trained import Trained
 
 Train = Callable[["RunFolder", "Listener"], "Trained"]
@@ -60,8 +60,8 @@ def run_session(session: Session, train: Train, console: Console) -> bool:
         PcoreError: whatever the training raises; a run that saved nothing then leaves no trace.
     """
     from pcore.cli.stages import finished, relative
-    from pcore.training.manifest import new_manifest, same_run
-    from pcore.training.output import RunFolder
+    from pcore.files.manifest import new_manifest, same_run
+    from pcore.files.run_folder import RunFolder
 
     where = relative(session.scene, session.path)
     if session.resume and finished(session.path):
@@ -109,8 +109,8 @@ def _train(session: Session, run: RunFolder, train: Train, console: Console) -> 
 
 def _remove_traces(run: RunFolder, *, whole: bool) -> None:
     """Delete what a training that saved nothing wrote; with `whole` the folder that it made too."""
-    from pcore.training.lock import LOCK_FILE
-    from pcore.training.manifest import MANIFEST_FILE
+    from pcore.files.lock import LOCK_FILE
+    from pcore.files.manifest import MANIFEST_FILE
 
     for file in (run.path / MANIFEST_FILE, run.log):
         file.unlink(missing_ok=True)
@@ -127,8 +127,8 @@ def disk_space(model: PaprConfig, points: int) -> int:
     """Bytes that a run of these networks with at most so many points will need."""
     import torch
 
+    from pcore.files.run_folder import bytes_needed
     from pcore.model.papr import Papr
-    from pcore.training.output import bytes_needed
 
     with torch.device("meta"):
         networks = sum(parameter.numel() for parameter in Papr(model).parameters())
@@ -137,7 +137,7 @@ def disk_space(model: PaprConfig, points: int) -> int:
 
 def show_result(console: Console, path: Path, *, next_command: str) -> None:
     """Say how good a run became, where it is, and what can be done with it."""
-    from pcore.training.output import RunFolder
+    from pcore.files.run_folder import RunFolder
 
     validation = RunFolder.open(path).notes.get("validation") or {}
     psnr = validation.get("kept_psnr" if "kept_step" in validation else "psnr")

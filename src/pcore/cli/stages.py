@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from pcore.training.manifest import MANIFEST_FILE
-from pcore.training.output import RunFolder
+from pcore.files.manifest import MANIFEST_FILE
+from pcore.files.run_folder import RunFolder
 
 
 def begun(path: Path) -> bool:

@@ -102,7 +102,7 @@ def train(command: TrainCommand, console: Console) -> None:
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import Session, disk_space, run_session, show_result
     from pcore.data.load import load_scene
-    from pcore.model.records import to_dict
+    from pcore.files.records import to_dict
     from pcore.training.pretrain import pretrain
 
     prepare_torch(command.threads)

@@ -28,7 +28,7 @@ from pcore.deform.base import (
     gradients,
     uprightness,
 )
-from pcore.deform.local_frames import fitted_maps, is_mirrored
+from pcore.deform.jacobian import fitted_maps, is_mirrored
 from pcore.errors import InputError
 from pcore.geometry.neighbours import as_points
 

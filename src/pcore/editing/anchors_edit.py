@@ -17,7 +17,7 @@ from pcore.editing.edits import PlacedEdit
 from pcore.editing.fields import AXIS, Amount, Angle, Axis, Number, Triple
 from pcore.editing.regions import NEAR, Setting
 from pcore.errors import EditError
-from pcore.geometry.anchors import ANCHORS
+from pcore.geometry.farthest_points import ANCHORS
 
 _REACH = 0.25
 _TRIPLE = "three finite numbers [x, y, z]"

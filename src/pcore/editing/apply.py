@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 
 from pcore.deform.base import Deformation, Identity
-from pcore.deform.local_frames import analytic_frames
+from pcore.deform.jacobian import analytic_frames
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.shading import Shading
+from pcore.relight.shading import Shading
 
 
 def deformed_cloud(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from pcore.deform.local_frames import fitted_maps
+from pcore.deform.jacobian import fitted_maps
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.extent import size_of

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from pcore.editing.regions import REGION, REGION_SHAPES, RegionEntry
 from pcore.errors import EditError
-from pcore.model.atomic import write_atomically
+from pcore.files.atomic import write_atomically
 
 Entry = TypeVar("Entry", bound=BaseModel)
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from pcore.editing.anchors_edit import AnchorsEdit
-from pcore.editing.cage import CageEdit
+from pcore.editing.cage_edit import CageEdit
 from pcore.editing.edits import (
     BendEdit,
     Edit,

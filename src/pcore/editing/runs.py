@@ -7,8 +7,8 @@ from pathlib import Path
 from torch import Tensor
 
 from pcore.editing.anchors import AnchorRig, rig_with
-from pcore.model.checkpoint import load_model
-from pcore.model.skinning_file import SKINNING_FILE, load_skinning
+from pcore.files.model_file import load_model
+from pcore.files.skinning_file import SKINNING_FILE, load_skinning
 
 
 def learned_rig(path: Path | str, points: Tensor) -> AnchorRig | None:

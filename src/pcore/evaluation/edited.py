@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pcore.deform.local_frames import unchecked_frames
+from pcore.deform.jacobian import unchecked_frames
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.binding import Bound
 from pcore.editing.handles import HandleDiagnosis, handles_of
@@ -16,7 +16,7 @@ from pcore.editing.script import EditScript
 from pcore.errors import InputError
 from pcore.evaluation.states import Shot, State
 from pcore.geometry.camera import Camera
-from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.orbit import growth
 
 EDIT = "edit:"
@@ -66,7 +66,7 @@ class EditedShape:
             handles=self._handles,
         )
 
-    def _frames(self, points: Tensor, moved: Tensor) -> LocalFrames:
+    def _frames(self, points: Tensor, moved: Tensor) -> LocalMaps:
         del moved  # The edit itself says more than where the points went.
         deformation = self._of(points)[2].deformation
         mended = deformation.mended(points.detach().double()).nonzero().squeeze(-1)

@@ -14,9 +14,9 @@ from PIL import Image, ImageDraw, ImageFont
 
 from pcore.data.pictures import depth_picture, to_bytes
 from pcore.errors import InputError
-from pcore.evaluation.geometry_metrics import COVERED_ALPHA
-from pcore.evaluation.image_metrics import Array, as_array, as_plane_or_image
 from pcore.evaluation.protocol import on_white
+from pcore.metrics.geometry_metrics import COVERED_ALPHA
+from pcore.metrics.image_metrics import Array, as_array, as_plane_or_image
 
 Pixels = NDArray[np.uint8]
 """(H, W, 3) sRGB."""

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pcore.evaluation.image_metrics import (
+from pcore.metrics.image_metrics import (
     Array,
     FloatArray,
     Mask,
@@ -27,8 +27,8 @@ from pcore.evaluation.image_metrics import (
     require_same_size,
     uniform_ssim_map,
 )
-from pcore.training.perceptual import Lpips, find_weights, load_lpips, missing_weights
-from pcore.training.trunks import TrunkName
+from pcore.metrics.perceptual import Lpips, find_weights, load_lpips, missing_weights
+from pcore.metrics.trunks import TrunkName
 
 FOREGROUND_ALPHA = 0.5
 """Ground-truth opacity above which a pixel is foreground in image metrics."""

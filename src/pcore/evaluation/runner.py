@@ -11,15 +11,15 @@ import torch
 from torch import Tensor
 
 from pcore.errors import EditError, InputError
-from pcore.evaluation.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
 from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
 from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
-from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
+from pcore.metrics.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
 from pcore.model.papr import Papr
-from pcore.model.shading import Shading
+from pcore.relight.shading import Shading
 
 Value = float | int | None
 Progress = Callable[[int, int], None]
@@ -267,7 +267,7 @@ def _health(
     return {method.name: known[id(method.cloud)] for method in methods}
 
 
-def _frames(state: State, rest: Tensor, moved: Tensor) -> LocalFrames | None:
+def _frames(state: State, rest: Tensor, moved: Tensor) -> LocalMaps | None:
     try:
         return state.frames(rest, moved)
     except EditError as error:

@@ -20,13 +20,13 @@ from torch import Tensor
 from pcore.data.load import find_states, load_scene, load_state
 from pcore.data.scene import Scene, View
 from pcore.deform.base import Deformation
-from pcore.deform.local_frames import analytic_frames, estimated_frames
+from pcore.deform.jacobian import analytic_frames, estimated_frames
 from pcore.deform.simple import uniform_scale
 from pcore.editing.handles import HandleDiagnosis
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.ground_truth import DeformedTruth, SurfaceAnchors, load_truth
 from pcore.geometry.camera import Camera
-from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.local_maps import LocalMaps
 
 CANONICAL = "canonical"
 ALL = "all"
@@ -75,7 +75,7 @@ class State:
     kind: Kind
     shots: tuple[Shot, ...]
     move: Callable[[Tensor], Tensor]
-    frames: Callable[[Tensor, Tensor], LocalFrames | None]
+    frames: Callable[[Tensor, Tensor], LocalMaps | None]
     object_size: float | None
     world: float = 1.0
     handles: Callable[[Tensor], tuple[HandleDiagnosis, ...]] | None = None
@@ -269,7 +269,7 @@ def _carried_by(formula: Deformation) -> Callable[[Tensor], Tensor]:
     return lambda points: formula(points.double()).to(points)
 
 
-def _by_formula(formula: Deformation) -> Callable[[Tensor, Tensor], LocalFrames]:
+def _by_formula(formula: Deformation) -> Callable[[Tensor, Tensor], LocalMaps]:
     return lambda points, moved: analytic_frames(formula, points)
 
 

@@ -15,7 +15,7 @@ from pcore.errors import InputError
 from pcore.evaluation.protocol import PROTOCOLS, Perceptual
 from pcore.evaluation.runner import ImageRow, Value
 from pcore.evaluation.summary import Gain, StateMean
-from pcore.model.atomic import write_atomically
+from pcore.files.atomic import write_atomically
 
 IMAGES_FILE = "images.csv"
 SUMMARY_FILE = "summary.json"

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
-from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.neighbours import nearest
-from pcore.geometry.skin import Skin
+from pcore.geometry.surfels import Surfels
 
 _ROUNDING = 1e-5
 _BESIDE = 3
@@ -37,8 +37,8 @@ class PointCloud:
     positions: Tensor
     features: Tensor
     influence: Tensor
-    frames: LocalFrames | None = None
-    skin: Skin | None = None
+    frames: LocalMaps | None = None
+    skin: Surfels | None = None
     before: Tensor | None = None
 
     def __post_init__(self) -> None:
@@ -112,7 +112,7 @@ class PointCloud:
         sizes = before[:, 1:].sum(dim=1)
         return float((after.sum(dim=1) / sizes.clamp_min(_LEAST)).median())
 
-    def moved(self, positions: Tensor, frames: LocalFrames | None = None) -> PointCloud:
+    def moved(self, positions: Tensor, frames: LocalMaps | None = None) -> PointCloud:
         """Return the same points at other positions (N, 3), with or without their rest state.
 
         A skin belongs to the positions it was computed for, and is left behind.
@@ -120,7 +120,7 @@ class PointCloud:
         before = self.positions if self.before is None else self.before
         return replace(self, positions=positions, frames=frames, skin=None, before=before)
 
-    def covered(self, skin: Skin | None) -> PointCloud:
+    def covered(self, skin: Surfels | None) -> PointCloud:
         """Return the same points with this surface over them."""
         return replace(self, skin=skin)
 

@@ -15,8 +15,8 @@ from pcore.geometry.rays import RayBundle
 from pcore.kernels.functional import AttentionRules, proximity_attention
 from pcore.kernels.networks import Layers
 from pcore.kernels.reference import encode
-from pcore.model.config import MlpConfig, PaprConfig
 from pcore.model.encoding import Normalisation, encoded_size
+from pcore.model.papr_config import MlpConfig, PaprConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from pcore.geometry.rays import RayBundle
-from pcore.geometry.skin import Skin
-from pcore.kernels import cpu_meeting
+from pcore.geometry.surfels import Surfels
+from pcore.kernels import cpu_intersection as cpu_meeting
 from pcore.kernels.backends import takes_cpu
 
 _FACING = 0.05
@@ -32,7 +32,7 @@ _HIDDEN = 1e-6
 
 
 def meet_lit(
-    skin: Skin, rays: RayBundle, weights: Tensor, points: Tensor
+    skin: Surfels, rays: RayBundle, weights: Tensor, points: Tensor
 ) -> tuple[Tensor, Tensor | None]:
     """Find where rays meet the surface (M, 3) and the factors there (M,), if it has any.
 
@@ -50,7 +50,7 @@ def meet_lit(
     return cpu_meeting.meet(skin, rays, weights, points, limits)
 
 
-def meet(skin: Skin, rays: RayBundle, weights: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+def meet(skin: Surfels, rays: RayBundle, weights: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     """Find where rays meet the surface.
 
     A ray meets the plane of every piece of surface over its points that faces it; the mean of the
@@ -82,7 +82,7 @@ def meet(skin: Skin, rays: RayBundle, weights: Tensor, points: Tensor) -> tuple[
     return rays.origins + mean * rays.directions, middle
 
 
-def gains_at(skin: Skin, rays: RayBundle, places: Tensor, middle: Tensor) -> Tensor:
+def gains_at(skin: Surfels, rays: RayBundle, places: Tensor, middle: Tensor) -> Tensor:
     """Factor (M,) on the brightness of what rays meet: of pieces of surface around that face them.
 
     Args:
@@ -101,11 +101,11 @@ def gains_at(skin: Skin, rays: RayBundle, places: Tensor, middle: Tensor) -> Ten
     return change.exp()
 
 
-def _nearness(squared: Tensor, spacings: float, skin: Skin) -> Tensor:
+def _nearness(squared: Tensor, spacings: float, skin: Surfels) -> Tensor:
     """Weights of pieces by their squared distances: 1 at 0, a quarter after so many spacings."""
     return (1 + squared / _reach(spacings, skin) ** 2).pow(-2)
 
 
-def _reach(spacings: float, skin: Skin) -> float:
+def _reach(spacings: float, skin: Surfels) -> float:
     """So many spacings in world units; 1 for a point alone, which is no distance from others."""
     return spacings * skin.spacing or 1.0

@@ -12,8 +12,8 @@ from torch import Tensor, nn
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended, ProximityAttention
-from pcore.model.config import PaprConfig
 from pcore.model.far_side import opaque, replaced, turned, unanswered
+from pcore.model.papr_config import PaprConfig
 from pcore.model.sight import Sight, look, look_behind
 from pcore.model.strangers import OPAQUE, behind
 from pcore.model.surface import surface_of

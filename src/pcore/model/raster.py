@@ -17,7 +17,7 @@ from torch import Tensor
 from pcore.geometry.camera import Camera
 from pcore.geometry.pixel_samples import check_samples, grid_places
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.config import PaprConfig
+from pcore.model.papr_config import PaprConfig
 from pcore.model.unet import ALIGNMENT, RECEPTIVE_MARGIN
 
 _FINEST, _COARSEST = 16, 4

@@ -16,9 +16,9 @@ from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.config import PaprConfig
 from pcore.model.encoding import encoded_size
 from pcore.model.papr import Papr
+from pcore.model.papr_config import PaprConfig
 from pcore.model.passes import (
     Canvas,
     Picture,

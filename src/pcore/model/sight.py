@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from pcore.geometry.local_frames import LocalFrames
+from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle, perpendicular
 from pcore.kernels.functional import nearest_to_rays, pull_back
@@ -51,7 +51,7 @@ class Hidden:
     asked: Tensor
     rays: RayBundle
     candidates: Tensor
-    frames: LocalFrames
+    frames: LocalMaps
     layers: LayerRules
 
 
@@ -105,7 +105,7 @@ def _straight(positions: Tensor, rays: RayBundle, k: int, cutoff: float | None) 
 
 
 def _pulled_back(
-    positions: Tensor, frames: LocalFrames, rays: RayBundle, k: int, cutoff: float | None
+    positions: Tensor, frames: LocalMaps, rays: RayBundle, k: int, cutoff: float | None
 ) -> Sight:
     """Look with rays (R,) or (P, S) at points that each have a map of their own."""
     pixels = rays if len(rays.shape) == 2 else rays[:, None]
@@ -171,7 +171,7 @@ def look_behind(
 
 def _chosen(
     positions: Tensor,
-    frames: LocalFrames,
+    frames: LocalMaps,
     rays: RayBundle,
     candidates: Tensor,
     k: int,

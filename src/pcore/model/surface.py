@@ -16,7 +16,7 @@ from torch import Tensor
 
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.kernels import cpu_meeting
+from pcore.kernels import cpu_intersection as cpu_meeting
 from pcore.kernels.backends import takes_cpu
 from pcore.model.attention import Attended
 from pcore.model.meeting import meet_lit

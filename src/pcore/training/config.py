@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
+from pcore.contrib.learned_skinning import SkinningConfig
 from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
-from pcore.geometry.anchors import ANCHORS
-from pcore.model.config import PaprConfig
-from pcore.model.skinning import SkinningConfig
+from pcore.geometry.farthest_points import ANCHORS
+from pcore.model.papr_config import PaprConfig
 from pcore.training.schedule import Schedule
 from pcore.validation import check_count
 

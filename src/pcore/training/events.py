@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pcore.errors import DependencyError
-from pcore.training.closing import Closing
-from pcore.training.output import write_guard
+from pcore.files.closing import Closing
+from pcore.files.run_folder import write_guard
 
 
 def _no_figures() -> dict[str, float]:

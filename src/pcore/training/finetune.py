@@ -7,21 +7,21 @@ from collections.abc import Callable, Sequence
 
 import torch
 
+from pcore.contrib.learned_skinning import Skinning
 from pcore.data.scene import Scene, View, check_images, hold_out
-from pcore.model.skinning import Skinning
+from pcore.files.run_folder import RunFolder
 from pcore.training.compiling import compile_networks
 from pcore.training.config import FinetuneConfig
 from pcore.training.events import Listener, silent
+from pcore.training.held_out import validate
 from pcore.training.loop import Plan, autocast, run_loop
 from pcore.training.losses import Losses, mean_of, perceptual_loss
-from pcore.training.motion import skinning_to_train
 from pcore.training.objective import Objective
-from pcore.training.output import RunFolder
 from pcore.training.patches import draw_patch
+from pcore.training.random_motion import skinning_to_train
 from pcore.training.schedule import Schedule
 from pcore.training.trainable import Trainable, trainable
 from pcore.training.trained import Trained
-from pcore.training.validation import validate
 
 
 def finetune(

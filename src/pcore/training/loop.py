@@ -15,16 +15,16 @@ import torch
 
 from pcore.data.scene import View
 from pcore.errors import TrainingError
-from pcore.model.provenance import provenance_of
+from pcore.files.provenance import provenance_of
+from pcore.files.run_folder import RunFolder
 from pcore.training.compiling import compiler_errors_explained
 from pcore.training.config import Background
 from pcore.training.events import Listener, Saved, StepReport, Stopped, ValidationReport
+from pcore.training.held_out import validate
 from pcore.training.losses import Losses
-from pcore.training.output import RunFolder
 from pcore.training.schedule import Schedule
 from pcore.training.trainable import Trainable, restore
 from pcore.training.trained import Trained
-from pcore.training.validation import validate
 
 _REPORT_EVERY = 10
 

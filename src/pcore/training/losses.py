@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from pcore.metrics.perceptual import load_lpips
 from pcore.model.papr import Rendering
 from pcore.training.config import TrunkName
 from pcore.training.patches import Patch
-from pcore.training.perceptual import load_lpips
 
 Perceptual = Callable[[Tensor, Tensor], Tensor]
 """Distance of two (1, 3, H, W) images in [-1, 1]."""

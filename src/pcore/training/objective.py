@@ -17,8 +17,8 @@ from pcore.training.consistency import (
     rays_and_points_rays,
 )
 from pcore.training.losses import Losses, Perceptual, photometric
-from pcore.training.motion import FieldMotion, Motion, SkinnedMotion
 from pcore.training.patches import Patch
+from pcore.training.random_motion import FieldMotion, Motion, SkinnedMotion
 from pcore.training.trainable import Trainable
 from pcore.training.trained import Trained
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal, get_args
 
+from pcore.contrib.learned_skinning import SkinningConfig
 from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
-from pcore.model.config import MlpConfig, Octaves, PaprConfig
-from pcore.model.skinning import SkinningConfig
+from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
 from pcore.training.config import (
     FinetuneConfig,
     GrowConfig,

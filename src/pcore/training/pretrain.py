@@ -12,15 +12,15 @@ from torch import Tensor
 
 from pcore.data.scene import Scene, View, check_images, hold_out
 from pcore.errors import InputError, TrainingError
+from pcore.files.run_folder import RunFolder
 from pcore.geometry.point_cloud import PointCloud
-from pcore.model.config import PaprConfig, ReferenceOrigin
 from pcore.model.papr import Papr
+from pcore.model.papr_config import PaprConfig, ReferenceOrigin
 from pcore.training.compiling import compile_networks
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.loop import Plan, autocast, run_loop
 from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric
-from pcore.training.output import RunFolder
 from pcore.training.patches import draw_patch
 from pcore.training.population import (
     grid_points,

@@ -10,13 +10,13 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from pcore.contrib.learned_skinning import Skinning
 from pcore.errors import CheckpointError
+from pcore.files.training_state import TrainingState, generator_states, restore_generators
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.model.skinning import Skinning
 from pcore.training.config import Rates
 from pcore.training.schedule import Schedule
-from pcore.training.state import TrainingState, generator_states, restore_generators
 from pcore.training.trained import Trained
 
 _CLOUD = ("positions", "features", "influence")

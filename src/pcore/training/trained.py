@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pcore.contrib.learned_skinning import Skinning
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.model.skinning import Skinning
 
 
 @dataclass(frozen=True, kw_only=True)

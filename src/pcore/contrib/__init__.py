@@ -1,0 +1,1 @@
+"""Learned skinning, which the paper has and the default does not need."""

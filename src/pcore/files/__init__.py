@@ -1,0 +1,1 @@
+"""Files of ours: models, run folders, training states, headers, and official checkpoints."""

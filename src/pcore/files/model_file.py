@@ -1,0 +1,267 @@
+"""The model file `model.safetensors`: weights, points and all that is needed to use them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from pcore.errors import CheckpointError
+from pcore.files.atomic import write_atomically
+from pcore.files.provenance import Provenance, pcore_version
+from pcore.files.records import from_dict, to_dict
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.papr import Papr
+from pcore.model.papr_config import PaprConfig
+
+MODEL_FILE = "model.safetensors"
+_FORMAT = "pcore-model"
+_VERSION = 5
+_READ = ("1", "2", "3", "4", str(_VERSION))
+_CLOUD = ("positions", "features", "influence")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SavedModel:
+    """What a model file holds; tensors on the CPU.
+
+    Attributes:
+        config: architecture.
+        papr_state: state dict of `Papr(config)`.
+        cloud: the canonical points.
+        provenance: where they come from.
+    """
+
+    config: PaprConfig
+    papr_state: dict[str, Tensor]
+    cloud: PointCloud
+    provenance: Provenance
+
+    def papr(self) -> Papr:
+        """Build the networks with these weights, in evaluation mode."""
+        papr = Papr(self.config)
+        papr.load_state_dict(self.papr_state)
+        return papr.eval()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSummary:
+    """What the header of a model file says, read without its tensors."""
+
+    config: PaprConfig
+    provenance: Provenance
+    points: int
+    parameters: int
+    """Numbers in all tensors, the cloud's included."""
+
+
+def save_model(
+    path: Path,
+    papr_state: Mapping[str, Tensor],
+    cloud: PointCloud,
+    config: PaprConfig,
+    provenance: Provenance,
+) -> None:
+    """Write a model file; a crash at any moment leaves the old file or the new one.
+
+    Args:
+        path: where to, normally RUN/model.safetensors.
+        papr_state: state dict of `Papr(config)`.
+        cloud: the canonical points, world units.
+        config: architecture of the networks.
+        provenance: where the weights come from.
+
+    Raises:
+        CheckpointError: a tensor is missing, misshaped or not finite; nothing is written, so that
+            a model gone wrong never replaces a good one.
+        OSError: the file cannot be written; the old one is untouched.
+    """
+    tensors = {f"papr.{name}": value for name, value in papr_state.items()}
+    tensors |= {f"cloud.{name}": getattr(cloud, name) for name in _CLOUD}
+    _check_tensors(path, {name: _form(value) for name, value in tensors.items()}, config)
+    _check_finite(path, tensors)
+    header = {
+        "format": _FORMAT,
+        "version": str(_VERSION),
+        "config": json.dumps(to_dict(config)),
+        "provenance": json.dumps(to_dict(provenance)),
+    }
+    plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    write_atomically(path, save(plain, metadata=header))
+
+
+def load_model(path: Path | str) -> SavedModel:
+    """Read a model file.
+
+    Args:
+        path: a model file or the run folder that holds one.
+
+    Raises:
+        CheckpointError: the file is missing, damaged, not ours, of a newer version, or its tensors
+            are not those of its own configuration.
+    """
+    path = _model_path(path)
+    config, provenance, _ = _read_header(path)
+    with _open(path) as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    _check_finite(path, tensors)
+    return SavedModel(
+        config=config,
+        papr_state={
+            name.removeprefix("papr."): value
+            for name, value in tensors.items()
+            if name.startswith("papr.")
+        },
+        cloud=PointCloud.from_tensors({name: tensors[f"cloud.{name}"] for name in _CLOUD}),
+        provenance=provenance,
+    )
+
+
+def describe_model(path: Path | str) -> ModelSummary:
+    """Read what a model file (or its run folder) says about itself, fast.
+
+    Raises:
+        CheckpointError: as `load_model`, but values of tensors are not looked at.
+    """
+    config, provenance, forms = _read_header(_model_path(path))
+    return ModelSummary(
+        config=config,
+        provenance=provenance,
+        points=forms["cloud.positions"][0][0],
+        parameters=sum(torch.Size(shape).numel() for shape, _ in forms.values()),
+    )
+
+
+_Form = tuple[tuple[int, ...], str]
+
+
+def _form(tensor: Tensor) -> _Form:
+    return tuple(tensor.shape), _DTYPES.get(tensor.dtype, str(tensor.dtype))
+
+
+_DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch.int64: "I64"}
+
+
+def _model_path(given: Path | str) -> Path:
+    path = Path(given)
+    path = path / MODEL_FILE if path.is_dir() else path
+    if not path.is_file():
+        raise CheckpointError(
+            f"no model at {path}: expected a {MODEL_FILE} written by `pcore train`, `pcore "
+            "finetune` or `pcore import papr`; check the path, or let the training reach its "
+            "first checkpoint"
+        )
+    return path
+
+
+def _open(path: Path) -> Any:
+    """Open a safetensors file; the library checks that its size is what the header says."""
+    with path.open("rb") as file:
+        start = file.read(9)
+    # A safetensors file begins with the length of its header, whose bytes may look like anything.
+    if start.startswith((b"PK\x03\x04", b"\x80")) and not start.endswith(b"{"):
+        raise CheckpointError(
+            f"{path} is a pickle file of PyTorch, not a model of pcore: expected a safetensors "
+            "file; it was not executed. A checkpoint of the original PAPR comes in with "
+            "`pcore import papr FILE --config FILE.yml -o RUN`"
+        )
+    try:
+        return safe_open(path, framework="pt")
+    except SafetensorError as error:
+        raise CheckpointError(
+            f"{path} is truncated, damaged or not a safetensors file ({error}): expected a "
+            f"{MODEL_FILE} written by pcore; copy it again or save it anew with `--resume`"
+        ) from error
+
+
+def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
+    """Return what the header says, after checking that it is ours and consistent."""
+    with _open(path) as file:
+        header: dict[str, str] = file.metadata() or {}
+        slices = {name: file.get_slice(name) for name in file.keys()}  # noqa: SIM118
+        forms: dict[str, _Form] = {
+            name: (tuple(part.get_shape()), part.get_dtype()) for name, part in slices.items()
+        }
+    if header.get("format") != _FORMAT:
+        raise CheckpointError(
+            f"{path} is a safetensors file but not a model of pcore: expected the format "
+            f"'{_FORMAT}' in its header, got {header.get('format')!r}; give a file written by "
+            "`pcore train`, `pcore finetune` or `pcore import papr`"
+        )
+    if header.get("version") not in _READ:
+        raise CheckpointError(
+            f"{path} has version {header.get('version')!r} of the model format: this pcore "
+            f"({pcore_version()}) reads versions {', '.join(_READ[:-1])} and {_READ[-1]}; use the "
+            "pcore that wrote it"
+        )
+    settings = _json(path, header, "config")
+    if header["version"] == "1":
+        settings["reference"] = None  # Version 1 knew rays from the camera only.
+    if header["version"] in {"1", "2"} and "frequencies" in settings:
+        number = settings.pop("frequencies")  # One number for all, before version 3.
+        settings["octaves"] = dict.fromkeys(("point", "along", "across", "direction"), number)
+    if header["version"] in {"1", "2", "3"}:
+        settings["samples"] = 1  # Pictures had one ray per pixel, before version 4.
+    if header["version"] in {"1", "2", "3", "4"}:
+        settings["pixel"] = None  # Nor did models know the size of their photos' pixels.
+    config = from_dict(PaprConfig, settings, where=f"{path}: config")
+    provenance = from_dict(
+        Provenance, _json(path, header, "provenance"), where=f"{path}: provenance"
+    )
+    _check_tensors(path, forms, config)
+    return config, provenance, forms
+
+
+def _json(path: Path, header: Mapping[str, str], key: str) -> Any:
+    try:
+        return json.loads(header.get(key, ""))
+    except json.JSONDecodeError as error:
+        raise CheckpointError(
+            f"{path}: expected JSON under '{key}' of the header, got {header.get(key)!r:.60}; "
+            "the file was edited, use the original"
+        ) from error
+
+
+def _check_tensors(path: Path, forms: Mapping[str, _Form], config: PaprConfig) -> None:
+    """Raise unless names, shapes and types are those of `Papr(config)` and a cloud."""
+    with torch.device("meta"):
+        expected = {f"papr.{k}": _form(v) for k, v in Papr(config).state_dict().items()}
+    points = next(iter(forms.get("cloud.positions", ((0,), ""))[0]), 0)
+    expected["cloud.positions"] = ((points, 3), "F32")
+    expected["cloud.features"] = ((points, config.feature_size), "F32")
+    expected["cloud.influence"] = ((points,), "F32")
+    problems = [f"missing tensor '{name}'" for name in expected if name not in forms]
+    problems += [f"unexpected tensor '{name}'" for name in forms if name not in expected]
+    problems += [
+        f"'{name}': expected {_show(form)}, got {_show(forms[name])}"
+        for name, form in expected.items()
+        if name in forms and forms[name] != form
+    ]
+    if points == 0:
+        problems.append("the cloud has no points")
+    if problems:
+        more = f" and {len(problems) - 4} more" if len(problems) > 4 else ""
+        raise CheckpointError(
+            f"{path}: the tensors are not those of its configuration: {', '.join(problems[:4])}"
+            f"{more}; the file was made by another version or edited, save the model again"
+        )
+
+
+def _show(form: _Form) -> str:
+    return f"{form[1]} {form[0]}"
+
+
+def _check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    bad = [name for name, value in tensors.items() if not bool(torch.isfinite(value).all())]
+    if bad:
+        raise CheckpointError(
+            f"{path}: expected finite numbers, got NaN or infinity in {', '.join(bad[:4])}; the "
+            "training diverged, go back to an earlier checkpoint or lower the learning rates"
+        )

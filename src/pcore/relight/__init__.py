@@ -1,0 +1,1 @@
+"""The light of the photos: lamps, shadows, their estimate, and surfels lit anew."""

@@ -1,0 +1,223 @@
+"""What points hide from one another of light from far away: shadow maps made of points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import torch
+from numba import prange
+from torch import Tensor
+
+from pcore.geometry.rays import perpendicular
+from pcore.kernels.numba_bridge import as_float32, use_torch_threads
+from pcore.relight.lamps import known_normals
+
+_CELL = 0.5
+"""Side of the cells of a shadow map in spacings; a point covers nine of them."""
+_BACK, _UNKNOWN, _FRONT = 1.0, 3.5, 8.0
+"""Points of a surface lie in a shell, and do not hide what is less deep below it. In spacings: for
+points that face away from the light, which belong to another surface than what they hide; for those
+whose normal is not known; and for those that face the light. Chosen on objects of our own (ADR 11).
+"""
+_FINEST = 1024
+"""Cells along the longest side of a map at most, so that a stray point does not cost a lot."""
+_REACH = 2
+"""A point covers the cells beside its own, and so matters to cells around others at twice that."""
+_COVERED = np.array(
+    [
+        sum(
+            1 << (3 * (a + 1) + b + 1)
+            for a in (-1, 0, 1)
+            for b in (-1, 0, 1)
+            if max(abs(a - across), abs(b - along)) <= 1
+        )
+        for across in range(-_REACH, _REACH + 1)
+        for along in range(-_REACH, _REACH + 1)
+    ],
+    dtype=np.int64,
+)
+"""Which of the nine cells around a point one in each of the 25 around it covers, a bit each."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shadows:
+    """What N points see towards D directions.
+
+    Attributes:
+        open: (N, D) share in [0, 1] that nothing hides; 0 where a surface faces away.
+        hider: (N, D) int32, the point that hides the rest: the lowest above it of those that face
+            it, of all where none does; the point itself where nothing hides anything.
+    """
+
+    open: Tensor
+    hider: Tensor
+
+
+@torch.no_grad()
+def shadows_of(points: Tensor, normals: Tensor, directions: Tensor, spacing: float) -> Shadows:
+    """Tell which light from D directions reaches N points past the others, and what hides the rest.
+
+    Across every direction lies a grid of cells. A point covers its cell and the eight around it; of
+    the nine cells around a point those are open in which nothing is nearer to the light by more
+    than the thickness of a surface, and before the plane of the point's own surface.
+
+    Args:
+        points: (N, 3) on the CPU, finite, world units.
+        normals: (N, 3) unit; zero where a point faces everywhere.
+        directions: (D, 3) unit, towards where the light comes from.
+        spacing: of the points, from `pcore.geometry.visibility.cloud_spacing`, world units; 0 when
+            nothing hides anything.
+    """
+    count, looks = len(points), len(directions)
+    hider = torch.arange(count, dtype=torch.int32)[:, None].repeat(1, looks)
+    facing = as_float32(normals @ directions.to(normals).T)
+    unknown = (~known_normals(normals)).numpy()
+    side = float((points.amax(dim=0) - points.amin(dim=0)).norm()) if count else 0.0
+    if side == 0 or spacing <= 0:
+        seen = torch.from_numpy((facing > 0) | unknown[:, None])
+        return Shadows(open=seen.to(torch.float32), hider=hider)
+    spacing = max(spacing, side / _FINEST / _CELL)
+    middle = (points.amin(dim=0) + points.amax(dim=0)) / 2
+    directions = directions.to(points)
+    right = perpendicular(directions)
+    up = torch.linalg.cross(directions, right)
+    share = torch.zeros(count, looks)
+    use_torch_threads()
+    _hide(
+        as_float32(points - middle),
+        as_float32(normals),
+        facing,
+        unknown,
+        as_float32(torch.stack([right, up, directions], dim=1)),
+        np.float32(_CELL * spacing),
+        np.array([_BACK, _UNKNOWN, _FRONT], dtype=np.float32) * np.float32(spacing),
+        share.numpy(),
+        hider.numpy(),
+    )
+    return Shadows(open=share, hider=hider)
+
+
+@numba.njit(cache=True, parallel=True)
+def _hide(
+    points: np.ndarray,
+    normals: np.ndarray,
+    facing: np.ndarray,
+    unknown: np.ndarray,
+    axes: np.ndarray,
+    step: np.float32,
+    thick: np.ndarray,
+    share: np.ndarray,
+    hider: np.ndarray,
+) -> None:
+    for look in prange(len(axes)):
+        cells, height, width, count = _cells(points, axes[look], step)
+        shade = height - _thickness(facing[:, look], unknown, thick)
+        start, order, top = _sorted_by_cell(cells, shade, count)
+        for point in range(len(points)):
+            if facing[point, look] > 0 or unknown[point]:
+                covered, found = 0, (point, point)
+                for near in range(len(_COVERED)):
+                    across, along = near // 5 - _REACH, near % 5 - _REACH
+                    cell = cells[point] + across * width + along
+                    if top[cell] > height[point]:
+                        inside = order[start[cell] : start[cell + 1]]
+                        hides, found = _hiders(
+                            point, inside, points, normals, height, shade, facing[:, look], found
+                        )
+                        if hides:
+                            covered |= _COVERED[near]
+                share[point, look] = (9 - _bits(covered)) / 9
+                hider[point, look] = found[0] if found[1] == point else found[1]
+
+
+@numba.njit(cache=True)
+def _hiders(
+    point: int,
+    inside: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    height: np.ndarray,
+    shade: np.ndarray,
+    facing: np.ndarray,
+    found: tuple[int, int],
+) -> tuple[bool, tuple[int, int]]:
+    """Whether any of some points hides the light from one.
+
+    Also the lowest of those that do and of those among them that face away from the light, the
+    ones found so far included; the point itself where there is none.
+    """
+    hides, (lowest, down) = False, found
+    here, normal = points[point], normals[point]
+    for other in inside:
+        if shade[other] > height[point]:
+            there = points[other]
+            ahead = normal[0] * (there[0] - here[0])
+            ahead += normal[1] * (there[1] - here[1]) + normal[2] * (there[2] - here[2])
+            if ahead >= 0:
+                hides = True
+                if lowest == point or height[other] < height[lowest]:
+                    lowest = other
+                if facing[other] < 0 and (down == point or height[other] < height[down]):
+                    down = other
+    return hides, (lowest, down)
+
+
+@numba.njit(cache=True)
+def _thickness(facing: np.ndarray, unknown: np.ndarray, thick: np.ndarray) -> np.ndarray:
+    """How deep (N,) below a point what it hides must lie at least."""
+    depth = np.empty(len(facing), dtype=np.float32)
+    for point in range(len(facing)):
+        if unknown[point]:
+            depth[point] = thick[1]
+        else:
+            depth[point] = thick[0] if facing[point] < 0 else thick[2]
+    return depth
+
+
+@numba.njit(cache=True)
+def _bits(covered: int) -> int:
+    count = 0
+    for cell in range(9):
+        count += (covered >> cell) & 1
+    return count
+
+
+@numba.njit(cache=True)
+def _cells(
+    points: np.ndarray, axes: np.ndarray, step: np.float32
+) -> tuple[np.ndarray, np.ndarray, int, int]:
+    """Cell and height of every point, how many cells a row has, and how many there are in all."""
+    column = np.empty(len(points), dtype=np.int64)
+    row = np.empty(len(points), dtype=np.int64)
+    height = np.empty(len(points), dtype=np.float32)
+    for point in range(len(points)):
+        x, y, z = points[point]
+        column[point] = np.floor((x * axes[0, 0] + y * axes[0, 1] + z * axes[0, 2]) / step)
+        row[point] = np.floor((x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2]) / step)
+        height[point] = x * axes[2, 0] + y * axes[2, 1] + z * axes[2, 2]
+    # Around all of them lie cells of nothing, which points at the rim look at.
+    column, row = column - column.min() + _REACH, row - row.min() + _REACH
+    width = row.max() + 1 + _REACH
+    return column * width + row, height, width, (column.max() + 1 + _REACH) * width
+
+
+@numba.njit(cache=True)
+def _sorted_by_cell(
+    cells: np.ndarray, height: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the points of every cell begin, the points cell by cell, and the highest in each."""
+    start = np.zeros(count + 1, dtype=np.int64)
+    top = np.full(count, -np.inf, dtype=np.float32)
+    for point in range(len(cells)):
+        cell = cells[point]
+        start[cell + 1] += 1
+        top[cell] = max(top[cell], height[point])
+    for cell in range(count):
+        start[cell + 1] += start[cell]
+    free, order = start[:-1].copy(), np.empty(len(cells), dtype=np.int64)
+    for point in range(len(cells)):
+        order[free[cells[point]]] = point
+        free[cells[point]] += 1
+    return start, order, top

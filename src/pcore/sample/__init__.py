@@ -1,0 +1,1 @@
+"""The embedded object: its mesh, pictures and deformed states."""
