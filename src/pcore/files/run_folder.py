@@ -14,7 +14,7 @@ from pcore.contrib.learned_skinning import Skinning
 from pcore.errors import CheckpointError, InputError, TrainingError
 from pcore.files.atomic import PARTIAL_SUFFIX, remove_partials, write_atomically
 from pcore.files.closing import Closing
-from pcore.files.gaussian_file import GAUSSIANS_FILE, SavedGaussians, save_gaussians
+from pcore.files.gaussian_file import GAUSSIANS_FILE
 from pcore.files.lock import LOCK_FILE, FolderLock
 from pcore.files.manifest import MANIFEST_FILE, new_manifest, read_manifest, same_run
 from pcore.files.model_file import MODEL_FILE, save_model
@@ -117,6 +117,11 @@ class RunFolder(Closing):
         return self.path / GAUSSIANS_FILE
 
     @property
+    def has_model(self) -> bool:
+        """Whether there is something to draw."""
+        return self.model.is_file() or self.gaussians.is_file()
+
+    @property
     def skinning(self) -> Path:
         """The skinning for users, `skinning.safetensors`; only where one was trained."""
         return self.path / SKINNING_FILE
@@ -192,11 +197,6 @@ class RunFolder(Closing):
         """Write `model.safetensors`; raises TrainingError as `save_state`."""
         with write_guard(self.model):
             save_model(self.model, papr_state, cloud, config, provenance)
-
-    def save_gaussians(self, saved: SavedGaussians) -> None:
-        """Write `gaussians.safetensors`; raises TrainingError as `save_state`."""
-        with write_guard(self.gaussians):
-            save_gaussians(self.gaussians, saved)
 
     def save_skinning(self, skinning: Skinning) -> None:
         """Write `skinning.safetensors`; raises TrainingError as `save_state`."""

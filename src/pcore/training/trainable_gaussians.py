@@ -12,9 +12,9 @@ from torch import Tensor, nn
 from pcore.data.images import background_color, composite
 from pcore.data.scene import View
 from pcore.errors import CheckpointError
-from pcore.files.gaussian_file import SavedGaussians
+from pcore.files.gaussian_file import SavedGaussians, save_gaussians
 from pcore.files.provenance import Provenance, pcore_version
-from pcore.files.run_folder import RunFolder
+from pcore.files.run_folder import RunFolder, write_guard
 from pcore.files.training_state import TrainingState, generator_states, restore_generators
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, PosedGaussians, render
@@ -161,7 +161,8 @@ class TrainableGaussians:
         saved = SavedGaussians(
             gaussians=found.gaussians, footprint=found.footprint, provenance=provenance
         )
-        folder.save_gaussians(saved)
+        with write_guard(folder.gaussians):
+            save_gaussians(folder.gaussians, saved)
         return [str(folder.gaussians)]
 
     def state(self) -> TrainingState:
