@@ -29,7 +29,7 @@ from pcore.files.model_file import load_model
 from pcore.files.run_folder import RunFolder
 from pcore.model.papr import Papr
 from pcore.training import finetune as module
-from pcore.training import loop, objective
+from pcore.training import loop, objective, trainable
 from pcore.training.config import FinetuneConfig, PatchConfig, Rates
 from pcore.training.events import StepReport, Stopped, ValidationReport
 from pcore.training.finetune import finetune
@@ -254,7 +254,7 @@ def falling(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Trained]]:
             return {"psnr": rest.pop(0)}
 
         monkeypatch.setattr(module, "validate", validate)
-        monkeypatch.setattr(loop, "validate", validate)
+        monkeypatch.setattr(trainable, "validate", validate)
         return seen
 
     return script

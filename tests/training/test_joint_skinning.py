@@ -30,7 +30,7 @@ from pcore.files.records import from_dict, to_dict
 from pcore.files.run_folder import RunFolder
 from pcore.files.skinning_file import load_skinning
 from pcore.training import finetune as module
-from pcore.training import loop
+from pcore.training import trainable
 from pcore.training.config import FinetuneConfig, Rates, SkinningTrainConfig
 from pcore.training.events import Listener, Saved, StepReport, silent
 from pcore.training.finetune import finetune
@@ -138,7 +138,7 @@ def test_weights_that_cost_too_much_take_their_skinning_with_them(
         return {"psnr": psnrs.pop(0)}
 
     monkeypatch.setattr(module, "validate", validate)
-    monkeypatch.setattr(loop, "validate", validate)
+    monkeypatch.setattr(trainable, "validate", validate)
     config = finetune_config(skinning=SKINNING, largest_loss=0.5)
     tuned = finetune(box, box_model(), config)
     assert_same(network_of(learned(tuned)), network_of(learned(seen[1])))

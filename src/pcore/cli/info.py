@@ -48,7 +48,10 @@ def describe(path: Path) -> Rows:
     rows += _flat(run.notes)
     if run.state.exists():
         rows.append(("can resume from", f"step {run.saved_step()}"))
-    rows += _model_rows(run.model) if run.model.exists() else [("model", "none saved yet")]
+    if run.gaussians.exists():
+        rows += _gaussian_rows(run.gaussians)
+    else:
+        rows += _model_rows(run.model) if run.model.exists() else [("model", "none saved yet")]
     rows += _skinning_rows(run.skinning) if run.skinning.exists() else []
     rows += _light_rows(path) if run.model.exists() else []
     rows += _score_rows(path / "eval")
@@ -75,6 +78,20 @@ def _score_rows(folder: Path) -> Rows:
         )
         for method in dict.fromkeys(one.method for one in means)
     ]
+
+
+def _gaussian_rows(path: Path) -> Rows:
+    from pcore.files.gaussian_file import load_gaussians
+    from pcore.files.records import to_dict
+
+    saved = load_gaussians(path)
+    rows: Rows = [
+        ("model", str(path)),
+        ("Gaussians", f"{len(saved.gaussians):,}"),
+        ("degree of the harmonics", str(saved.gaussians.degree)),
+    ]
+    rows += _flat(to_dict(saved.footprint), "footprint.")
+    return rows + _flat(to_dict(saved.provenance), "provenance.")
 
 
 def _model_rows(path: Path) -> Rows:

@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     from pcore.files.run_folder import RunFolder
     from pcore.model.papr_config import PaprConfig
     from pcore.training.events import Listener
-    from pcore.training.trained import Trained
 
-Train = Callable[["RunFolder", "Listener"], "Trained"]
+Train = Callable[["RunFolder", "Listener"], object]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ def finished(path: Path) -> bool:
     if not begun(path):
         return False
     run = RunFolder.open(path)
-    return run.notes.get("status") == "finished" and run.model.is_file()
+    return run.notes.get("status") == "finished" and run.has_model
 
 
 def relative(target: Path, start: Path) -> str:
