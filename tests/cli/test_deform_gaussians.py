@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tests.data.gaussian_files import columns_of, ply_bytes, read_plain, splat_bytes, write_ply
+from tests.data.splat_files import columns_of, ply_bytes, read_plain, splat_bytes, write_ply
 from tests.gaussians.some import some_gaussians
 
 from pcore.cli.deform import DeformCommand, deform
-from pcore.data.gaussian_formats import read_gaussians
 from pcore.data.points import save_points
+from pcore.data.splat_formats import read_splats
 from pcore.errors import EditError, InputError
 
 TWIST = {"type": "twist", "axis": "z", "angle_deg": 60}
@@ -52,7 +52,7 @@ def test_nothing_of_a_trainer_s_file_is_lost(folder: Path, capsys: pytest.Captur
 
 def test_lengths_along_a_stretch_double(folder: Path):
     write_edit(folder, STRETCH)
-    before, after = (read_gaussians(p).gaussians for p in (folder / "gs.ply", run(folder)))
+    before, after = (read_splats(p).gaussians for p in (folder / "gs.ply", run(folder)))
     volume = after.scales.prod(dim=1) / before.scales.prod(dim=1)
     torch.testing.assert_close(volume, torch.full_like(volume, 2.0), rtol=1e-4, atol=0)
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from tests.data.gaussian_files import columns_of, ply_bytes
+from tests.data.splat_files import columns_of, ply_bytes
 from tests.gaussians.some import some_gaussians
 
 from pcore.data import compressed_gaussians

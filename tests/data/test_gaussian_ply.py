@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tests.data.gaussian_files import columns_of, ply_bytes, read_plain
+from tests.data.splat_files import columns_of, ply_bytes, read_plain
 from tests.gaussians.some import some_gaussians
 
 from pcore.data.gaussian_ply import gaussian_ply, is_gaussian, lost, read_gaussian_ply

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tests.data.gaussian_files import columns_of, ply_bytes, read_plain
+from tests.data.splat_files import columns_of, ply_bytes, read_plain
 from tests.gaussians.some import some_gaussians
 
-from pcore.data.gaussian_file import GaussianFile
 from pcore.data.gaussian_ply import gaussian_ply, read_gaussian_ply
 from pcore.data.ply import parse_ply
+from pcore.data.splat_file import SplatFile
 from pcore.editing.gaussian_edit import edited_gaussians
 from pcore.editing.script import EditScript, parse_edit
 from pcore.errors import EditError
@@ -26,7 +26,7 @@ def script(*edits: dict, **more) -> EditScript:
     return parse_edit({"version": 2, "edits": list(edits), **more})
 
 
-def file_of(count: int, **options) -> GaussianFile:
+def file_of(count: int, **options) -> SplatFile:
     columns = columns_of(some_gaussians(count, dtype=torch.float64, **options))
     return read_gaussian_ply(parse_ply(ply_bytes(columns), "a.ply"), "a.ply")
 

@@ -12,8 +12,8 @@ from pcore.cli.change import change_lines, fold_lines
 from pcore.cli.deform_gaussians import deform_gaussians
 from pcore.cli.diagnosing import script_at
 from pcore.cli.options import Number, optional
-from pcore.data.gaussian_formats import check_gaussian_output, holds_gaussians
 from pcore.data.points import check_point_path, read_point_file, save_moved
+from pcore.data.splat_formats import check_splat_output, holds_splats
 from pcore.deform.checks import count_folded
 from pcore.errors import InputError
 
@@ -57,8 +57,8 @@ def deform(command: DeformCommand) -> None:
         InputError: the points cannot be read or written, or would replace their own file.
         EditError: the edit file is not valid or its deformation is singular at the points.
     """
-    gaussians = holds_gaussians(command.input)
-    check = check_gaussian_output if gaussians else check_point_path
+    gaussians = holds_splats(command.input)
+    check = check_splat_output if gaussians else check_point_path
     check(command.output)
     if _same_file(command.input, command.output):
         raise InputError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pcore.cli.change import change_lines, fold_lines
-from pcore.data.gaussian_formats import read_gaussians, save_gaussians
+from pcore.data.splat_formats import read_splats, save_splats
 from pcore.editing.gaussian_edit import BENT, EditedGaussians, edited_gaussians
 
 if TYPE_CHECKING:
@@ -34,9 +34,9 @@ def deform_gaussians(
         DependencyError: a compressed file, and the package that decodes it is missing.
         EditError: the edit does not fit the Gaussians, or folds space.
     """
-    file = read_gaussians(source)
+    file = read_splats(source)
     edited = edited_gaussians(file, script, split=split, allow_folds=not strict)
-    said = save_gaussians(output, edited.file)
+    said = save_splats(output, edited.file)
     before, after = file.gaussians.means, edited.bound.setting.points
     kinds = ", ".join(edit.type for edit in script.edits) or "no edit"
     degree = file.gaussians.degree

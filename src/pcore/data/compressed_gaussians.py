@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from pcore.data import gaussian_decoder
-from pcore.data.gaussian_file import GaussianFile, sound
+from pcore.data.splat_file import SplatFile, sound
 from pcore.errors import DependencyError, InputError
 from pcore.gaussians.gaussians import Gaussians
 
@@ -26,7 +26,7 @@ _PATIENCE = 600.0
 """Seconds; a million Gaussians take one or two."""
 
 
-def read_compressed(content: bytes, kind: str, where: str) -> GaussianFile:
+def read_compressed(content: bytes, kind: str, where: str) -> SplatFile:
     """Read a compressed file of Gaussians.
 
     Args:
@@ -60,7 +60,7 @@ def read_compressed(content: bytes, kind: str, where: str) -> GaussianFile:
         ),
     )
     numbers = np.arange(count, dtype=np.int64)
-    return sound(GaussianFile(gaussians=gaussians, where=where, rows=numbers))
+    return sound(SplatFile(gaussians=gaussians, where=where, rows=numbers))
 
 
 def _decoded(

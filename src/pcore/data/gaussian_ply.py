@@ -15,8 +15,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pcore.data.gaussian_file import GaussianFile, sound
 from pcore.data.ply import Place, Ply
+from pcore.data.splat_file import SplatFile, sound
 from pcore.errors import InputError
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE, basis
@@ -45,7 +45,7 @@ def is_gaussian(ply: Ply) -> bool:
     return sum(found[1].find(name) is not None for name in _SIGNS) >= 2
 
 
-def read_gaussian_ply(ply: Ply, where: str) -> GaussianFile:
+def read_gaussian_ply(ply: Ply, where: str) -> SplatFile:
     """Read the Gaussians of a PLY file.
 
     Args:
@@ -69,7 +69,7 @@ def read_gaussian_ply(ply: Ply, where: str) -> GaussianFile:
     )
     normals = vertices.read(_NORMALS).numpy() if vertices.real(*_NORMALS) else None
     return sound(
-        GaussianFile(
+        SplatFile(
             gaussians=gaussians,
             where=where,
             rows=np.arange(len(gaussians), dtype=np.int64),
@@ -80,7 +80,7 @@ def read_gaussian_ply(ply: Ply, where: str) -> GaussianFile:
     )
 
 
-def gaussian_ply(file: GaussianFile) -> bytes:
+def gaussian_ply(file: SplatFile) -> bytes:
     """Content of a PLY file; one that was read from a PLY keeps all its properties.
 
     Where Gaussians were left out or split, elements besides the vertices are lost; see `lost`.
@@ -102,7 +102,7 @@ def gaussian_ply(file: GaussianFile) -> bytes:
     return _plain(vertices.all_rows(file.rows) | new, vertices.types())
 
 
-def lost(file: GaussianFile) -> tuple[str, ...]:
+def lost(file: SplatFile) -> tuple[str, ...]:
     """Names of elements of the PLY that `gaussian_ply` cannot keep."""
     if file.ply is None:
         return ()

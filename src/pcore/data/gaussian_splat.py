@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from pcore.data.gaussian_file import GaussianFile, sound
 from pcore.data.gaussian_ply import CONSTANT
+from pcore.data.splat_file import SplatFile, sound
 from pcore.errors import InputError
 from pcore.gaussians.gaussians import Gaussians
 
@@ -18,7 +18,7 @@ _ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("paint", "u1", 4), 
 _SMALLEST = 1e-20
 
 
-def read_splat(content: bytes, where: str) -> GaussianFile:
+def read_splat(content: bytes, where: str) -> SplatFile:
     """Read the Gaussians of a `.splat` file.
 
     Args:
@@ -46,7 +46,7 @@ def read_splat(content: bytes, where: str) -> GaussianFile:
         sh=((paint[:, None, :3] - 0.5) / CONSTANT).float(),
     )
     numbers = np.arange(len(gaussians), dtype=np.int64)
-    return sound(GaussianFile(gaussians=gaussians, where=where, rows=numbers))
+    return sound(SplatFile(gaussians=gaussians, where=where, rows=numbers))
 
 
 def splat_content(gaussians: Gaussians) -> bytes:

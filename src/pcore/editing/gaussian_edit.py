@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from pcore.data.gaussian_file import GaussianFile
+from pcore.data.splat_file import SplatFile
 from pcore.deform.base import SINGULAR, Deformation, uprightness
 from pcore.deform.checks import count_folded
 from pcore.editing.binding import Bound
@@ -39,7 +39,7 @@ class EditedGaussians:
         split: how many were split.
     """
 
-    file: GaussianFile
+    file: SplatFile
     bound: Bound
     folded: int
     mended: int
@@ -49,7 +49,7 @@ class EditedGaussians:
 
 
 def edited_gaussians(
-    file: GaussianFile,
+    file: SplatFile,
     script: EditScript,
     *,
     split: float | None = None,

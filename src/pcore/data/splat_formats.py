@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from pcore.data.compressed_gaussians import read_compressed
-from pcore.data.gaussian_file import GaussianFile
 from pcore.data.gaussian_glb import HIGHEST_DEGREE, glb_content
 from pcore.data.gaussian_ply import gaussian_ply, is_gaussian, lost, read_gaussian_ply
 from pcore.data.gaussian_splat import read_splat, splat_content
 from pcore.data.ply import Ply, parse_ply
 from pcore.data.ply_header import read_header
+from pcore.data.splat_file import SplatFile
 from pcore.errors import InputError
 
 OUTPUTS = (".ply", ".splat", ".glb")
@@ -18,7 +18,7 @@ _OTHERS = (".splat", ".spz", ".sog", ".ksplat")
 """Endings of files that hold Gaussians and nothing else."""
 
 
-def holds_gaussians(path: Path | str) -> bool:
+def holds_splats(path: Path | str) -> bool:
     """Whether a file holds Gaussians, by its ending, or the header of a `.ply`.
 
     False for a file that is missing or damaged, so that who reads it next says so.
@@ -35,7 +35,7 @@ def holds_gaussians(path: Path | str) -> bool:
     return _is_compressed(ply) or is_gaussian(ply)
 
 
-def read_gaussians(path: Path | str) -> GaussianFile:
+def read_splats(path: Path | str) -> SplatFile:
     """Read a file of Gaussians.
 
     Args:
@@ -75,7 +75,7 @@ def read_gaussians(path: Path | str) -> GaussianFile:
     return read_gaussian_ply(ply, where)
 
 
-def save_gaussians(path: Path | str, file: GaussianFile) -> tuple[str, ...]:
+def save_splats(path: Path | str, file: SplatFile) -> tuple[str, ...]:
     """Write Gaussians; replaces the file at once.
 
     Args:
@@ -90,7 +90,7 @@ def save_gaussians(path: Path | str, file: GaussianFile) -> tuple[str, ...]:
         InputError: another ending, or a place that is not writable.
     """
     path = Path(path)
-    check_gaussian_output(path)
+    check_splat_output(path)
     kind, degree = path.suffix.lower(), file.gaussians.degree
     notes: list[str] = []
     if kind == ".ply":
@@ -111,7 +111,7 @@ def save_gaussians(path: Path | str, file: GaussianFile) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def check_gaussian_output(path: Path) -> None:
+def check_splat_output(path: Path) -> None:
     """Raise InputError unless Gaussians can be written to a file of this name."""
     if path.suffix.lower() not in OUTPUTS:
         raise InputError(

@@ -19,7 +19,7 @@ _MOST_LOST = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GaussianFile:
+class SplatFile:
     """What a file of Gaussians holds.
 
     Attributes:
@@ -40,7 +40,7 @@ class GaussianFile:
     flat: bool = False
     notes: tuple[str, ...] = ()
 
-    def chosen(self, index: NDArray[np.int64]) -> GaussianFile:
+    def chosen(self, index: NDArray[np.int64]) -> SplatFile:
         """Return the file with these of its Gaussians (M,), some perhaps more than once."""
         places = torch.from_numpy(index)
         return replace(
@@ -50,13 +50,13 @@ class GaussianFile:
             normals=None if self.normals is None else self.normals[index],
         )
 
-    def moved(self, gaussians: Gaussians, local_maps: NDArray[np.float64]) -> GaussianFile:
+    def moved(self, gaussians: Gaussians, local_maps: NDArray[np.float64]) -> SplatFile:
         """Return the file with its Gaussians moved, and its normals turned by maps (N, 3, 3)."""
         normals = None if self.normals is None else turned(self.normals, local_maps)
         return replace(self, gaussians=gaussians, normals=normals)
 
 
-def sound(file: GaussianFile) -> GaussianFile:
+def sound(file: SplatFile) -> SplatFile:
     """Leave out Gaussians that are none, and say how many; check the others.
 
     None are those with NaN or infinity, without axes (a quaternion of length 0), or so large
