@@ -20,11 +20,11 @@ def change_lines(before: Tensor, after: Tensor) -> list[str]:
     return lines
 
 
-def fold_lines(folded: int, total: int) -> list[str]:
+def fold_notes(folded: int, total: int) -> list[str]:
     """Say that an edit folds space at some of the points; nothing where it does not."""
     if not folded:
         return []
     return [
-        f"  note: the edit flattens space or turns it inside out at {folded:,} of {total:,} "
-        "points; a run would refuse to render it"
+        f"the edit flattens space or turns it inside out at {folded:,} of {total:,} points; a run "
+        "would refuse to render it"
     ]

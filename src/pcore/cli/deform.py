@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from pcore.cli.change import change_lines, fold_lines
+from pcore.cli.change import change_lines, fold_notes
 from pcore.cli.deform_gaussians import deform_gaussians
 from pcore.cli.diagnosing import script_at
 from pcore.cli.options import Number, optional
@@ -82,9 +82,8 @@ def deform(command: DeformCommand) -> None:
     kinds = ", ".join(edit.type for edit in script.edits) or "no edit"
     print(f"{command.input}: {len(points):,} points, {kinds}")
     print("\n".join(change_lines(points, moved)))
-    for line in fold_lines(count_folded(deformation, points), len(points)):
-        print(line)
-    for line in [*bound.notes, *source.notes, *left]:
+    folds = fold_notes(count_folded(deformation, points), len(points))
+    for line in [*folds, *bound.notes, *source.notes, *left]:
         print(f"  note: {line}")
     print(f"written to {command.output}")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pcore.cli.change import change_lines, fold_lines
+from pcore.cli.change import change_lines, fold_notes
 from pcore.data.splat_formats import read_splats, save_splats
 from pcore.editing.gaussian_edit import BENT, EditedGaussians, edited_gaussians
 
@@ -40,17 +40,19 @@ def deform_gaussians(
     before, after = file.gaussians.means, edited.bound.setting.points
     kinds = ", ".join(edit.type for edit in script.edits) or "no edit"
     degree = file.gaussians.degree
+    notes = [*file.notes, *edit_notes(edited), *edited.bound.notes, *said]
     return [
         f"{source}: {len(before):,} Gaussians, harmonics of degree {degree}, {kinds}",
         *change_lines(before, after),
-        *fold_lines(edited.folded, len(before)),
-        *(f"  note: {line}" for line in [*file.notes, *_notes(edited), *edited.bound.notes, *said]),
+        *(f"  note: {line}" for line in notes),
         f"written to {output}",
     ]
 
 
-def _notes(edited: EditedGaussians) -> list[str]:
-    notes: list[str] = []
+def edit_notes(edited: EditedGaussians) -> list[str]:
+    """Say what is odd about an edit of Gaussians, a line each."""
+    total = len(edited.bound.setting.points)
+    notes = fold_notes(edited.folded, total)
     if edited.bent:
         notes.append(
             f"{edited.bent:,} of the {edited.looked_at:,} largest Gaussians are bent within "
