@@ -41,9 +41,13 @@ class Finding:
 class DoctorCommand:
     """Check this machine: packages, device, memory, weights, and what would be slow."""
 
+    weights: bool = False
+    """Only list the files of LPIPS: which are there, which are missing, where they go."""
+
     def run(self) -> None:
         """Print the report."""
-        console, findings = Console(), examine()
+        console = Console()
+        findings = weight_files() if self.weights else examine()
         width = max(len(finding.name) for finding in findings)
         for finding in findings:
             mark = ("ok", "green") if finding.good else ("--", "yellow")
@@ -64,7 +68,7 @@ def examine() -> list[Finding]:
         _disk(Path.cwd()),
         *_kernels(),
         *_packages(),
-        *_lpips(),
+        _lpips(),
     ]
 
 
@@ -198,17 +202,30 @@ def _kernels() -> list[Finding]:
 
 
 def _packages() -> list[Finding]:
-    findings: list[Finding] = []
+    """One line for all that is there, one for each that is missing."""
+    there = [name for name, _, _ in _OPTIONAL if find_spec(name) is not None]
+    findings = [Finding(name="packages", value=", ".join(there) or "no optional one")]
     for name, extra, loss in _OPTIONAL:
-        if find_spec(name) is None:
+        if name not in there:
             mend = f"{loss}; `pip install 'pcore-edit[{extra}]'` brings it"
             findings.append(Finding(name=name, value="not installed", good=False, advice=mend))
-        else:
-            findings.append(Finding(name=name, value=f"installed (extra {extra})"))
     return findings
 
 
-def _lpips() -> list[Finding]:
+def _lpips() -> Finding:
+    """Say in one line which weights are there."""
+    from pcore.metrics.perceptual import find_weights
+    from pcore.metrics.trunks import TRUNKS
+
+    missing = [trunk for trunk in TRUNKS if find_weights(trunk) is None]
+    there = [trunk for trunk in TRUNKS if trunk not in missing]
+    value = ", ".join([*there, *([f"no weights of {', '.join(missing)}"] if missing else [])])
+    advice = "`pcore doctor --weights` says which files go where" if missing else ""
+    return Finding(name="LPIPS", value=value, good=not missing, advice=advice)
+
+
+def weight_files() -> list[Finding]:
+    """For each trunk of LPIPS its files, or what is missing and how to get it."""
     from pcore.metrics.perceptual import find_weights, missing_weights
     from pcore.metrics.trunks import TRUNKS
 

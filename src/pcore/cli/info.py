@@ -9,28 +9,35 @@ from pathlib import Path
 from typing import Annotated, Any, cast
 
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.layout import pair_lines, print_lines, room
+
 Rows = list[tuple[str, str]]
+
+_SETTINGS = ("papr.", "config.", "skinning.")
+"""How names of settings begin."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class InfoCommand:
-    """Say what a run is: stage, steps, points, configuration, scores."""
+    """Say what a run is: stage, steps, points, scores; its settings on demand."""
 
     run_or_file: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a run, or a model.safetensors."""
 
+    settings: bool = False
+    """Also print every setting of the network and of the training."""
+
     def run(self) -> None:
         """Print the table; raises CheckpointError when it is neither."""
-        table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-        table.add_column(no_wrap=True)
-        table.add_column(overflow="fold")
-        for name, value in describe(self.run_or_file):
-            table.add_row(Text(name, "bold"), Text(value))
-        Console().print(table)
+        rows, console = describe(self.run_or_file), Console()
+        if not self.settings:
+            short = [row for row in rows if not row[0].startswith(_SETTINGS)]
+            if len(short) < len(rows):
+                short.append(("settings", f"{len(rows) - len(short)}, listed with --settings"))
+            rows = short
+        print_lines(console, pair_lines(rows, room(console)))
 
 
 def describe(path: Path) -> Rows:

@@ -117,6 +117,6 @@ def finetune_config(
     from pcore.training.presets import finetune_preset
 
     known: dict[Any, PresetName] = {"tiny": "tiny", "fast": "fast"}
-    name = preset or known.get(run.config.get("preset"), "paper")
+    name = preset or known.get(str(run.config.get("preset")), "paper")
     black = model.config.background == (0.0, 0.0, 0.0)
     return name, replace(finetune_preset(name), background="black" if black else "white")

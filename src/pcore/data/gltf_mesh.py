@@ -6,6 +6,8 @@ the joints have in the file, as viewers show it before they play anything.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +30,13 @@ def read_shape(glb: Glb) -> tuple[FloatArray, Faces]:
     Raises:
         InputError: damaged, compressed, or with something that is not read; the message names it.
     """
+    # Numbers that grow beyond all bounds are no error here: who reads looks at the result.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _joined(glb)
+
+
+def _joined(glb: Glb) -> tuple[FloatArray, Faces]:
+    """As `read_shape`."""
     world = _world_matrices(glb)
     vertices: list[FloatArray] = []
     faces: list[Faces] = []
@@ -198,13 +207,8 @@ def _influences(glb: Glb, primitive: Primitive, count: int) -> tuple[Faces, Floa
     weights: list[FloatArray] = []
     number = 0
     while f"JOINTS_{number}" in primitive.attributes:
-        for name, kept in ((f"JOINTS_{number}", joints), (f"WEIGHTS_{number}", weights)):
-            if name not in primitive.attributes:
-                raise InputError(f"{glb.where}: expected {name} of a skin, got none")
-            values = read_accessor(glb, primitive.attributes[name], "VEC4")
-            if len(values) != count:
-                raise InputError(f"{glb.where}: expected {count} rows of {name}, got {len(values)}")
-            kept.append(values.astype(np.int64 if kept is joints else np.float64))
+        joints.append(_rows(glb, primitive, f"JOINTS_{number}", count).astype(np.int64))
+        weights.append(_rows(glb, primitive, f"WEIGHTS_{number}", count).astype(np.float64))
         number += 1
     if not joints:
         raise InputError(
@@ -220,6 +224,18 @@ def _influences(glb: Glb, primitive: Primitive, count: int) -> tuple[Faces, Floa
             f"{lonely}; weight them, or apply the armature before exporting"
         )
     return np.concatenate(joints, axis=1), share / total
+
+
+def _rows(glb: Glb, primitive: Primitive, name: str, count: int) -> NDArray[Any]:
+    """Four numbers of every vertex: (count, 4)."""
+    if name not in primitive.attributes:
+        raise InputError(f"{glb.where}: expected {name} of a skin, got none; the file is damaged")
+    values = read_accessor(glb, primitive.attributes[name], "VEC4")
+    if len(values) != count:
+        raise InputError(
+            f"{glb.where}: expected {count} rows of {name}, got {len(values)}; the file is damaged"
+        )
+    return values
 
 
 def _faces(glb: Glb, primitive: Primitive, count: int) -> Faces:

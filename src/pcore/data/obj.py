@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pcore.errors import InputError
 
 _FREE_FORM = ("cstype", "curv", "curv2", "surf", "bmat")
-_FEWEST = 3
-"""Corners of a face; what has fewer is a line."""
 
 
 def parse_obj(content: bytes, where: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -40,9 +40,7 @@ def parse_obj(content: bytes, where: str) -> tuple[NDArray[np.float64], NDArray[
         elif words[0] == "f":
             at = f"{where}: line {number}"
             corners = [_corner(word, len(vertices), at) for word in words[1:]]
-            pairs = zip(corners[1:-1], corners[2:], strict=True)
-            if len(corners) >= _FEWEST:
-                triangles += [(corners[0], second, third) for second, third in pairs]
+            triangles += [(corners[0], one, two) for one, two in pairwise(corners[1:])]
         elif words[0] in _FREE_FORM:
             raise InputError(
                 f"{where}: line {number}: free-form curves and surfaces ({words[0]}) are not read: "

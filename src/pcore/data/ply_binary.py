@@ -77,7 +77,7 @@ def locate_binary(content: bytes, header: Header, where: str) -> list[BinaryRows
     for element in header.elements:
         try:
             rows, place = _locate(flat, content, element, place)
-        except _Short as short:
+        except _ShortError as short:
             raise InputError(
                 f"{where}: expected {element.length} of the PLY element {element.name!r} as its "
                 f"header says, got {short.rows}; the file is truncated or damaged: export or "
@@ -93,7 +93,7 @@ def locate_binary(content: bytes, header: Header, where: str) -> list[BinaryRows
     return found
 
 
-class _Short(Exception):
+class _ShortError(Exception):
     """The file ends within the rows; how many are whole."""
 
     def __init__(self, rows: int) -> None:
@@ -105,7 +105,7 @@ def _locate(flat: Bytes, content: bytes, element: Element, place: int) -> tuple[
     """Rows of one element and where the next one begins."""
     least = sum((one.count or one.dtype).itemsize for one in element.properties)
     if least * element.length > len(content) - place:
-        raise _Short((len(content) - place) // least)
+        raise _ShortError((len(content) - place) // least)
     alike = _alike(content, element, place)
     if alike is not None:
         begins, lengths, size = alike
@@ -147,7 +147,7 @@ def _first_row(content: bytes, element: Element, place: int) -> tuple[list[int],
         lengths.append(length)
         place += length * one.dtype.itemsize
         if length < 0 or place > len(content):
-            raise _Short(0)
+            raise _ShortError(0)
     return begins, lengths, place
 
 
@@ -158,8 +158,8 @@ def _walked(flat: Bytes, content: bytes, element: Element, place: int) -> tuple[
     for row in range(element.length):
         try:
             begins[:, row], lengths[:, row], place = _first_row(content, element, place)
-        except _Short:
-            raise _Short(row) from None
+        except _ShortError:
+            raise _ShortError(row) from None
     rows = BinaryRows(element=element, content=flat, begins=tuple(begins), lengths=tuple(lengths))
     return rows, place
 

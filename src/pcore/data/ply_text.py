@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -64,8 +65,7 @@ class TextRows:
             new = numbers.astype(self.element.properties[one].dtype.newbyteorder("="))
             for place, number in zip((begins[:-1] + self.columns[one]).tolist(), new, strict=True):
                 words[place] = str(number).encode()
-        ends = begins.tolist()
-        return [b" ".join(words[a:b]) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return [b" ".join(words[a:b]) for a, b in pairwise(begins.tolist())]
 
     def _numbers(self, words: list[bytes], one: int) -> NDArray[Any]:
         found = self.element.properties[one]
@@ -75,7 +75,7 @@ class TextRows:
         if dtype.kind == "f":
             with np.errstate(over="ignore"):
                 return numbers.astype(dtype)
-        limits = np.iinfo(dtype)
+        limits = np.iinfo(dtype.name)
         bad = ~((numbers == np.floor(numbers)) & (numbers >= limits.min) & (numbers <= limits.max))
         # The largest numbers of 64 bits, which a double rounds up, are no labels of anything.
         bad |= np.abs(numbers) >= 2.0**63

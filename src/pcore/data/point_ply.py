@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,8 +22,10 @@ _COLORS = (
     ("r", "g", "b", "a"),
 )
 _NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
-_TURNING = ("rot_", "scale_", "f_rest_", "tx", "ty", "tz", "tangent_", "binormal_", "cov_")
-"""How names of what would turn or stretch with space begin: of Gaussians, and of tangents."""
+_TURNING = re.compile(
+    r"(rot|scale|f_rest|cov|covariance)_\d+|[tb][xyz]|(tangent|binormal)(_[uv])?_?[xyz]"
+)
+"""Names of what would turn or stretch with space: of Gaussians, and of tangents."""
 _CORNERS = ("vertex_indices", "vertex_index", "vertex_ids")
 _NUMBERS_OF_VERTICES = ("vertex", "face", "edge", "tristrips", "material", "multi_texture_face")
 """Elements that have no places of their own."""
@@ -53,18 +56,18 @@ class PointPly:
 
     def normals(self) -> tuple[str, ...] | None:
         """Names of the normals' properties; None where there are none."""
-        return next((names for names in _NORMALS if self._has(names)), None)
+        return next((names for names in _NORMALS if self.has(names)), None)
 
     def colors(self) -> tuple[NDArray[np.uint8] | None, str]:
         """Colours (N, 3 or 4), and why there are none where the file has some."""
-        names = next((names for names in _COLORS if self._has(names[:3])), None)
+        names = next((names for names in _COLORS if self.has(names[:3])), None)
         if names is None:
             return None, ""
         parts = [self.ply.scalars(place) for place in self._places(names[:3])]
         painted = _eight_bits(parts)
         if painted is None:
             return None, f"its colours ({', '.join(names[:3])}) are of no known range: not read"
-        if self._has(names[3:]):
+        if self.has(names[3:]):
             alpha = _eight_bits([self.ply.scalars(self._places(names[3:])[0])])
             painted = painted if alpha is None else np.concatenate([painted, alpha], axis=1)
         return painted, ""
@@ -113,7 +116,7 @@ class PointPly:
 
     def stays(self) -> tuple[str, ...]:
         """What is written as it was although space turned or moved around it: for notes."""
-        left = [p.name for p in self.vertex.properties if p.name.startswith(_TURNING)]
+        left = [p.name for p in self.vertex.properties if _TURNING.fullmatch(p.name)]
         said = [f"not turned, kept as in the file: {_counted(left)}"] if left else []
         names = self.normals()
         if names is not None and not self._real(names):
@@ -132,7 +135,7 @@ class PointPly:
         others = [e for e in self.ply.header.elements if e.name not in skipped and e.length]
         return (*(own and [_counted(own)]), *(f"{e.length} {e.name}" for e in others))
 
-    def _has(self, names: Sequence[str]) -> bool:
+    def has(self, names: Sequence[str]) -> bool:
         """Whether the vertices have all of these, each of one number."""
         places = [self.vertex.find(name) for name in names]
         return all(k is not None and self.vertex.properties[k].count is None for k in places)
@@ -165,7 +168,7 @@ def read_point_ply(content: bytes, where: str) -> PointPly:
             f"{where}: SuperSplat's compressed PLY is not read (positions are packed): export an "
             "uncompressed one"
         )
-    if not read._has(PLACES):  # noqa: SLF001
+    if not read.has(PLACES):
         names = first_names(one.name for one in found[1].properties) or "nothing"
         raise InputError(f"{where}: expected a PLY with vertices x, y, z, got ones with {names}")
     return read
@@ -213,10 +216,8 @@ def _eight_bits(parts: Sequence[NDArray[Any]]) -> NDArray[np.uint8] | None:
     least = float(values.min()) if values.size else 0.0
     if not (least >= 0 and most <= (255 if real else 65535)):
         return None
-    if real:
-        factor = 255.0 if most <= 1 else 1.0
-    else:
-        factor = 1.0 if most <= 255 else 1 / 257
+    sixteen = not real and most > 255
+    factor = 1 / 257 if sixteen else 255.0 if real and most <= 1 else 1.0
     return np.rint(values * factor).astype(np.uint8)
 
 
