@@ -67,6 +67,7 @@ def examine() -> list[Finding]:
         _memory(),
         _disk(Path.cwd()),
         *_kernels(),
+        _gaussians(),
         *_packages(),
         _lpips(),
     ]
@@ -199,6 +200,13 @@ def _kernels() -> list[Finding]:
         Finding(name="search", value=search, good=not advice, advice=advice),
         Finding(name="attention", value=attention, good=not advice, advice=advice),
     ]
+
+
+def _gaussians() -> Finding:
+    from pcore.cli.doctor_gaussians import gaussian_report
+
+    value, advice = gaussian_report(installed)
+    return Finding(name="Gaussians", value=value, good=not advice, advice=advice)
 
 
 def _packages() -> list[Finding]:
