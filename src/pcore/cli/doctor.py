@@ -21,6 +21,7 @@ _OPTIONAL = (
     ("jinja2", "report", "no HTML report"),
     ("matplotlib", "report", "no figures"),
     ("skimage", "metrics", "no SSIM"),
+    ("gaussforge", "splats", "compressed files of Gaussians (.spz, .sog) are not read"),
 )
 _MEMORY_WANTED = 4e9
 _DISK_WANTED = 1e9
