@@ -272,7 +272,7 @@ CASES = [
     ),
     Case(
         DEFORM.replace("points.npy", "p.ply"),
-        "p.ply: expected 5 vertices as its header says, got 0; the file is truncated",
+        "p.ply: expected 5 of the PLY element 'vertex' as its header says, got 0",
         text("p.ply", EMPTY_PLY.replace(b" 0", b" 5")),
     ),
     Case(DEFORM, 'key "angle_deg": expected a finite', edit([{**EDIT, "angle_deg": 1e400}])),

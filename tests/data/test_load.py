@@ -373,3 +373,9 @@ def test_a_split_is_read_once(scene: Path) -> None:
     loaded = load_scene(scene)
     assert loaded.split("test") is loaded.split("test")
     assert len(loaded.views) == 2
+
+
+def test_a_name_that_no_system_takes_is_a_missing_image(scene: Path) -> None:
+    change_frame(scene / "transforms_train.json", 2, file_path="z" * 300)
+    with pytest.raises(SceneError, match="frame 2 .*: no image at"):
+        load_scene(scene)

@@ -420,3 +420,13 @@ def test_a_mesh_that_was_written_anew_is_read_anew():
     mesh.export("after.ply")
     again = session.preview(KINDS[0]).points
     torch.testing.assert_close(again, first + torch.tensor([0, 0, 1.0]))
+
+
+@pytest.mark.parametrize("kind", ["cage", "mesh"])
+@pytest.mark.parametrize(
+    ("path", "said"), [("a\0.ply", "a path with a zero byte"), ("", "no path")]
+)
+def test_texts_that_are_no_paths(kind: str, path: str, said: str):
+    for pair in ((path, "after.ply"), ("before.ply", path)):
+        with pytest.raises(EditError, match=said):
+            script(type=kind, before=pair[0], after=pair[1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from dataclasses import dataclass
@@ -226,7 +227,8 @@ def _image_path(root: Path, frame: PosedFrame) -> Path:
                 f"{frame.where}: 'file_path' leaves the scene's folder {home} (it leads to "
                 f"{resolved}); scenes may only read their own files: copy the image into the folder"
             )
-        if resolved.is_file():
+        # Names that are too long are an error to pathlib, and to users a file that is not there.
+        if os.path.isfile(resolved):  # noqa: PTH113
             return resolved
     raise SceneError(
         f"{frame.where}: no image at {candidates[0]} (nor with {', '.join(_EXTENSIONS[1:])} added);"

@@ -176,7 +176,7 @@ def _open(path: Path) -> Any:
         return safe_open(path, framework="pt")
     except SafetensorError as error:
         raise CheckpointError(
-            f"{path} is truncated, damaged or not a safetensors file ({error}): expected a "
+            f"{path} is truncated, damaged or not a safetensors file: expected a "
             f"{MODEL_FILE} written by pcore; copy it again or save it anew with `--resume`"
         ) from error
 

@@ -155,7 +155,7 @@ def _read(path: Path) -> Any:
             damaged = archive.testzip()
     except zipfile.BadZipFile as error:
         raise CheckpointError(
-            f"{path} is truncated or not a file of torch ({error}); take the run from a backup "
+            f"{path} is truncated or not a file of torch; take the run from a backup "
             "or train anew into another folder"
         ) from error
     if damaged is not None:
