@@ -76,6 +76,7 @@ def opaque_model() -> Trained:
     return replace(base, papr=papr.requires_grad_(False))
 
 
+@pytest.mark.learned
 def test_the_surface_learns_to_follow(box: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """L_geo over the same draws, before and after fine-tuning with others."""
     every_step(monkeypatch)
@@ -98,6 +99,7 @@ def test_the_surface_learns_to_follow(box: Scene, monkeypatch: pytest.MonkeyPatc
 
     before = measure(opaque_model())
     after = measure(finetune(box, opaque_model(), settings))
+    # Over 6 seeds 0.58 to 0.59.
     assert 0 < after < 0.8 * before
 
 
