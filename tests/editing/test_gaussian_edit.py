@@ -99,7 +99,7 @@ def test_far_off_places_lose_nothing():
 def test_folds_are_counted_or_refused():
     file = file_of(200)
     mirror = {"type": "taper", "axis": "z", "factor": -2.5}
-    assert 0 < edited_gaussians(file, script(mirror)).folded < 200
+    assert 0 < edited_gaussians(file, script(mirror)).folds.folded < 200
     with pytest.raises(EditError, match="inside out"):
         edited_gaussians(file, script(mirror), allow_folds=False)
 

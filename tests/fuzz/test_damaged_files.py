@@ -28,10 +28,10 @@ from PIL import Image
 from ply_files import FACE, box, ply
 from toys import CONFIG, toy_cameras, toy_cloud, write_cameras, write_run, write_scene
 
+from pcore.asset.saving import load
+from pcore.asset.training import finetune_settings
 from pcore.cli.info import describe
 from pcore.cli.main import main
-from pcore.cli.models import finetune_config, open_run
-from pcore.cli.runtime import recorded_scene
 from pcore.data.images import read_rgba
 from pcore.data.load import load_cameras, load_scene
 from pcore.data.meshes import read_mesh
@@ -282,12 +282,12 @@ def read_shape(name: str) -> Callable[[Path], None]:
 
 
 def read_run(world: Path) -> None:
-    found = open_run(world / "run")
+    found = load(world / "run")
     describe(world / "run")
-    assert found.factor >= 1
-    assert finetune_config(found.manifest, found.saved)[0]
-    assert found.base is None or isinstance(found.base, Path)
-    recorded_scene(found.manifest)
+    assert found.record.factor >= 1
+    assert finetune_settings(found)[0]
+    assert found.record.base is None or isinstance(found.record.base, Path)
+    assert found.record.scene_folder is None or found.record.scene_folder.is_dir()
 
 
 DEFORM = "deform in.ply --edit twist.json -o new.ply"

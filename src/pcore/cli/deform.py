@@ -8,13 +8,13 @@ from typing import Annotated
 
 import tyro
 
-from pcore.cli.change import change_lines, fold_notes
+from pcore.asset.posing import script_of
+from pcore.cli.change import change_lines, coarse, fold_notes
 from pcore.cli.deform_gaussians import deform_gaussians
-from pcore.cli.diagnosing import script_at
 from pcore.cli.options import Number, optional
 from pcore.data.points import check_point_path, read_point_file, save_moved
 from pcore.data.splat_formats import check_splat_output, holds_splats
-from pcore.deform.checks import count_folded
+from pcore.deform.checks import count_folds
 from pcore.errors import InputError
 
 
@@ -65,7 +65,7 @@ def deform(command: DeformCommand) -> None:
             f"{command.output}: expected an output other than the input, got the same file; "
             "the points would be lost"
         )
-    script = script_at(command.edit, command.time)
+    script = script_of(command.edit, command.time)
     if gaussians:
         strict, split = command.strict, command.split
         lines = deform_gaussians(command.input, script, command.output, strict=strict, split=split)
@@ -82,8 +82,8 @@ def deform(command: DeformCommand) -> None:
     kinds = ", ".join(edit.type for edit in script.edits) or "no edit"
     print(f"{command.input}: {len(points):,} points, {kinds}")
     print("\n".join(change_lines(points, moved)))
-    folds = fold_notes(count_folded(deformation, points), len(points))
-    for line in [*folds, *bound.notes, *source.notes, *left]:
+    odd = [*fold_notes(count_folds(deformation, points), len(points)), *coarse(source.positions)]
+    for line in [*odd, *bound.notes, *source.notes, *left]:
         print(f"  note: {line}")
     print(f"written to {command.output}")
 

@@ -52,7 +52,7 @@ def deform_gaussians(
 def edit_notes(edited: EditedGaussians) -> list[str]:
     """Say what is odd about an edit of Gaussians, a line each."""
     total = len(edited.bound.setting.points)
-    notes = fold_notes(edited.folded, total)
+    notes = fold_notes(edited.folds, total)
     if edited.bent:
         notes.append(
             f"{edited.bent:,} of the {edited.looked_at:,} largest Gaussians are bent within "

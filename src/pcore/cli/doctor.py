@@ -13,6 +13,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from pcore.demo.machine import usable_cores
+
 _OPTIONAL = (
     ("embreex", "sample", "no embedded sample (`pcore demo`), no true depth of meshes"),
     ("imageio", "video", "no orbit videos"),
@@ -118,12 +120,6 @@ def _threads() -> Finding:
             advice="training is slower than it could be: OMP_NUM_THREADS or torch limits it",
         )
     return Finding(name="threads", value=value)
-
-
-def usable_cores() -> int:
-    """Cores that this process may run on."""
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
 
 
 def memory_bytes(limit_file: Path = Path("/sys/fs/cgroup/memory.max")) -> int | None:

@@ -53,8 +53,8 @@ def export(command: ExportCommand, console: Console) -> None:
         EditError: the edit file is not valid, or folds space everywhere.
         InputError: a run without Gaussians, or a file that cannot be written.
     """
+    from pcore.asset.posing import script_of
     from pcore.cli.deform_gaussians import edit_notes
-    from pcore.cli.diagnosing import script_at
     from pcore.cli.import_gaussians import check_gaussian_run
     from pcore.cli.runtime import prepare_torch
     from pcore.data.splat_file import splats_of
@@ -68,7 +68,7 @@ def export(command: ExportCommand, console: Console) -> None:
     saved = load_gaussians(command.run_folder)
     file, notes = splats_of(saved.gaussians, str(command.run_folder)), list[str]()
     if command.edit is not None:
-        script = script_at(command.edit, command.time)
+        script = script_of(command.edit, command.time)
         edited = edited_gaussians(file, script, split=command.split)
         file, notes = edited.file, [*edit_notes(edited), *edited.bound.notes]
     notes += save_splats(command.output, file)

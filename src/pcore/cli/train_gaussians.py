@@ -24,11 +24,13 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         PcoreError: as `fit_gaussians` and the run folder.
     """
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.sessions import Session, run_session, show_result
+    from pcore.cli.sessions import shown_training
     from pcore.data.load import load_scene
     from pcore.files.records import to_dict
     from pcore.files.run_folder import bytes_needed
+    from pcore.files.run_record import RunRecord
     from pcore.training.gaussian_fit import fit_gaussians
+    from pcore.training.in_folder import FolderPlan, train_in_folder
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -41,26 +43,34 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
             soft_wrap=True,
         )
     numbers = 11 + 3 * (config.degree + 1) ** 2
-    session = Session(
-        path=command.output,
-        stage="pretrain",
-        scene=command.scene,
-        config={
-            "model": "gaussians",
-            "preset": command.preset,
-            "factor": command.factor,
-            "gaussians": to_dict(config),
-        },
-        resume=command.resume,
-        tensorboard=not command.no_tensorboard,
-        needed=bytes_needed(numbers * max(config.points, config.density.limit)),
-    )
-    run_session(
-        session,
-        lambda run, tell: fit_gaussians(scene, config, folder=run, listener=tell, device=device),
-        console,
-    )
-    show_result(console, command.output, next_command=f"pcore info {command.output}")
+    with shown_training(console) as (listener, note):
+        plan = FolderPlan(
+            path=command.output,
+            stage="pretrain",
+            scene=command.scene.resolve(),
+            config={
+                "model": "gaussians",
+                "preset": command.preset,
+                "factor": command.factor,
+                "gaussians": to_dict(config),
+            },
+            resume=command.resume,
+            tensorboard=not command.no_tensorboard,
+            needed=bytes_needed(numbers * max(config.points, config.density.limit)),
+            note=note,
+        )
+        train_in_folder(
+            plan,
+            lambda run, tell: fit_gaussians(
+                scene, config, folder=run, listener=tell, device=device
+            ),
+            listener,
+        )
+    validation = RunRecord.read(command.output).notes.get("validation") or {}
+    psnr = validation.get("psnr")
+    quality = "" if psnr is None else f": {psnr:.2f} dB on held-out training views"
+    for line in (f"{command.output}{quality}", f"next: pcore info {command.output}"):
+        console.print(Text(line), soft_wrap=True)
 
 
 def _config(command: TrainCommand) -> GaussianConfig:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pcore.data.splat_file import SplatFile
 from pcore.deform.base import SINGULAR, Deformation, uprightness
-from pcore.deform.checks import count_folded
+from pcore.deform.checks import Folds, count_folds
 from pcore.editing.binding import Bound
 from pcore.editing.script import EditScript
 from pcore.gaussians.carry import carried
@@ -31,7 +31,7 @@ class EditedGaussians:
     Attributes:
         file: the moved Gaussians.
         bound: the edit, bound to all Gaussians at rest.
-        folded: at how many means the edit flattens space or turns it inside out.
+        folds: at how many means the edit folds space, or shears it too much.
         mended: at how many means the shape of the map is a substitute.
         bent: how many of the `looked_at` largest are bent within themselves by more than `BENT`,
             and were not split.
@@ -41,7 +41,7 @@ class EditedGaussians:
 
     file: SplatFile
     bound: Bound
-    folded: int
+    folds: Folds
     mended: int
     bent: int = 0
     looked_at: int = 0
@@ -74,12 +74,13 @@ def edited_gaussians(
     deformation, positions = bound.deformation, bound.setting.points
     with torch.no_grad():
         maps = deformation.jacobian(means)
-    folded = _folded(deformation, means, maps)
-    if folded == count or (folded and not allow_folds):
+    folds = _folds(deformation, means, maps)
+    odd = sum(folds)
+    if odd == count or (odd and not allow_folds):
         # This one raises, and says which edit and what to do.
         bound = script.bound(means, allow_folds=allow_folds)
     result = EditedGaussians(
-        file=file, bound=bound, folded=folded, mended=int(deformation.mended(means).sum())
+        file=file, bound=bound, folds=folds, mended=int(deformation.mended(means).sum())
     )
     if split is None:
         largest = file.gaussians.scales.amax(dim=1).topk(min(_LOOKED_AT, count)).indices
@@ -98,8 +99,9 @@ def edited_gaussians(
     return replace(result, file=file.moved(moved, maps.numpy()))
 
 
-def _folded(deformation: Deformation, means: Tensor, maps: Tensor) -> int:
-    """At how many means (N, 3) a map with these Jacobians (N, 3, 3) folds space."""
-    if type(deformation).folded is Deformation.folded:
-        return int((~(uprightness(maps) > SINGULAR)).sum())
-    return count_folded(deformation, means)
+def _folds(deformation: Deformation, means: Tensor, maps: Tensor) -> Folds:
+    """Count the means (N, 3) where a map with these Jacobians (N, 3, 3) folds or shears space."""
+    plain = type(deformation).folded is Deformation.folded
+    if plain and bool((uprightness(maps) > SINGULAR).all()):
+        return Folds(folded=0, sheared=0)
+    return count_folds(deformation, means)

@@ -24,7 +24,6 @@ from pcore.model.papr_config import PaprConfig
 MODEL_FILE = "model.safetensors"
 _FORMAT = "pcore-model"
 _VERSION = 5
-_READ = ("1", "2", "3", "4", str(_VERSION))
 _CLOUD = ("positions", "features", "influence")
 
 
@@ -45,10 +44,8 @@ class SavedModel:
     provenance: Provenance
 
     def papr(self) -> Papr:
-        """Build the networks with these weights, in evaluation mode."""
-        papr = Papr(self.config)
-        papr.load_state_dict(self.papr_state)
-        return papr.eval()
+        """Build the networks with these weights, in evaluation mode and without gradients."""
+        return networks(self.config, self.papr_state)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +57,19 @@ class ModelSummary:
     points: int
     parameters: int
     """Numbers in all tensors, the cloud's included."""
+
+
+def networks(config: PaprConfig, state: Mapping[str, Tensor]) -> Papr:
+    """Build networks with these weights, in evaluation mode and without gradients.
+
+    Args:
+        config: their architecture.
+        state: state dict of `Papr(config)`.
+    """
+    with torch.random.fork_rng(devices=[]):  # Their initial weights are drawn and overwritten.
+        papr = Papr(config)
+    papr.load_state_dict(state)
+    return papr.requires_grad_(False).eval()
 
 
 def save_model(
@@ -195,22 +205,13 @@ def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
             f"'{_FORMAT}' in its header, got {header.get('format')!r}; give a file written by "
             "`pcore train`, `pcore finetune` or `pcore import papr`"
         )
-    if header.get("version") not in _READ:
+    if header.get("version") != str(_VERSION):
         raise CheckpointError(
             f"{path} has version {header.get('version')!r} of the model format: this pcore "
-            f"({pcore_version()}) reads versions {', '.join(_READ[:-1])} and {_READ[-1]}; use the "
-            "pcore that wrote it"
+            f"({pcore_version()}) reads version {_VERSION}; use the pcore that wrote it, or train "
+            "anew"
         )
     settings = _json(path, header, "config")
-    if header["version"] == "1":
-        settings["reference"] = None  # Version 1 knew rays from the camera only.
-    if header["version"] in {"1", "2"} and "frequencies" in settings:
-        number = settings.pop("frequencies")  # One number for all, before version 3.
-        settings["octaves"] = dict.fromkeys(("point", "along", "across", "direction"), number)
-    if header["version"] in {"1", "2", "3"}:
-        settings["samples"] = 1  # Pictures had one ray per pixel, before version 4.
-    if header["version"] in {"1", "2", "3", "4"}:
-        settings["pixel"] = None  # Nor did models know the size of their photos' pixels.
     config = from_dict(PaprConfig, settings, where=f"{path}: config")
     provenance = from_dict(
         Provenance, _json(path, header, "provenance"), where=f"{path}: provenance"

@@ -61,7 +61,6 @@ class TrainableGaussians:
         seen: (N,) how many pictures they are of.
         stage: "pretrain": in a run folder this is what stands in the place of pre-training.
         step: steps done.
-        average: always empty.
         best: figures of the best validation.
     """
 
@@ -75,7 +74,6 @@ class TrainableGaussians:
     seen: Tensor
     stage: str = "pretrain"
     step: int = 0
-    average: dict[str, Tensor] = field(default_factory=dict[str, Tensor])
     best: dict[str, Any] = field(default_factory=dict[str, Any])
 
     @property
@@ -107,10 +105,6 @@ class TrainableGaussians:
             group["lr"] = rates[group["name"]].at(self.step, steps)
             if group["name"] == "means":
                 group["lr"] *= self.distance
-
-    def update_average(self, decay: float) -> None:
-        """Not there: Gaussians come and go, and their weights with them."""
-        raise NotImplementedError(f"Gaussians keep no running average ({decay})")
 
     def replace(self, keep: Tensor, new: Mapping[str, Tensor]) -> None:
         """Keep some Gaussians and append others; what was summed about all of them begins anew."""
@@ -172,10 +166,12 @@ class TrainableGaussians:
             step=self.step,
             papr={},
             cloud=self.weights(),
-            optimisers={"adam": self.optimizer.state_dict()},
+            optimisers={
+                "adam": self.optimizer.state_dict(),
+                "density": {"slopes": self.slopes, "seen": self.seen},
+            },
             generators=generator_states({"draws": self.generator}),
             best=self.best,
-            counters={"slopes": self.slopes, "seen": self.seen},
         )
 
     def restore(self, state: TrainingState) -> None:
@@ -195,7 +191,9 @@ class TrainableGaussians:
             group["params"] = [self.raw[group["name"]]]
         self.optimizer.load_state_dict(state.optimisers["adam"])
         restore_generators({"draws": self.generator}, state.generators)
-        self.slopes, self.seen = (state.counters[n].to(device) for n in ("slopes", "seen"))
+        self.slopes, self.seen = (
+            state.optimisers["density"][name].to(device) for name in ("slopes", "seen")
+        )
         self.step, self.best = state.step, dict(state.best)
 
 
