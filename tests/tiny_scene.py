@@ -17,7 +17,7 @@ from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
-from pcore.model.render import Picture
+from pcore.render.picture import Picture
 
 SIZE, ANGLE = 24, 0.7
 CONFIG = PaprConfig(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pcore.geometry.point_cloud import PointCloud
     from pcore.geometry.rays import RayBundle
     from pcore.model.papr import Papr, Rendering
-    from pcore.model.render import render
+    from pcore.render.picture import render
     from pcore.training.finetune import finetune
     from pcore.training.presets import finetune_preset, preset
     from pcore.training.pretrain import pretrain
@@ -67,7 +67,7 @@ _HOMES = {
     "load_scene": "pcore.data.load",
     "preset": "pcore.training.presets",
     "pretrain": "pcore.training.pretrain",
-    "render": "pcore.model.render",
+    "render": "pcore.render.picture",
 }
 
 

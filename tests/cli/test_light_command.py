@@ -17,7 +17,7 @@ from pcore.editing.apply import deformed_cloud
 from pcore.editing.script import load_edit
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.model.render import render
+from pcore.render.picture import render
 from pcore.relight.lamps import Light, sphere
 from pcore.relight.light_file import LIGHT_FILE, load_shading, save_shading
 from pcore.relight.shading import Shading

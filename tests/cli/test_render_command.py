@@ -19,7 +19,7 @@ from pcore.cli.main import main
 from pcore.contrib.learned_skinning import SkinningConfig, untrained_skinning
 from pcore.data.load import load_cameras, load_scene
 from pcore.deform.anchor_distance import path_distance
-from pcore.deform.jacobian import estimated_frames
+from pcore.deform.jacobian import estimated_maps
 from pcore.editing.anchors import rig_with
 from pcore.editing.script import load_edit
 from pcore.errors import EditError
@@ -28,7 +28,7 @@ from pcore.geometry.farthest_points import farthest_points
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.model.render import FAST_THRESHOLD, normals, render
+from pcore.render.picture import FAST_THRESHOLD, normals, render
 
 Made = tuple[Path, Papr, PointCloud]
 
@@ -341,7 +341,7 @@ def test_local_maps_that_were_replaced_are_said(
 def inside_out(rest: Tensor, moved: Tensor) -> int:
     """Number of points whose estimated map had to be replaced; 0 where the move is refused."""
     try:
-        return len(estimated_frames(rest, moved).mended)
+        return len(estimated_maps(rest, moved).mended)
     except EditError:
         return 0
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pcore.deform.checks import count_folded
-from pcore.deform.jacobian import estimated_frames
+from pcore.deform.jacobian import estimated_maps
 from pcore.deform.motion import rigid
 from pcore.editing.apply import deformed_cloud
 from pcore.editing.script import EditScript, parse_edit
@@ -71,7 +71,7 @@ def test_the_frames_of_the_edit_are_those_of_the_estimate():
     moved = torch.from_numpy(np.load("after.npy"))
     frames = deformed_cloud(cloud(points), script().bind(points)).frames
     assert frames is not None
-    expected = estimated_frames(points, moved)
+    expected = estimated_maps(points, moved)
     torch.testing.assert_close(frames.to_rest, expected.to_rest, rtol=0, atol=1e-5)
     assert torch.equal(frames.mended, expected.mended)
 

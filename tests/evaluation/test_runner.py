@@ -15,7 +15,7 @@ from pcore.evaluation.states import SceneStates, open_states
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.model.render import Picture
+from pcore.render.picture import Picture
 from tiny_scene import draw_box
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pcore.deform.base import Affine, Compose, Deformation, Identity
-from pcore.deform.jacobian import analytic_frames, estimated_frames, unchecked_frames
+from pcore.deform.jacobian import analytic_maps, estimated_maps, unchecked_maps
 from pcore.deform.motion import rigid
 from pcore.deform.simple import uniform_scale
 from pcore.editing.apply import deformed_cloud
@@ -21,8 +21,8 @@ from pcore.geometry.rays import RayBundle
 from pcore.kernels.reference import encode
 from pcore.model.papr import Papr, Rendering
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
-from pcore.model.render import render
-from pcore.model.surface import surface_of
+from pcore.render.picture import render
+from pcore.render.surface import surface_of
 from pcore.relight.lamps import Light, sphere
 from pcore.relight.shading import Shading
 
@@ -299,7 +299,7 @@ def test_the_origin_on_a_ray_does_not_matter_with_a_reference(cloud: PointCloud)
 def test_estimated_frames_obey_the_law_for_similarities(cloud: PointCloud) -> None:
     deformation = uniform_scale(2.0)
     moved = deformation(cloud.positions)
-    frames = estimated_frames(cloud.positions, moved)
+    frames = estimated_maps(cloud.positions, moved)
     papr, rays = network(REFERENCE), camera().rays()
     with torch.no_grad():
         canonical = papr(cloud, rays)
@@ -317,7 +317,7 @@ def test_gradients_reach_the_points_through_the_rest_state(cloud: PointCloud) ->
         positions = cloud.positions.clone().requires_grad_()
         now = replace(cloud, positions=positions)
         if aware:
-            now = now.moved(deformation(positions), unchecked_frames(deformation, positions))
+            now = now.moved(deformation(positions), unchecked_maps(deformation, positions))
         seen = carried(rays, matrix, torch.zeros(3)) if aware else rays
         gradients.append(torch.autograd.grad(papr(now, seen).features.square().sum(), positions)[0])
     largest = float(gradients[0].abs().max())
@@ -355,6 +355,6 @@ def test_frames_that_fold_space_are_not_drawn(cloud: PointCloud) -> None:
 
 
 def test_frames_of_another_cloud_are_refused(cloud: PointCloud) -> None:
-    frames = analytic_frames(uniform_scale(2.0), cloud.positions[:50])
+    frames = analytic_maps(uniform_scale(2.0), cloud.positions[:50])
     with pytest.raises(InputError, match="frames of its 200 points, got frames of 50"):
         cloud.moved(2 * cloud.positions, frames)

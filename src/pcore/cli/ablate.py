@@ -197,7 +197,7 @@ def _score(
     from pcore.evaluation.protocol import load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.files.atomic import write_atomically
-    from pcore.model.render import render
+    from pcore.render.picture import render
 
     run, places = source
     output, perceptual = command.output or command.run_folder / "ablation", load_perceptual()

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pcore.files.run_folder import RunFolder
     from pcore.geometry.camera import Camera
     from pcore.geometry.point_cloud import PointCloud
-    from pcore.model.render import Picture
+    from pcore.render.picture import Picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,8 +106,8 @@ def animate(command: AnimateCommand, console: Console) -> None:
     from pcore.cli.runtime import open_model, pick_device, prepare_torch
     from pcore.data.video import require_video
     from pcore.editing.animation import load_animation
-    from pcore.model.raster import film_detail
-    from pcore.model.render import render
+    from pcore.render.raster import film_detail
+    from pcore.render.picture import render
 
     _check(command)
     if command.output is not None:

@@ -25,7 +25,7 @@ from pcore.evaluation.tables import SUMMARY_FILE, read_summary, summary_record, 
 from pcore.files.atomic import write_atomically
 from pcore.files.model_file import MODEL_FILE
 from pcore.geometry.orbit import orbit_like
-from pcore.model.render import render
+from pcore.render.picture import render
 
 if TYPE_CHECKING:
     from collections.abc import Callable

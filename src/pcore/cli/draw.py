@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pcore.data.video import VideoWriter
     from pcore.geometry.camera import Camera
     from pcore.geometry.point_cloud import PointCloud
-    from pcore.model.render import Picture
+    from pcore.render.picture import Picture
 
 FPS = 30
 
@@ -95,7 +95,7 @@ def _layers(
 ) -> dict[str, Tensor]:
     """Colours (H, W, 3) by the ending of their file's name."""
     from pcore.data.pictures import depth_picture, normal_picture
-    from pcore.model.render import normals
+    from pcore.render.picture import normals
 
     layers = {"": picture.rgb}
     if wanted.depth:
@@ -115,7 +115,7 @@ def _write(
     wanted: Wanted,
 ) -> list[Path]:
     from pcore.data.pictures import write_png, write_raw
-    from pcore.model.render import normals
+    from pcore.render.picture import normals
 
     files: list[Path] = []
     if wanted.png:

@@ -108,7 +108,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states
-    from pcore.model.render import render
+    from pcore.render.picture import render
 
     check_given_samples(command.samples)
     prepare_torch(command.threads)

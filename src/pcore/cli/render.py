@@ -118,8 +118,8 @@ def render_run(command: RenderCommand, console: Console) -> None:
     from pcore.cli.output import pictures_folder
     from pcore.cli.runtime import open_model, pick_device, prepare_torch
     from pcore.data.video import require_video
-    from pcore.model.raster import film_detail
-    from pcore.model.render import FAST_THRESHOLD, render
+    from pcore.render.raster import film_detail
+    from pcore.render.picture import FAST_THRESHOLD, render
 
     _check(command)
     prepare_torch(command.threads)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol as Shape
 
 import numpy as np
 import torch
@@ -15,37 +14,20 @@ from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
 from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
-from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import Posed
+from pcore.geometry.surfels import Surfels
 from pcore.metrics.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
 from pcore.model.papr import Papr
-from pcore.relight.shading import Shading
+from pcore.relight.relighting import Relighting
+from pcore.render.image import Image
 
 Value = float | int | None
 Progress = Callable[[int, int], None]
 
 
-class Photo(Shape):
-    """What a renderer hands back; tensors on the CPU."""
-
-    @property
-    def rgb(self) -> Tensor:
-        """(H, W, 3) colours on white, not clamped."""
-        ...
-
-    @property
-    def alpha(self) -> Tensor:
-        """(H, W) opacity."""
-        ...
-
-    @property
-    def depth(self) -> Tensor:
-        """(H, W) camera z, world units."""
-        ...
-
-
-Draw = Callable[[Papr, PointCloud, Camera], Photo]
-"""Renders one view; `pcore.model.render.render` is one."""
+Draw = Callable[[Papr, Posed, Camera], Image]
+"""Renders one view; `pcore.render.picture.render` is one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,18 +38,20 @@ class Method:
         name: for tables; unique among the methods.
         papr: the networks, which have been trained on white or render on white.
         cloud: canonical points, world units.
+        surfels: the surface over them at rest; None where it is not known.
         aware: render deformed states with deformation-aware rays, else with plain ones.
         unseen: (N,) bool, which points no training view saw; None where that is not known.
-        shading: a light that stands still while points move, for aware rays; None leaves points as
-            they were photographed.
+        light: a light that stands still while points move; None leaves points as they were
+            photographed.
     """
 
     name: str
     papr: Papr
     cloud: PointCloud
     aware: bool
+    surfels: Surfels | None = None
     unseen: Tensor | None = None
-    shading: Shading | None = None
+    light: Relighting | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +97,7 @@ class Taken:
     index: int
     rgba: Tensor | None
     depth: Tensor | None
-    photos: Mapping[str, Photo]
+    photos: Mapping[str, Image]
     camera: Camera
     health: Mapping[str, Health]
     unseen: Mapping[str, Tensor | None]
@@ -154,7 +138,10 @@ def evaluate(
     # All clouds first: a state that cannot be drawn must not cost the pictures of those before.
     carried = [carry(methods, state) for state in states]
     for state, clouds in zip(states, carried, strict=True):
-        mended = {name: one.frames and len(one.frames.mended) for name, one in clouds.items()}
+        mended = {
+            name: None if one.local_maps is None else len(one.local_maps.mended)
+            for name, one in clouds.items()
+        }
         health = _health(methods, clouds, state)
         for index in range(len(state.shots)):
             taken = _take(methods, clouds, health, state, index, draw)
@@ -169,7 +156,7 @@ def evaluate(
 
 def _take(
     methods: Sequence[Method],
-    clouds: Mapping[str, PointCloud],
+    clouds: Mapping[str, Posed],
     health: Mapping[str, Health],
     state: State,
     index: int,
@@ -178,7 +165,7 @@ def _take(
     """Render one shot with every method."""
     shot = state.shots[index]
     with torch.no_grad():
-        photos = {m.name: draw(m.papr, clouds[m.name], shot.camera) for m in methods}
+        photos = {m.name: draw(m.papr, clouds[m.name], shot.camera).cpu() for m in methods}
     return Taken(
         state=state.name,
         view=shot.view.name,
@@ -229,33 +216,50 @@ def _check_names(methods: Sequence[Method]) -> None:
         )
 
 
-def carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
-    """Move every method's cloud to the state; methods of one run share the work."""
-    known: dict[tuple[int, bool], PointCloud] = {}
-    for method in methods:
-        key = id(method.cloud), method.aware
-        if key not in known:
-            rest = method.cloud.positions.detach()
-            moved = state.move(rest.cpu())
-            frames = _frames(state, rest.cpu(), moved) if method.aware else None
-            known[key] = method.cloud.detached().moved(moved, frames).to(rest.device)
-    return {m.name: _lit(known[id(m.cloud), m.aware], m.shading, state) for m in methods}
+@torch.no_grad()
+def carry(methods: Sequence[Method], state: State) -> dict[str, Posed]:
+    """Pose every method's cloud in the state; methods of one run share the work.
 
-
-def _lit(cloud: PointCloud, shading: Shading | None, state: State) -> PointCloud:
-    """Light a moved cloud anew; where nothing moved there are no frames, and nothing changes.
-
-    All methods are measured by one kind of depth, that of the points, so that their hole rates
-    compare.
+    All methods are measured by one kind of depth, that of the surfels where a run has them,
+    whatever their rays and their light.
     """
-    if shading is None or cloud.frames is None:
-        return cloud
-    skin = shading.skin(cloud.frames, cloud.positions, world=state.world)
-    return cloud.covered(replace(skin, deep=False))
+    known: dict[int, tuple[Posed, EditError | None]] = {}
+    posed: dict[str, Posed] = {}
+    for method in methods:
+        if id(method.cloud) not in known:
+            known[id(method.cloud)] = _carried(method, methods, state)
+        whole, error = known[id(method.cloud)]
+        if error is not None and method.aware:
+            raise EditError(f"state {state.name}: {error}; plain rays can draw it") from error
+        one = whole if method.aware else replace(whole, local_maps=None)
+        if method.light is not None and whole.local_maps is not None:
+            one = replace(one, gains=method.light.gains(one, world=state.world))
+        posed[method.name] = one.to(method.cloud.positions.device)
+    return posed
+
+
+def _carried(
+    method: Method, methods: Sequence[Method], state: State
+) -> tuple[Posed, EditError | None]:
+    """A method's cloud with local maps and surfels, on the CPU, and why it may lack both."""
+    cloud = method.cloud.detached().to("cpu")
+    surfels = None if method.surfels is None else method.surfels.to("cpu")
+    moved = state.move(cloud.positions)
+    aware = any(one.aware for one in methods if one.cloud is method.cloud)
+    if not aware and surfels is None:
+        return Posed(cloud=cloud, positions=moved), None
+    try:
+        maps = state.local_maps(cloud.positions, moved)
+    except EditError as error:
+        return Posed(cloud=cloud, positions=moved), error
+    if maps is None:
+        return replace(Posed.at_rest(cloud, surfels), positions=moved), None
+    covered = None if surfels is None else surfels.moved(moved, maps)
+    return Posed(cloud=cloud, positions=moved, local_maps=maps, surfels=covered), None
 
 
 def _health(
-    methods: Sequence[Method], clouds: Mapping[str, PointCloud], state: State
+    methods: Sequence[Method], clouds: Mapping[str, Posed], state: State
 ) -> dict[str, Health]:
     """Diagnose every method's points; methods of one run share the work."""
     known: dict[int, Health] = {}
@@ -267,14 +271,7 @@ def _health(
     return {method.name: known[id(method.cloud)] for method in methods}
 
 
-def _frames(state: State, rest: Tensor, moved: Tensor) -> LocalMaps | None:
-    try:
-        return state.frames(rest, moved)
-    except EditError as error:
-        raise EditError(f"state {state.name}: {error}; plain rays can draw it") from error
-
-
-def _geometry(photo: Photo, rgba: Tensor, taken: Taken, state: State) -> Mapping[str, Value]:
+def _geometry(photo: Image, rgba: Tensor, taken: Taken, state: State) -> Mapping[str, Value]:
     """Geometry metrics; without a true shape only those that need the opacity alone."""
     alpha, size = rgba[..., 3], state.object_size
     if taken.depth is not None and size is not None:

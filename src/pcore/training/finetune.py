@@ -79,7 +79,7 @@ def finetune(
 
     return run_loop(
         work,
-        _plan(config, validation, scene.name),
+        _plan(config, validation, scene),
         losses,
         accept=_guard(anchor, validation, config),
         folder=folder,
@@ -109,7 +109,7 @@ def _work(anchor: Trained, config: FinetuneConfig) -> Trainable:
     )
 
 
-def _plan(config: FinetuneConfig, validation: Sequence[View], scene: str) -> Plan:
+def _plan(config: FinetuneConfig, validation: Sequence[View], scene: Scene) -> Plan:
     rates: dict[str, Schedule] = config.rates.named()
     if config.skinning is not None:
         rates["skinning"] = config.skinning.rate
@@ -119,9 +119,10 @@ def _plan(config: FinetuneConfig, validation: Sequence[View], scene: str) -> Pla
         validate_every=config.validate_every,
         save_every=config.save_every,
         average=config.average,
+        views=scene.split("train"),
         validation=validation,
         background=config.background,
-        scene=scene,
+        scene=scene.name,
     )
 
 

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FrameType
 
 import torch
@@ -17,6 +17,7 @@ from pcore.data.scene import View
 from pcore.errors import TrainingError
 from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder
+from pcore.render.surfel_fit import observe
 from pcore.training.compiling import compiler_errors_explained
 from pcore.training.config import Background
 from pcore.training.events import Listener, Saved, StepReport, Stopped, ValidationReport
@@ -39,6 +40,7 @@ class Plan:
         validate_every: steps between validations.
         save_every: steps between saves.
         average: decay of the running average of weights, 0 for none.
+        views: training views, which say at the end where the surface over the points is.
         validation: held-out training views.
         background: behind images with alpha.
         scene: name of the scene, for the model file.
@@ -49,6 +51,7 @@ class Plan:
     validate_every: int
     save_every: int
     average: float
+    views: Sequence[View]
     validation: Sequence[View]
     background: Background
     scene: str
@@ -82,9 +85,10 @@ def run_loop(
         KeyboardInterrupt: after Ctrl-C, with everything saved.
     """
     _resume(work, folder)
+    result = work.result()
     if work.step >= plan.steps:
         # Killed between the files of the last save: complete them.
-        _save(work, plan, folder, listener, finished=True)
+        result = _save(work, plan, folder, listener, finished=True)
     clock = _Clock(work.step, plan.steps)
     with _deferred_interrupt() as interrupted:
         while work.step < plan.steps:
@@ -96,11 +100,12 @@ def run_loop(
                 _validate(work, plan, accept, listener)
             last = work.step == plan.steps or bool(interrupted)
             if last or work.step % plan.save_every == 0:
-                _save(work, plan, folder, listener, finished=last and not interrupted)
+                done = last and not interrupted
+                result = _save(work, plan, folder, listener, finished=done)
             if interrupted:
                 _stop(work, folder, listener)
     listener(_finished(work))
-    return _result(work)
+    return result
 
 
 def _finished(work: Trainable) -> Stopped:
@@ -190,13 +195,18 @@ def _resume(work: Trainable, folder: RunFolder | None) -> None:
 
 def _save(
     work: Trainable, plan: Plan, folder: RunFolder | None, listener: Listener, *, finished: bool
-) -> None:
+) -> Trained:
+    """Save what is trained, and return it; at the end with the surface over its points."""
     _check_finite(work)
-    if folder is None:
-        return
-    folder.save_state(work.state())
-    listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
     result = _result(work)
+    if folder is not None:
+        folder.save_state(work.state())
+        listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
+    if finished:
+        observed = observe(result.papr, result.cloud, plan.views)
+        result = replace(result, surfels=observed.surfels(result.cloud), observed=observed)
+    if folder is None:
+        return result
     config = result.papr.config
     folder.save_model(
         result.papr.state_dict(),
@@ -209,6 +219,7 @@ def _save(
             stage="pretrain" if work.stage == "pretrain" else "finetune",
             step=work.best.get("kept_step", work.step),
         ),
+        result.surfels,
     )
     listener(Saved(stage=work.stage, step=work.step, path=str(folder.model)))
     if result.skinning is not None:
@@ -217,6 +228,7 @@ def _save(
     best = {key: value for key, value in work.best.items() if isinstance(value, int | float)}
     status = "finished" if finished else "running"
     folder.update(status=status, step=work.step, validation=best)
+    return result
 
 
 def _check_finite(work: Trainable) -> None:

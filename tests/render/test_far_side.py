@@ -17,7 +17,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.attention import Attended
-from pcore.model.far_side import turned, unanswered
+from pcore.render.far_side import turned, unanswered
 from pcore.model.papr import Papr
 
 CUTOFF = 0.2

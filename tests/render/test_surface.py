@@ -13,7 +13,7 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
 from pcore.model.attention import Attended
-from pcore.model.surface import middle_surface, surface_of
+from pcore.render.surface import middle_surface, surface_of
 
 
 def cloud_at(depths: list[float], beside: list[float] | None = None) -> PointCloud:

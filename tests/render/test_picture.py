@@ -19,8 +19,8 @@ from pcore.model import passes
 from pcore.model import render as render_module
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
-from pcore.model.passes import RenderCancelledError
-from pcore.model.render import (
+from pcore.render.tiles import RenderCancelledError
+from pcore.render.picture import (
     FAST_THRESHOLD,
     Picture,
     check_request,
@@ -28,7 +28,7 @@ from pcore.model.render import (
     rays_within,
     render,
 )
-from pcore.model.surface import surface_of
+from pcore.render.surface import surface_of
 
 
 def config(**changes: object) -> PaprConfig:
@@ -268,7 +268,7 @@ def test_a_tile_without_its_surroundings_would_differ(
     """The margin is needed: the test above would see a smaller one."""
     papr, cam = Papr(config()).eval(), camera(40, 40)
     exact = render(papr, cloud, cam)
-    monkeypatch.setattr("pcore.model.raster.RECEPTIVE_MARGIN", 8)
+    monkeypatch.setattr("pcore.render.raster.RECEPTIVE_MARGIN", 8)
     assert float((render(papr, cloud, cam, tile=16).rgb - exact.rgb).abs().max()) > 1e-5
 
 

@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
-from pcore.model.meeting import gains_at, meet, meet_lit
+from pcore.render.meeting import gains_at, meet, meet_lit
 
 STEP = 0.1
 INSIDE = 0.05

@@ -15,7 +15,7 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels.ray_layers import LayerRules
 from pcore.model import sight as sight_module
-from pcore.model.sight import Sight, look
+from pcore.render.sight import Sight, look
 
 K, CUTOFF = 6, 0.1
 

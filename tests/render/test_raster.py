@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 import tiny_scene
-from pcore.deform.jacobian import estimated_frames
+from pcore.deform.jacobian import estimated_maps
 from pcore.deform.simple import uniform_scale
 from pcore.editing.apply import deformed_cloud
 from pcore.errors import InputError
@@ -18,10 +18,10 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
-from pcore.model.passes import mean_around
-from pcore.model.progressive import render_progressively
-from pcore.model.raster import film_detail, photo_pixels, raster_of
-from pcore.model.render import render
+from pcore.render.tiles import mean_around
+from pcore.render.progressive import render_progressively
+from pcore.render.raster import film_detail, photo_pixels, raster_of
+from pcore.render.picture import render
 
 DISTANCE, SIZE = 4.0, 40
 FOCAL = 60.0
@@ -124,7 +124,7 @@ def test_a_folded_pose_is_as_large_as_before(aware: bool) -> None:
     lifted = points.positions[:, 0].abs() > 0.6
     shift = torch.tensor([-0.5, 0.0, 0.0]) * points.positions[:, :1].sign() * lifted[:, None]
     moved = points.positions + shift
-    frames = estimated_frames(points.positions, moved) if aware else None
+    frames = estimated_maps(points.positions, moved) if aware else None
     assert points.moved(moved, frames).growth == pytest.approx(1.0, abs=0.03)
 
 

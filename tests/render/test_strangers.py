@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import pcore.model.papr as papr_module
-import pcore.model.sight as sight_module
+import pcore.render.sight as sight_module
 import tiny_scene
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
@@ -20,8 +20,8 @@ from pcore.kernels.ray_layers import LayerRules
 from pcore.model.attention import Attended
 from pcore.model.papr import Papr
 from pcore.model.papr_config import ReferenceOrigin
-from pcore.model.sight import Hidden, look, look_behind
-from pcore.model.strangers import behind, layer_rules
+from pcore.render.sight import Hidden, look, look_behind
+from pcore.render.strangers import behind, layer_rules
 
 CUTOFF = 0.2
 CONFIG = replace(

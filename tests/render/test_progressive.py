@@ -12,9 +12,9 @@ from test_render import camera, config
 from pcore.errors import InputError
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.model.passes import Picture, RenderCancelledError
-from pcore.model.progressive import render_progressively
-from pcore.model.render import render
+from pcore.render.tiles import Picture, RenderCancelledError
+from pcore.render.progressive import render_progressively
+from pcore.render.picture import render
 
 
 @pytest.fixture
