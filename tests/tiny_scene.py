@@ -15,9 +15,10 @@ from pcore.files.run_folder import RunFolder
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import Posed
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
-from pcore.render.picture import Picture
+from pcore.render.image import Image as Drawn
 
 SIZE, ANGLE = 24, 0.7
 CONFIG = PaprConfig(
@@ -74,11 +75,11 @@ def see(vertices: np.ndarray, camera: Camera) -> tuple[Tensor, Tensor]:
     return torch.cat([alpha[..., None] * color, alpha[..., None]], dim=-1), depth
 
 
-def draw_box(papr: Papr, cloud: PointCloud, camera: Camera) -> Picture:
+def draw_box(papr: Papr, posed: Posed, camera: Camera) -> Drawn:
     """Renderer that is perfect when the points of the cloud are the corners of the box."""
-    rgba, depth = see(cloud.positions.double().numpy(), camera)
+    rgba, depth = see(posed.positions.double().numpy(), camera)
     alpha = rgba[..., 3:]
-    return Picture(
+    return Drawn(
         rgb=rgba[..., :3] + 1 - alpha,
         alpha=alpha[..., 0],
         depth=torch.where(depth.isfinite(), depth, torch.nan),

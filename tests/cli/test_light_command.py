@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from pcore.editing.apply import deformed_cloud
+from pcore.relight.shading import Shading
 from toys import toy_cameras, write_cameras, write_run, write_scene
 
 import tiny_scene
 from pcore.cli.main import main
 from pcore.deform.base import Identity
-from pcore.editing.apply import deformed_cloud
 from pcore.editing.script import load_edit
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.render.picture import render
 from pcore.relight.lamps import Light, sphere
 from pcore.relight.light_file import LIGHT_FILE, load_shading, save_shading
-from pcore.relight.shading import Shading
+from pcore.render.picture import render
 
 TURN = {"version": 2, "edits": [{"type": "rigid", "axis": "x", "angle_deg": 120}]}
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from pcore.editing.apply import deformed_cloud
 
 from pcore.editing import anchors
-from pcore.editing.apply import deformed_cloud
 from pcore.editing.script import load_edit, parse_one
 from pcore.editing.session import EditSession
 from pcore.errors import EditError

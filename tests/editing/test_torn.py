@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from pcore.editing.apply import deformed_cloud
 from torch import Tensor
 
 from pcore.deform.checks import count_folded
 from pcore.deform.jacobian import estimated_maps
 from pcore.deform.motion import rigid
-from pcore.editing.apply import deformed_cloud
 from pcore.editing.script import EditScript, parse_edit
 from pcore.errors import EditError
 from pcore.geometry.point_cloud import PointCloud

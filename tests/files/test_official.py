@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy_papr
 import pytest
 import torch
 import yaml
 
+import numpy_papr
 from pcore.errors import CheckpointError, InputError
 from pcore.files.official import OfficialModel, load_official, to_official_state
 from pcore.geometry.camera import Camera

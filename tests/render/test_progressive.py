@@ -7,41 +7,46 @@ from typing import Any
 
 import pytest
 import torch
-from test_render import camera, config
+from test_picture import camera, network
 
 from pcore.errors import InputError
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import Posed
 from pcore.model.papr import Papr
-from pcore.render.tiles import Picture, RenderCancelledError
+from pcore.render import tiles as tiles_module
+from pcore.render.image import Image
+from pcore.render.picture import RenderCancelledError, render
 from pcore.render.progressive import render_progressively
-from pcore.render.picture import render
+from pcore.render.trace import trace
+
+PLANES = ("rgb", "alpha", "depth", "surface")
 
 
 @pytest.fixture
-def cloud() -> PointCloud:
-    return PointCloud(
+def posed() -> Posed:
+    cloud = PointCloud(
         positions=torch.randn(60, 3) * 0.3,
         features=torch.randn(60, 6),
         influence=torch.rand(60) * 2,
     )
+    return Posed.at_rest(cloud)
 
 
 @pytest.fixture
 def attended(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many rays each call of the attention got."""
     rays: list[int] = []
-    attend = Papr.attend
 
-    def counted(self: Papr, cloud: PointCloud, bundle: Any, threshold: float = 0.0) -> Any:
+    def counted(papr: Papr, posed: Posed, bundle: Any, **options: Any) -> Any:
         rays.append(len(bundle.origins))
-        return attend(self, cloud, bundle, threshold)
+        return trace(papr, posed, bundle, **options)
 
-    monkeypatch.setattr(Papr, "attend", counted)
+    monkeypatch.setattr(tiles_module, "trace", counted)
     return rays
 
 
-def same(one: Picture, other: Picture) -> bool:
-    parts = zip(vars(one).values(), vars(other).values(), strict=True)
+def same(one: Image, other: Image) -> bool:
+    parts = [(getattr(one, name), getattr(other, name)) for name in PLANES]
     return all(torch.equal(a.nan_to_num(7.0), b.nan_to_num(7.0)) for a, b in parts)
 
 
@@ -57,11 +62,11 @@ def same(one: Picture, other: Picture) -> bool:
     ],
 )
 def test_the_last_picture_is_what_render_gives_bit_for_bit(
-    cloud: PointCloud, size: tuple[int, int], tile: int, max_rays: int | None, pictures: int
+    posed: Posed, size: tuple[int, int], tile: int, max_rays: int | None, pictures: int
 ) -> None:
-    papr, cam = Papr(config(cutoff=0.3)).eval(), camera(*size)
-    shown = list(render_progressively(papr, cloud, cam, tile=tile, max_rays=max_rays))
-    assert same(shown[-1], render(papr, cloud, cam, tile=tile, max_rays=max_rays))
+    papr, cam = network(cutoff=0.3), camera(*size)
+    shown = list(render_progressively(papr, posed, cam, tile=tile, max_rays=max_rays))
+    assert same(shown[-1], render(papr, posed, cam, tile=tile, max_rays=max_rays))
     assert all(one.rgb.shape == (size[1], size[0], 3) for one in shown)
     assert len(shown) == pictures
     errors = [float((one.alpha - shown[-1].alpha).abs().mean()) for one in shown]
@@ -70,9 +75,9 @@ def test_the_last_picture_is_what_render_gives_bit_for_bit(
 
 
 def test_the_first_picture_comes_early_and_no_ray_is_attended_to_thrice(
-    cloud: PointCloud, attended: list[int]
+    posed: Posed, attended: list[int]
 ) -> None:
-    stages = render_progressively(Papr(config()), cloud, camera(100, 80), max_rays=300, tile=32)
+    stages = render_progressively(network(), posed, camera(100, 80), max_rays=300, tile=32)
     next(stages)
     assert sum(attended) == 13 * 10
     assert sum(attended) <= 0.02 * 100 * 80
@@ -83,13 +88,13 @@ def test_the_first_picture_comes_early_and_no_ray_is_attended_to_thrice(
     assert sum(attended) == 25 * 20 + 100 * 80
 
 
-def test_coarse_pictures_are_those_of_their_rays(cloud: PointCloud) -> None:
-    papr, cam = Papr(config()).eval(), camera(48, 40)
+def test_coarse_pictures_are_those_of_their_rays(posed: Posed) -> None:
+    papr, cam = network(), camera(48, 40)
     with torch.no_grad():
-        exact, *_ = papr.attend(cloud, cam.rays().flat())
+        exact = trace(papr, posed, cam.rays())
     alpha = (1 - exact.background).view(40, 48)
-    surface = exact.surface.view(40, 48, 3)
-    for stage, stride in zip(render_progressively(papr, cloud, cam), (8, 4), strict=False):
+    surface = exact.centroid.view(40, 48, 3)
+    for stage, stride in zip(render_progressively(papr, posed, cam), (8, 4), strict=False):
         grid = slice(2, None, stride)
         blocks = slice(0, None, stride)
         torch.testing.assert_close(stage.alpha[blocks, blocks], alpha[grid, grid])
@@ -97,11 +102,11 @@ def test_coarse_pictures_are_those_of_their_rays(cloud: PointCloud) -> None:
         assert torch.equal(stage.rgb[:stride, :stride], stage.rgb[:1, :1].expand(stride, stride, 3))
 
 
-def test_pictures_stay_as_they_are(cloud: PointCloud) -> None:
-    papr, cam = Papr(config()).eval(), camera(40, 40)
-    kept: list[tuple[Picture, Picture]] = []
-    for stage in render_progressively(papr, cloud, cam, tile=8):
-        kept.append((stage, Picture(**{k: v.clone() for k, v in vars(stage).items()})))
+def test_pictures_stay_as_they_are(posed: Posed) -> None:
+    papr, cam = network(), camera(40, 40)
+    kept: list[tuple[Image, Image]] = []
+    for stage in render_progressively(papr, posed, cam, tile=8):
+        kept.append((stage, stage.each(torch.clone)))
     assert all(same(one, copy) for one, copy in kept)
     assert len(kept) == 2 + 5
     finished = [one for one, _ in kept[2:]]
@@ -110,10 +115,10 @@ def test_pictures_stay_as_they_are(cloud: PointCloud) -> None:
         assert not torch.equal(one.rgb[rows:], finished[-1].rgb[rows:])
 
 
-def test_cancelling_between_chunks(cloud: PointCloud, attended: list[int]) -> None:
-    seen: list[Picture] = []
+def test_cancelling_between_chunks(posed: Posed, attended: list[int]) -> None:
+    seen: list[Image] = []
     stages = render_progressively(
-        Papr(config()), cloud, camera(64, 64), max_rays=100, cancel=lambda: bool(seen)
+        network(), posed, camera(64, 64), max_rays=100, cancel=lambda: bool(seen)
     )
     with pytest.raises(RenderCancelledError, match="cancelled before it was complete"):
         seen.extend(stages)
@@ -121,22 +126,31 @@ def test_cancelling_between_chunks(cloud: PointCloud, attended: list[int]) -> No
     assert sum(attended) == 64
 
 
-def test_closing_the_generator_ends_the_work(cloud: PointCloud, attended: list[int]) -> None:
-    stages: Iterator[Picture] = render_progressively(Papr(config()), cloud, camera(64, 64))
+def test_closing_the_generator_ends_the_work(posed: Posed, attended: list[int]) -> None:
+    stages: Iterator[Image] = render_progressively(network(), posed, camera(64, 64))
     next(stages)
     assert torch.is_grad_enabled()
     stages.close()  # pyright: ignore[reportAttributeAccessIssue]
     assert sum(attended) == 64
 
 
+def test_what_asks_for_a_gradient_is_refused(posed: Posed) -> None:
+    """Such pictures have none."""
+    posed.cloud.positions.requires_grad_()
+    with pytest.raises(InputError, match="nothing that asks for a gradient"):
+        next(render_progressively(network(), posed, camera(40, 40)))
+    with torch.no_grad():
+        next(render_progressively(network(), posed, camera(40, 40)))
+
+
 @pytest.mark.parametrize("strides", [(8, 3), (4, 8), (8, 1)])
-def test_strides_that_do_not_fit(cloud: PointCloud, strides: tuple[int, ...]) -> None:
+def test_strides_that_do_not_fit(posed: Posed, strides: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="each a multiple of the next"):
-        next(render_progressively(Papr(config()), cloud, camera(40, 40), strides=strides))
+        next(render_progressively(network(), posed, camera(40, 40), strides=strides))
 
 
-def test_other_strides_and_a_threshold(cloud: PointCloud) -> None:
-    papr, cam = Papr(config()).eval(), camera(40, 40)
-    shown = list(render_progressively(papr, cloud, cam, strides=(6, 2), threshold=0.3))
-    assert same(shown[-1], render(papr, cloud, cam, threshold=0.3))
-    assert len(list(render_progressively(papr, cloud, cam, strides=()))) == 1
+def test_other_strides_and_a_threshold(posed: Posed) -> None:
+    papr, cam = network(), camera(40, 40)
+    shown = list(render_progressively(papr, posed, cam, strides=(6, 2), threshold=0.3))
+    assert same(shown[-1], render(papr, posed, cam, threshold=0.3))
+    assert len(list(render_progressively(papr, posed, cam, strides=()))) == 1

@@ -8,17 +8,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from small_training import (
-    RATES,
-    ZERO,
-    Heard,
-    assert_same,
-    box_model,
-    copied,
-    ctrl_c_at,
-    finetune_config,
-    weights_of,
-)
 
 import pcore.data.images
 from pcore.data.load import load_scene
@@ -35,6 +24,17 @@ from pcore.training.events import StepReport, Stopped, ValidationReport
 from pcore.training.finetune import finetune
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
+from small_training import (
+    RATES,
+    ZERO,
+    Heard,
+    assert_same,
+    box_model,
+    copied,
+    ctrl_c_at,
+    finetune_config,
+    weights_of,
+)
 from tiny_scene import write_scene
 
 

@@ -8,17 +8,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from small_training import (
-    RATES,
-    SKINNING,
-    ZERO,
-    Heard,
-    assert_same,
-    box_model,
-    ctrl_c_at,
-    finetune_config,
-    weights_of,
-)
 
 from pcore.contrib.learned_skinning import Skinning
 from pcore.contrib.skinning_fit import skinning_error
@@ -38,6 +27,17 @@ from pcore.training.presets import skinning_preset
 from pcore.training.random_motion import skinning_to_train
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
+from small_training import (
+    RATES,
+    SKINNING,
+    ZERO,
+    Heard,
+    assert_same,
+    box_model,
+    ctrl_c_at,
+    finetune_config,
+    weights_of,
+)
 
 FROZEN = Rates(**dict.fromkeys(RATES.named(), ZERO))
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 import torch
-from small_training import RATES, Heard, assert_same, box_work, copied, weights_of
 from torch import Tensor
 
 from pcore.errors import CheckpointError, TrainingError
@@ -23,6 +22,7 @@ from pcore.training.losses import Losses
 from pcore.training.schedule import Schedule
 from pcore.training.trainable import Trainable
 from pcore.training.trained import Trained
+from small_training import RATES, Heard, assert_same, box_work, copied, weights_of
 
 
 def plan(**changes: Any) -> Plan:

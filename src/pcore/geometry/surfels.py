@@ -98,8 +98,10 @@ class Surfels:
         """
         to_rest = local_maps.to_rest.to(positions)
         upright = determinants(to_rest.detach()) > 0
-        unit = torch.eye(3, dtype=to_rest.dtype, device=to_rest.device)
-        to_rest = torch.where(upright[:, None, None], to_rest, unit)
+        if not bool(upright.all()):
+            unit = torch.eye(3, dtype=to_rest.dtype, device=to_rest.device)
+            to_rest = torch.where(upright[:, None, None], to_rest, unit)
+            local_maps = LocalMaps(to_rest=to_rest)
         normals = self.normals.to(positions)
         lifted = torch.linalg.solve(to_rest, self.heights.to(positions).unsqueeze(-1) * normals)
         turned = F.normalize(torch.einsum("nji,nj->ni", to_rest, normals), dim=1)
