@@ -115,7 +115,7 @@ class Lens:
             assert self.fl_x is not None, "files without either are refused when they are read"
             return self.fl_x
         camera = Camera.from_fov(pose, width=full[0], height=full[1], angle_x=self.angle_x)
-        seen = float(camera.fx)
+        seen = camera.focal[0]
         if self.fl_x is not None and not abs(self.fl_x / seen - 1) <= _SAME_FOCAL:
             raise SceneError(
                 f"{where}: 'camera_angle_x' and images of {full[0]} x {full[1]} pixels expect "

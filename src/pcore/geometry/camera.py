@@ -54,7 +54,7 @@ class Camera:
             raise InputError(
                 f"camera: expected a positive image size, got {self.width} x {self.height}"
             )
-        focal = float(self.fx), float(self.fy)
+        focal = self.focal
         if not (min(focal) > 0 and math.isfinite(sum(focal))):
             raise InputError(
                 f"camera: expected positive focal lengths in pixels, got {focal[0]}, {focal[1]}"
@@ -108,6 +108,12 @@ class Camera:
     @property
     def _numbers(self) -> dict[str, Number]:
         return {"fx": self.fx, "fy": self.fy, "cx": self.cx, "cy": self.cy}
+
+    @property
+    def focal(self) -> tuple[float, float]:
+        """Focal lengths of a single camera along x and y in pixels, as numbers."""
+        x, y = (float(torch.as_tensor(one).detach()) for one in (self.fx, self.fy))
+        return x, y
 
     @property
     def asks_gradient(self) -> bool:
@@ -212,7 +218,7 @@ class Camera:
 
     def pixel_width(self, place: Tensor) -> float:
         """How wide a pixel is as far away as a place (3,), world units."""
-        return float((self.center - place).norm()) / float(self.fx)
+        return float((self.center - place).detach().norm()) / self.focal[0]
 
     def project(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Column, row and camera z (N,) of world points (N, 3).
@@ -235,8 +241,13 @@ class Camera:
         if self.count is not None:
             each = zip(self, points, strict=True)
             return torch.stack([camera.depth(seen) for camera, seen in each])
-        forward = -self.world_from_camera[:3, 2]
-        return (points - self.center.to(points)) @ forward.to(points)
+        forward = -self.world_from_camera[:3, 2].to(points)
+        if not self.asks_gradient:
+            return (points - self.center.to(points)) @ forward
+        # What NaN says of the viewing axis would be NaN for all.
+        unknown = points.isnan().any(dim=-1, keepdim=True)
+        depth = (points.masked_fill(unknown, 0.0) - self.center.to(points)) @ forward
+        return depth.masked_fill(unknown.squeeze(-1), math.nan)
 
 
 def _check_pose(pose: Tensor) -> None:

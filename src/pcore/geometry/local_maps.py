@@ -59,6 +59,14 @@ class LocalMaps:
         """How many times as long as at rest things are: median over the points, mean of axes."""
         return float(self._sizes.prod(dim=1).median().clamp_min(_FLATTEST)) ** (-1 / 3)
 
+    @property
+    def followed_growth(self) -> float | Tensor:
+        """The same as a tensor () where autograd follows the maps."""
+        if not (torch.is_grad_enabled() and self.to_rest.requires_grad):
+            return self.growth
+        volumes = torch.linalg.det(self.to_rest).abs()
+        return volumes.median().clamp_min(_FLATTEST).pow(-1 / 3)
+
     @cached_property
     def _sizes(self) -> Tensor:
         """(N, 3) factors by which `to_rest` changes lengths, largest first."""

@@ -60,7 +60,8 @@ class Posed:
     @classmethod
     def at_rest(cls, cloud: PointCloud, surfels: Surfels | None = None) -> Posed:
         """Pose a canonical cloud (with its surfels at rest) as it is."""
-        return cls(cloud=cloud, positions=cloud.positions, surfels=surfels)
+        over = None if surfels is None else surfels.over(cloud.positions)
+        return cls(cloud=cloud, positions=cloud.positions, surfels=over)
 
     def __len__(self) -> int:
         return len(self.cloud)

@@ -37,14 +37,14 @@ class Surfels:
             world units.
         beside: (N, K) int64, for every point the pieces with a normal that were nearest at rest;
             K is 0 where no normal is known.
-        spacing: how far the points are apart, world units.
+        spacing: how far the points are apart, world units; a tensor () where autograd follows it.
     """
 
     places: Tensor
     normals: Tensor
     heights: Tensor
     beside: Tensor
-    spacing: float
+    spacing: float | Tensor
 
     def __post_init__(self) -> None:
         parts = (self.places, self.normals, self.heights, self.beside)
@@ -90,6 +90,12 @@ class Surfels:
         """(N,) bool, which pieces have a normal."""
         return known_normals(self.normals)
 
+    def over(self, positions: Tensor) -> Surfels:
+        """Return these pieces at rest over canonical points (N, 3) that autograd may follow."""
+        normals = self.normals.to(positions)
+        lifted = self.heights.to(positions).unsqueeze(-1) * normals
+        return replace(self, places=positions + lifted, normals=normals)
+
     def moved(self, positions: Tensor, local_maps: LocalMaps) -> Surfels:
         """Return these pieces at rest as they lie over posed points (N, 3), world units.
 
@@ -111,7 +117,7 @@ class Surfels:
             places=positions + torch.where(whole.unsqueeze(1), lifted, 0.0),
             normals=torch.where(whole.unsqueeze(1), turned, 0.0),
             beside=self.beside.to(positions.device),
-            spacing=self.spacing * local_maps.growth,
+            spacing=self.spacing * local_maps.followed_growth,
         )
 
     def each(self, change: Callable[[Tensor], Tensor]) -> Surfels:

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.neighbours import nearest
-from pcore.geometry.surfels import Surfels, known_normals
+from pcore.geometry.surfels import Surfels, known_normals, spacing_of
 from pcore.relight.config import DEFAULT, RelightConfig
 from pcore.relight.lamps import Light, falling_of, sphere
 from pcore.relight.relighting import Relighting, hidden_share
@@ -44,7 +44,7 @@ def fit_light(observed: Observed, positions: Tensor, config: RelightConfig = DEF
     positions = positions.detach().cpu().float()
     surfels = Surfels.at_rest(positions, observed.normals, observed.heights)
     directions = sphere(config.directions)
-    shadows = shadows_of(positions, surfels.normals, directions, surfels.spacing, config)
+    shadows = shadows_of(positions, surfels.normals, directions, spacing_of(positions), config)
     light = fit_lamps(observed, positions, shadows, config)
     brightness = brightness_of(observed, positions, config)
     return Relighting.of(light, positions, surfels, brightness, config)

@@ -69,7 +69,7 @@ class Relighting:
     ) -> Relighting:
         """Let a light fall on canonical points (N, 3) with surfels and a brightness (N,)."""
         here = positions, surfels.normals
-        shadows = shadows_of(*here, light.directions, surfels.spacing, config)
+        shadows = shadows_of(*here, light.directions, float(surfels.spacing), config)
         received = reaching(light, *here, shadows, config).on(brightness)
         return cls(
             light=light,
@@ -99,7 +99,8 @@ class Relighting:
         surfels = self._check(posed)
         place = posed.positions.detach().cpu().float()
         turned, light = surfels.normals.detach().cpu().float(), self.light.scaled(world)
-        shadows = shadows_of(place, turned, light.directions, surfels.spacing, self.config)
+        spacing = float(surfels.spacing)
+        shadows = shadows_of(place, turned, light.directions, spacing, self.config)
         there = reaching(light, place, turned, shadows, self.config)
         encoding, most = self.config.encoding, self.config.largest_gain
         gains = torch.ones(len(place))

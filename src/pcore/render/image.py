@@ -85,14 +85,16 @@ def normals(image: Image, camera: Camera) -> Tensor:
     out = torch.full_like(points, math.nan)
     if min(depth.shape) < 3:
         return out
-    right = points[1:-1, 2:] - points[1:-1, :-2]
-    down = points[2:, 1:-1] - points[:-2, 1:-1]
+    known = _smooth(image, camera).unsqueeze(-1)
+    # Zeros, since autograd would carry what is not known to the pixels beside.
+    right = (points[1:-1, 2:] - points[1:-1, :-2]).where(known, 0.0)
+    down = (points[2:, 1:-1] - points[:-2, 1:-1]).where(known, 0.0)
     normal = torch.linalg.cross(right, down, dim=-1)
-    length = normal.norm(dim=-1, keepdim=True)
+    known = known & (normal.detach().square().sum(dim=-1, keepdim=True) > 0)
+    normal = normal / normal.where(known, 1.0).norm(dim=-1, keepdim=True)
     towards = camera.center.to(points) - points[1:-1, 1:-1]
-    side = torch.where((normal * towards).sum(dim=-1, keepdim=True) < 0, -1.0, 1.0)
-    valid = _smooth(image, camera) & (length[..., 0] > 0)
-    out[1:-1, 1:-1] = torch.where(valid.unsqueeze(-1), side * normal / length, math.nan)
+    side = torch.where((normal * towards).detach().sum(dim=-1, keepdim=True) < 0, -1.0, 1.0)
+    out[1:-1, 1:-1] = torch.where(known, side * normal, math.nan)
     return out
 
 
@@ -100,7 +102,7 @@ def _smooth(image: Image, camera: Camera) -> Tensor:
     """Where a pixel and its four neighbours are one surface, (H - 2, W - 2)."""
     solid, depth = image.alpha >= _SOLID, image.depth
     center = depth[1:-1, 1:-1]
-    steepest = _STEEPEST / min(float(camera.fx), float(camera.fy))
+    steepest = _STEEPEST / min(camera.focal)
     valid = solid[1:-1, 1:-1]
     for rows, columns in (
         (slice(1, -1), slice(2, None)),

@@ -109,9 +109,9 @@ def photo_pixels(config: PaprConfig, posed: Posed, camera: Camera) -> float:
     """
     if config.pixel is None:
         return 1.0
-    depth = float(camera.depth(posed.positions.detach().cpu()).median())
+    depth = float(camera.depth(posed.positions.detach().cpu()).detach().median())
     depth = max(depth, _CLOSEST * posed.sphere[1])
-    focal = 0.5 * (float(camera.fx) + float(camera.fy))
+    focal = 0.5 * sum(camera.focal)
     detail = config.pixel * posed.growth * focal / depth
     return min(max(detail, 1 / _FINEST), _FINEST)
 

@@ -118,12 +118,14 @@ def intersect(
         weights: (M, k) of the points that they met, not all zero.
         points: (M, k) indices of those.
     """
-    followed = (weights, surfels.places, surfels.normals, rays.origins, rays.directions)
-    if not _by_kernel(*followed, *(() if gains is None else (gains,))):
+    followed = [weights, surfels.places, surfels.normals, rays.origins, rays.directions]
+    followed += [] if gains is None else [gains]
+    spacing = surfels.spacing
+    if isinstance(spacing, Tensor) or not _by_kernel(*followed):
         places, middle = meet_planes(surfels, rays, weights, points)
         return places, None if gains is None else gains_at(surfels, gains, rays, places, middle)
-    extent, width = (_reach(one, surfels) for one in (_EXTENT, _WIDTH))
-    limits = _FACING, _SLANT, _NEAR * surfels.spacing, extent, width, _HIDDEN
+    extent, width = (one * spacing or 1.0 for one in (_EXTENT, _WIDTH))
+    limits = _FACING, _SLANT, _NEAR * spacing, extent, width, _HIDDEN
     return cpu_intersection.intersect(surfels, gains, rays, weights, points, limits)
 
 
@@ -200,6 +202,6 @@ def _nearness(squared: Tensor, spacings: float, surfels: Surfels) -> Tensor:
     return (1 + squared / _reach(spacings, surfels) ** 2).pow(-2)
 
 
-def _reach(spacings: float, surfels: Surfels) -> float:
+def _reach(spacings: float, surfels: Surfels) -> float | Tensor:
     """So many spacings in world units; 1 for a point alone, which is no distance from others."""
     return spacings * surfels.spacing or 1.0
