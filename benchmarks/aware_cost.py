@@ -19,7 +19,7 @@ from pcore.cli.light import shading_of
 from pcore.evaluation.states import State, open_states
 from pcore.files.model_file import SavedModel, load_model
 from pcore.kernels.memory import keep_freed_memory
-from pcore.model.render import render
+from pcore.render.picture import render
 from pcore.relight.shading import Shading
 
 

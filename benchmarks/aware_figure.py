@@ -21,7 +21,7 @@ from pcore.evaluation.figures import Pixels, sheet
 from pcore.evaluation.panels import object_window, renderings
 from pcore.evaluation.runner import Method, Taken, evaluate
 from pcore.evaluation.states import open_states
-from pcore.model.render import render
+from pcore.render.picture import render
 from pcore.relight.light_file import load_shading
 
 METHODS = ("PAPR", "P-CORE", "aware", "aware + light")

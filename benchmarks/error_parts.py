@@ -28,7 +28,7 @@ from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.runner import Method, carry
 from pcore.evaluation.states import CANONICAL, State, open_states
 from pcore.files.model_file import load_model
-from pcore.model.render import render
+from pcore.render.picture import render
 
 PARTS = ("edge", "jump", "inside")
 _RIM = 2.0

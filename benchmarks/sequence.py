@@ -34,7 +34,7 @@ from pcore.files.model_file import SavedModel, load_model
 from pcore.geometry.extent import size_of
 from pcore.geometry.point_cloud import PointCloud
 from pcore.metrics.image_metrics import psnr
-from pcore.model.render import render
+from pcore.render.picture import render
 
 TRUTH, ANGLE = "twist60", 60.0
 PLANS = ((ANGLE, 12), (120.0, 24))

@@ -36,7 +36,7 @@ from pcore.deform.anchor_distance import (
     distance_weigher,
     path_distance,
 )
-from pcore.deform.jacobian import estimated_frames
+from pcore.deform.jacobian import estimated_maps
 from pcore.deform.sampler import DeformationRanges, sample_deformation
 from pcore.deform.skinning import Weigher, skin
 from pcore.editing.anchors import SIGMA, anchor_graph, pose_from_places
@@ -49,7 +49,7 @@ from pcore.files.skinning_file import load_skinning
 from pcore.geometry.farthest_points import ANCHORS, farthest_points
 from pcore.geometry.point_cloud import PointCloud
 from pcore.metrics.point_metrics import compare_clouds
-from pcore.model.render import render
+from pcore.render.picture import render
 
 MOTIONS = {"knight": ("run", "cheer", "sit"), "robot": ("run", "wave", "dance")}
 TRUE = "true motion"
@@ -201,7 +201,7 @@ def score_object(
                 "error": float((places - carried).norm(dim=1).mean()),
             }
             # The same rule for all methods: what is around a point is told by its neighbours.
-            frames = estimated_frames(points, places) if aware else None
+            frames = estimated_maps(points, places) if aware else None
             drawn = canonical.moved(places, frames)
             for show in shows:
                 if method not in show.methods:

@@ -33,7 +33,7 @@ from pcore.evaluation.states import CANONICAL, State, open_states
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.surface_search import SurfaceSearch
-from pcore.model.render import render
+from pcore.render.picture import render
 from pcore.relight.light_file import load_shading
 
 _BLUR = 0.7
