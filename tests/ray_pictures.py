@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
 from pcore.render.picture import render_rays
@@ -34,10 +34,10 @@ class RayPicture:
 
 
 def picture_of(
-    papr: Papr, points: PointCloud | Posed, rays: RayBundle, **options: Any
+    papr: Papr, points: PointCloud | PosedCloud, rays: RayBundle, **options: Any
 ) -> RayPicture:
     """Render rays of points, at rest or posed."""
-    posed = Posed.at_rest(points) if isinstance(points, PointCloud) else points
+    posed = PosedCloud.at_rest(points) if isinstance(points, PointCloud) else points
     image = render_rays(papr, posed, rays, **options)
     hits = image.ray_hits
     return RayPicture(
@@ -50,7 +50,7 @@ def picture_of(
     )
 
 
-def moved(cloud: PointCloud, positions: Tensor, to_rest: Tensor | None = None) -> Posed:
+def moved(cloud: PointCloud, positions: Tensor, to_rest: Tensor | None = None) -> PosedCloud:
     """Pose a cloud at other positions (N, 3), with the ways back (N, 3, 3) or without."""
     maps = None if to_rest is None else LocalMaps(to_rest=to_rest)
-    return Posed(cloud=cloud, positions=positions, local_maps=maps)
+    return PosedCloud(cloud=cloud, positions=positions, local_maps=maps)

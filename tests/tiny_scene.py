@@ -9,13 +9,13 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from pcore.asset.asset import Asset, Posed
 from pcore.evaluation.ground_truth import mesh_depth
 from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
 from pcore.render.image import Image as Drawn
@@ -75,9 +75,9 @@ def see(vertices: np.ndarray, camera: Camera) -> tuple[Tensor, Tensor]:
     return torch.cat([alpha[..., None] * color, alpha[..., None]], dim=-1), depth
 
 
-def draw_box(papr: Papr, posed: Posed, camera: Camera) -> Drawn:
-    """Renderer that is perfect when the points of the cloud are the corners of the box."""
-    rgba, depth = see(posed.positions.double().numpy(), camera)
+def draw_box(asset: Asset, posed: Posed, camera: Camera) -> Drawn:
+    """Renderer that is perfect when the points are the corners of the box."""
+    rgba, depth = see(posed.points.double().numpy(), camera)
     alpha = rgba[..., 3:]
     return Drawn(
         rgb=rgba[..., :3] + 1 - alpha,

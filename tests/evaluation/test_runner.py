@@ -8,12 +8,13 @@ import pytest
 import torch
 
 import tiny_scene
+from pcore.asset.asset import Asset, Posed
+from pcore.asset.saving import asset_of
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual
 from pcore.evaluation.runner import ImageRow, Method, Taken, carry, evaluate
 from pcore.evaluation.states import CANONICAL, SceneStates, open_states
 from pcore.geometry.camera import Camera
-from pcore.geometry.posed import Posed
 from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
 from pcore.relight.lamps import Light, sphere
@@ -34,9 +35,8 @@ def states(scene: Path) -> SceneStates:
 
 @pytest.fixture
 def perfect() -> Method:
-    return Method(
-        name="true", papr=Papr(tiny_scene.CONFIG), cloud=tiny_scene.corner_cloud(), aware=False
-    )
+    asset = asset_of(Papr(tiny_scene.CONFIG), tiny_scene.corner_cloud())
+    return Method(name="true", asset=asset, rays="plain")
 
 
 def test_a_perfect_renderer_is_perfect_in_every_state(states: SceneStates, perfect: Method) -> None:
@@ -64,23 +64,23 @@ def test_a_perfect_renderer_is_perfect_in_every_state(states: SceneStates, perfe
 def test_points_are_carried_and_cameras_scaled(states: SceneStates, perfect: Method) -> None:
     seen: list[tuple[Posed, Camera]] = []
 
-    def draw(papr: Papr, posed: Posed, camera: Camera) -> Image:
+    def draw(asset: Asset, posed: Posed, camera: Camera) -> Image:
         seen.append((posed, camera))
-        return draw_box(papr, posed, camera)
+        return draw_box(asset, posed, camera)
 
     canonical, grown, scaled = states.select(["grown", "scale:2"])
     evaluate([perfect], [canonical, grown, scaled], draw=draw, protocols=[PAPR])
-    start = perfect.cloud.positions
-    torch.testing.assert_close(seen[0][0].positions, start)
-    torch.testing.assert_close(seen[2][0].positions, 1.5 * start)
-    torch.testing.assert_close(seen[4][0].positions, 2 * start)
+    start = perfect.asset.points
+    torch.testing.assert_close(seen[0][0].points, start)
+    torch.testing.assert_close(seen[2][0].points, 1.5 * start)
+    torch.testing.assert_close(seen[4][0].points, 2 * start)
     torch.testing.assert_close(seen[4][1].center, 2 * seen[0][1].center)
     torch.testing.assert_close(seen[2][1].center, seen[0][1].center)
 
 
 def test_holes_show_in_both_kinds_of_figures(states: SceneStates, perfect: Method) -> None:
-    def torn(papr: Papr, posed: Posed, camera: Camera) -> Image:
-        whole = draw_box(papr, posed, camera)
+    def torn(asset: Asset, posed: Posed, camera: Camera) -> Image:
+        whole = draw_box(asset, posed, camera)
         alpha = whole.alpha.clone()
         alpha[:, : alpha.shape[1] // 2] = 0
         white = torch.ones_like(whole.rgb)

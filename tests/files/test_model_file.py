@@ -178,7 +178,7 @@ def test_a_changed_configuration(saved: tuple[Path, Papr, PointCloud]) -> None:
     rewrite(saved[0], header={"config": json.dumps({**config, "colour": 1})})
     assert "config: unknown key 'colour'" in error_of(saved[0])
     rewrite(saved[0], header={"config": "{"})
-    assert "expected JSON under 'config'" in error_of(saved[0])
+    assert "expected a JSON object under 'config'" in error_of(saved[0])
 
 
 @pytest.mark.parametrize(

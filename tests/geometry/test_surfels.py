@@ -14,7 +14,7 @@ from pcore.deform.pose import pose
 from pcore.errors import InputError
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels, spacing_of
 
 
@@ -82,7 +82,7 @@ def test_poses_keep_all_parts_together() -> None:
     points = ball(2)
     cloud = PointCloud(positions=points, features=torch.zeros(2, 4), influence=torch.ones(2))
     surfels = Surfels.at_rest(points, points, torch.zeros(2))
-    posed = replace(Posed.at_rest(cloud, surfels), gains=torch.tensor([2.0, 0.5]))
+    posed = replace(PosedCloud.at_rest(cloud, surfels), gains=torch.tensor([2.0, 0.5]))
     away = posed.to("meta")
     assert away.surfels is not None
     parts = (away.positions, away.surfels.places, away.surfels.beside, away.surfels.heights)
@@ -93,7 +93,7 @@ def test_poses_keep_all_parts_together() -> None:
     empty = PointCloud(
         positions=torch.zeros(0, 3), features=torch.zeros(0, 4), influence=torch.ones(0)
     )
-    left = Posed.at_rest(empty, none).to("meta").surfels
+    left = PosedCloud.at_rest(empty, none).to("meta").surfels
     assert left is not None
     assert left.places.device.type == "meta"
     with pytest.raises(InputError, match="surfels of its 2 points, got 3"):

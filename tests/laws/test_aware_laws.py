@@ -17,7 +17,7 @@ from pcore.errors import EditError, InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
 from pcore.kernels.reference import encode
@@ -113,7 +113,7 @@ def test_similarities_move_the_surface_that_pictures_show(scale: float) -> None:
     turn = rigid((0.2, 1.0, -0.4), 0.9, (0.3, -0.2, 0.1), (0.1, 0.0, 0.0))
     deformation = Compose(uniform_scale(scale), turn)
     papr = Papr(replace(CONFIG, neighbours=8, cutoff=0.3, reference=REFERENCE)).eval()
-    rest, turned = Posed.at_rest(ball()), pose(ball(), deformation)
+    rest, turned = PosedCloud.at_rest(ball()), pose(ball(), deformation)
     rays = camera().rays().flat()
     seen = carried(rays, *affine(deformation))
     found, expected = (
@@ -149,7 +149,7 @@ def test_similarities_move_the_surfels(scale: float) -> None:
     turned = replace(turned, gains=relighting.gains(turned))
     rays = camera().rays().flat()
     seen = carried(rays, *affine(deformation))
-    rest, bare = Posed.at_rest(ball(), surfels), Posed.at_rest(ball())
+    rest, bare = PosedCloud.at_rest(ball(), surfels), PosedCloud.at_rest(ball())
     found, gains = surface_of(turned, seen, trace(papr, turned, seen), 0.3)
     expected, none = surface_of(rest, rays, trace(papr, rest, rays), 0.3)
     hit = ~expected.isnan().any(dim=1)
@@ -324,7 +324,7 @@ def test_gradients_reach_the_points_through_the_rest_state(cloud: PointCloud) ->
     for aware in (False, True):
         positions = cloud.positions.clone().requires_grad_()
         now = replace(cloud, positions=positions)
-        posed = Posed.at_rest(now)
+        posed = PosedCloud.at_rest(now)
         if aware:
             to_rest = unchecked_maps(deformation, positions).to_rest
             posed = moved(now, deformation(positions), to_rest)

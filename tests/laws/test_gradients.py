@@ -24,7 +24,7 @@ from pcore.errors import EditError, InputError, PcoreError
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
@@ -141,7 +141,7 @@ def drawn(values: dict[str, Tensor], *, rays: str, surfels: bool, direct: bool) 
         over = Surfels.at_rest(rest.positions, normals, heights)
     if direct:
         maps = LocalMaps(to_rest=values["maps"])
-        posed = Posed(
+        posed = PosedCloud(
             cloud=cloud,
             positions=values["moved"],
             local_maps=maps if rays == "aware" else None,
@@ -226,7 +226,7 @@ def test_the_law_above_covers_layers_and_gaps(monkeypatch: pytest.MonkeyPatch) -
     counts = {"layers": 0, "gaps": 0}
     layer_of, gaps = trace_module.layer_of, trace_module.gaps
 
-    def layers_counted(posed: Posed, lines: Any, *rest: Any, back_layer: bool = False) -> Any:
+    def layers_counted(posed: PosedCloud, lines: Any, *rest: Any, back_layer: bool = False) -> Any:
         counts["layers"] += back_layer * len(lines.origins)
         return layer_of(posed, lines, *rest, back_layer=back_layer)
 
@@ -251,7 +251,7 @@ def test_canonical_pictures_have_the_gradients_of_differences(surfels: bool) -> 
     def draw(values: dict[str, Tensor]) -> Image:
         cloud = PointCloud(**{name: values[old] for name, old in _CLOUD.items()})
         samples = _samples(surfels)
-        return render(network(), Posed.at_rest(cloud, over), seen_by(values), samples=samples)
+        return render(network(), PosedCloud.at_rest(cloud, over), seen_by(values), samples=samples)
 
     check(draw, (*CLOUD, *CAMERA))
 

@@ -10,7 +10,7 @@ import torch
 from pcore.editing.script import parse_edit
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, PaprConfig
@@ -49,7 +49,7 @@ def camera(width: int = 12, height: int = 10) -> Camera:
     return Camera.from_fov(pose, width=width, height=height, angle_x=0.9)
 
 
-def render(papr: Papr, cloud: PointCloud | Posed, rays: RayBundle | None = None) -> RayPicture:
+def render(papr: Papr, cloud: PointCloud | PosedCloud, rays: RayBundle | None = None) -> RayPicture:
     with torch.no_grad():
         return picture_of(papr, cloud, camera().rays() if rays is None else rays)
 
@@ -203,7 +203,7 @@ def test_permuting_the_points_changes_nothing_with_a_cutoff(papr: Papr, cloud: P
 def test_the_identity_edit_gives_the_identical_picture(
     papr: Papr, cloud: PointCloud, edit: dict[str, object]
 ) -> None:
-    script = parse_edit({"version": 1, "edits": [edit]})
+    script = parse_edit({"version": 2, "edits": [edit]})
     deformation = script.bind(cloud.positions)
     still = moved(cloud, deformation(cloud.positions.double()).float())
     assert same(render(papr, still), render(papr, cloud), 0.0)

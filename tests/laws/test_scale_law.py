@@ -21,6 +21,7 @@ _BAR = 0.1
 STATES = ("scale:0.5", "scale:2")
 
 
+@pytest.mark.learned
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", ["lego", "chair"])
 def test_scaled_pictures_are_as_good_as_canonical_ones(name: str, shared_data: Path) -> None:
@@ -56,6 +57,7 @@ def test_scaled_pictures_are_as_good_as_canonical_ones(name: str, shared_data: P
         assert found is not None
         return found
 
+    # Over 2 seeds 14.9 to 22.0 dB; aware rays are off by 1e-4 at most, plain ones by 1.9 to 4.4.
     for metric in ("psnr", "foreground_psnr"):
         still = psnr("aware", CANONICAL, metric)
         assert still > 10

@@ -11,7 +11,7 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels import reference_attention
 from pcore.kernels.backends import usable
@@ -228,7 +228,7 @@ def test_all_masked_pairs_give_finite_gradients() -> None:
     papr, cloud = Papr(small_config(cutoff=1e-6)), leaf_cloud()
     rays = view().flat()
     neighbours = torch.zeros(54, 4, dtype=torch.int64)
-    out = papr.attention(Posed.at_rest(cloud), rays, neighbours, rays)
+    out = papr.attention(PosedCloud.at_rest(cloud), rays, neighbours, rays)
     assert torch.equal(out.background, torch.ones(54))
     assert torch.equal(out.weights, torch.zeros(54, 4))
     (1e3 * (out.features.sum() + out.background.sum() + out.centroid.sum())).backward()
@@ -292,7 +292,7 @@ def test_wrong_mlp(layers: int, skip: int | None, message: str) -> None:
 def test_surface_points_keep_full_precision_under_autocast() -> None:
     papr, cloud, rays = Papr(small_config()), small_cloud(), view().flat()
     with torch.no_grad(), torch.autocast("cpu", dtype=torch.bfloat16):
-        found = trace(papr, Posed.at_rest(cloud), rays)
+        found = trace(papr, PosedCloud.at_rest(cloud), rays)
     assert found.centroid.dtype == torch.float32
     weighted = (found.weights.unsqueeze(-1).float() * cloud.positions[found.neighbours]).sum(dim=1)
     torch.testing.assert_close(found.centroid, weighted, rtol=0, atol=1e-5)

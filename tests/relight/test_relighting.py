@@ -9,7 +9,7 @@ import torch
 from pcore.errors import InputError
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
 from pcore.relight.config import DEFAULT
 from pcore.relight.lamps import Light, sphere
@@ -32,7 +32,7 @@ class Lit:
     relighting: Relighting
     surfels: Surfels
 
-    def moved(self, maps: torch.Tensor, places: torch.Tensor) -> Posed:
+    def moved(self, maps: torch.Tensor, places: torch.Tensor) -> PosedCloud:
         """The points at places (N, 3), around which space was moved by linear maps (N, 3, 3)."""
         rest = self.relighting.positions
         cloud = PointCloud(
@@ -40,7 +40,7 @@ class Lit:
         )
         local_maps = LocalMaps(to_rest=torch.linalg.inv(maps))
         surfels = self.surfels.moved(places, local_maps)
-        return Posed(cloud=cloud, positions=places, local_maps=local_maps, surfels=surfels)
+        return PosedCloud(cloud=cloud, positions=places, local_maps=local_maps, surfels=surfels)
 
     def gains(
         self, maps: torch.Tensor, places: torch.Tensor, *, world: float = 1.0

@@ -14,7 +14,7 @@ from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
@@ -59,13 +59,13 @@ def features_of(image: Image) -> Tensor:
 
 
 @pytest.fixture
-def posed() -> Posed:
+def posed() -> PosedCloud:
     cloud = PointCloud(
         positions=torch.randn(60, 3) * 0.3,
         features=torch.randn(60, 6),
         influence=torch.rand(60) * 2,
     )
-    return Posed.at_rest(cloud)
+    return PosedCloud.at_rest(cloud)
 
 
 def camera(width: int, height: int, distance: float = 2.5) -> Camera:
@@ -87,7 +87,7 @@ def camera(width: int, height: int, distance: float = 2.5) -> Camera:
     ],
 )
 def test_tiles_equal_the_whole_picture(
-    posed: Posed, size: tuple[int, int], tile: int, max_rays: int | None
+    posed: PosedCloud, size: tuple[int, int], tile: int, max_rays: int | None
 ) -> None:
     papr, cam = network(), camera(*size)
     with torch.no_grad():
@@ -105,7 +105,7 @@ def test_tiles_equal_the_whole_picture(
     ("size", "tile", "max_rays"), [((37, 53), 16, 100), ((30, 31), 4, 7), ((40, 40), 256, None)]
 )
 def test_several_rays_per_pixel_are_averaged_before_the_unet(
-    posed: Posed, samples: int, size: tuple[int, int], tile: int, max_rays: int | None
+    posed: PosedCloud, samples: int, size: tuple[int, int], tile: int, max_rays: int | None
 ) -> None:
     """Whatever the tiles and chunks; the rays are those of a picture so many times as large."""
     papr, cam = network(), camera(*size)
@@ -128,7 +128,7 @@ def test_several_rays_per_pixel_are_averaged_before_the_unet(
     assert not torch.allclose(one.rgb, got.rgb, atol=1e-3)
 
 
-def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(posed: Posed) -> None:
+def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(posed: PosedCloud) -> None:
     """The one of the middle distance; rays that meet nothing are left out."""
     papr, cam = network(cutoff=0.1), camera(24, 24)
     got = render(papr, posed, cam, samples=4)
@@ -151,7 +151,7 @@ def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(posed: Posed) -> None
     assert counts == {0, 1, 2, 3, 4}
 
 
-def in_light(posed: Posed, gains: Tensor) -> Posed:
+def in_light(posed: PosedCloud, gains: Tensor) -> PosedCloud:
     """Every point a piece of surface of its own that faces away from the middle."""
     outwards = torch.nn.functional.normalize(posed.positions - posed.sphere[0], dim=1)
     surfels = Surfels(
@@ -165,7 +165,7 @@ def in_light(posed: Posed, gains: Tensor) -> Posed:
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-def test_gains_scale_the_object_and_not_the_background(posed: Posed, samples: int) -> None:
+def test_gains_scale_the_object_and_not_the_background(posed: PosedCloud, samples: int) -> None:
     papr, cam = network(background=(0.2, 0.5, 1.0)), camera(37, 30)
     plain = render(papr, posed, cam, tile=16, max_rays=100, samples=samples)
     behind = (1 - plain.alpha).unsqueeze(-1) * torch.tensor([0.2, 0.5, 1.0])
@@ -179,7 +179,7 @@ def test_gains_scale_the_object_and_not_the_background(posed: Posed, samples: in
         torch.testing.assert_close(getattr(same, name), getattr(twice, name), equal_nan=True)
 
 
-def test_surfels_in_the_light_of_the_photos_change_depths_alone(posed: Posed) -> None:
+def test_surfels_in_the_light_of_the_photos_change_depths_alone(posed: PosedCloud) -> None:
     papr, cam = network(cutoff=0.3), camera(37, 30)
     plain = render(papr, posed, cam)
     found = render(papr, replace(in_light(posed, torch.ones(60)), gains=None), cam)
@@ -192,7 +192,7 @@ def test_surfels_in_the_light_of_the_photos_change_depths_alone(posed: Posed) ->
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-def test_a_ray_has_the_gain_of_the_surface_it_meets(posed: Posed, samples: int) -> None:
+def test_a_ray_has_the_gain_of_the_surface_it_meets(posed: PosedCloud, samples: int) -> None:
     """Rays of a pixel count by their opacity; rays that meet nothing do not darken its edge."""
     papr, cam = network(cutoff=0.1), camera(24, 24)
     lit = in_light(posed, torch.rand(60) + 0.5)
@@ -220,7 +220,7 @@ def test_a_ray_has_the_gain_of_the_surface_it_meets(posed: Posed, samples: int) 
     torch.testing.assert_close(whole.rgb, expected.detach(), atol=1e-5, rtol=0)
 
 
-def test_a_light_that_is_not_finite_is_refused(posed: Posed) -> None:
+def test_a_light_that_is_not_finite_is_refused(posed: PosedCloud) -> None:
     gains = torch.ones(60)
     gains[3] = math.nan
     with pytest.raises(InputError, match="NaN or infinity in the gain of 1 of 60"):
@@ -228,7 +228,7 @@ def test_a_light_that_is_not_finite_is_refused(posed: Posed) -> None:
 
 
 @pytest.mark.parametrize("samples", [0, -1, 2, 3, 8])
-def test_rays_per_pixel_make_a_square(posed: Posed, samples: int) -> None:
+def test_rays_per_pixel_make_a_square(posed: PosedCloud, samples: int) -> None:
     with pytest.raises(InputError, match=r"rays per pixel that make a square grid"):
         render(network(), posed, camera(8, 8), samples=samples)
     with pytest.raises(InputError, match=r"rays per pixel that make a square grid"):
@@ -240,7 +240,7 @@ def test_rays_per_pixel_make_a_square(posed: Posed, samples: int) -> None:
     [((20, 301), 16, 100), ((53, 90), 20, 7), ((64, 97), 8, 1500), ((41, 90), 4, 41)],
 )
 def test_features_are_held_for_the_rows_that_tiles_still_need(
-    posed: Posed,
+    posed: PosedCloud,
     size: tuple[int, int],
     tile: int,
     max_rays: int,
@@ -265,7 +265,9 @@ def test_features_are_held_for_the_rows_that_tiles_still_need(
         assert torch.equal(getattr(found, name), getattr(whole, name)), name
 
 
-def test_fewer_rows_of_features_would_not_do(posed: Posed, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fewer_rows_of_features_would_not_do(
+    posed: PosedCloud, monkeypatch: pytest.MonkeyPatch
+) -> None:
     papr, cam = network(), camera(16, 97)
     exact = render(papr, posed, cam, tile=8, max_rays=40).rgb
     monkeypatch.setattr(picture_module, "rows_in_use", lambda *_: 8 + 24 - 2)
@@ -274,7 +276,7 @@ def test_fewer_rows_of_features_would_not_do(posed: Posed, monkeypatch: pytest.M
 
 
 def test_a_tile_without_its_surroundings_would_differ(
-    posed: Posed, monkeypatch: pytest.MonkeyPatch
+    posed: PosedCloud, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The margin is needed: the test above would see a smaller one."""
     papr, cam = network(), camera(40, 40)
@@ -283,7 +285,7 @@ def test_a_tile_without_its_surroundings_would_differ(
     assert float((render(papr, posed, cam, tile=16).rgb - exact.rgb).abs().max()) > 1e-5
 
 
-def test_nothing_is_there_where_no_point_answers(posed: Posed) -> None:
+def test_nothing_is_there_where_no_point_answers(posed: PosedCloud) -> None:
     papr, cam = network(cutoff=0.05), camera(40, 30)
     picture = render(papr, posed, cam, tile=8)
     empty = picture.alpha == 0
@@ -296,7 +298,7 @@ def test_nothing_is_there_where_no_point_answers(posed: Posed) -> None:
     )
 
 
-def test_rendering_leaves_no_graph_and_no_mode_behind(posed: Posed) -> None:
+def test_rendering_leaves_no_graph_and_no_mode_behind(posed: PosedCloud) -> None:
     papr = network().train()
     assert not render(papr, posed, camera(8, 8)).rgb.requires_grad
     assert torch.is_grad_enabled()
@@ -307,7 +309,7 @@ def test_rendering_leaves_no_graph_and_no_mode_behind(posed: Posed) -> None:
     assert render(papr, posed, camera(8, 8)).rgb.requires_grad
 
 
-def test_pictures_that_autograd_follows_are_the_same(posed: Posed) -> None:
+def test_pictures_that_autograd_follows_are_the_same(posed: PosedCloud) -> None:
     """Whatever the chunks and tiles."""
     papr, cam = network(cutoff=0.3), camera(37, 53)
     expected = render(papr, posed, cam)
@@ -320,7 +322,7 @@ def test_pictures_that_autograd_follows_are_the_same(posed: Posed) -> None:
         assert posed.cloud.features.grad is not None
 
 
-def test_a_batch_of_cameras_is_their_pictures_one_by_one(posed: Posed) -> None:
+def test_a_batch_of_cameras_is_their_pictures_one_by_one(posed: PosedCloud) -> None:
     papr, cameras = network(samples=4), [camera(20, 16, distance) for distance in (2.0, 2.5, 3.0)]
     shares: list[float] = []
     batch = render(papr, posed, cameras, progress=shares.append)
@@ -339,7 +341,7 @@ def test_a_batch_of_cameras_is_their_pictures_one_by_one(posed: Posed) -> None:
 
 @pytest.mark.parametrize("samples", [None, 4])
 def test_rays_of_any_batch_shape_make_pictures_of_that_shape(
-    posed: Posed, samples: int | None
+    posed: PosedCloud, samples: int | None
 ) -> None:
     """How many rays a pixel has is said by name; no axis is taken for them."""
     papr, places = network(), None if samples is None else grid_places(samples)
@@ -357,7 +359,7 @@ def test_rays_of_any_batch_shape_make_pictures_of_that_shape(
         render_rays(papr, posed, cameras[0].rays().flat()[:5])
 
 
-def test_a_threshold_changes_colours_a_little_and_nothing_else(posed: Posed) -> None:
+def test_a_threshold_changes_colours_a_little_and_nothing_else(posed: PosedCloud) -> None:
     papr, cam = network(cutoff=0.3), camera(40, 30)
     exact = render(papr, posed, cam)
     assert torch.equal(render(papr, posed, cam, threshold=0.0).rgb, exact.rgb)
@@ -370,7 +372,7 @@ def test_a_threshold_changes_colours_a_little_and_nothing_else(posed: Posed) -> 
     assert 0 < errors[0] < errors[1] < 0.2
 
 
-def test_chunks_are_larger_on_a_gpu(posed: Posed) -> None:
+def test_chunks_are_larger_on_a_gpu(posed: PosedCloud) -> None:
     """Smaller ones would leave it waiting for the processor."""
     on_gpu = SimpleNamespace(device=torch.device("cuda"))
     rays = [
@@ -386,7 +388,7 @@ def test_chunks_are_larger_on_a_gpu(posed: Posed) -> None:
     assert rays == [rays_within(config(), 512 * 2**20), rays_within(config(), 2 * 2**30)]
 
 
-def test_progress_ends_at_one_and_grows(posed: Posed) -> None:
+def test_progress_ends_at_one_and_grows(posed: PosedCloud) -> None:
     shares: list[float] = []
     render(network(), posed, camera(20, 20), tile=8, max_rays=100, progress=shares.append)
     assert len(shares) == 4 + 9
@@ -394,7 +396,7 @@ def test_progress_ends_at_one_and_grows(posed: Posed) -> None:
     assert shares[-1] == 1
 
 
-def test_cancelling(posed: Posed) -> None:
+def test_cancelling(posed: PosedCloud) -> None:
     asked: list[int] = []
 
     def cancel() -> bool:
@@ -416,7 +418,7 @@ def test_cancelling(posed: Posed) -> None:
     ],
 )
 def test_bad_arguments(
-    posed: Posed, size: tuple[int, int], options: dict[str, int], message: str
+    posed: PosedCloud, size: tuple[int, int], options: dict[str, int], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
         render(network(), posed, camera(*size), **options)  # pyright: ignore[reportArgumentType]

@@ -11,7 +11,7 @@ from test_picture import camera, network
 
 from pcore.errors import InputError
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
 from pcore.render import tiles as tiles_module
 from pcore.render.image import Image
@@ -23,13 +23,13 @@ PLANES = ("rgb", "alpha", "depth", "surface")
 
 
 @pytest.fixture
-def posed() -> Posed:
+def posed() -> PosedCloud:
     cloud = PointCloud(
         positions=torch.randn(60, 3) * 0.3,
         features=torch.randn(60, 6),
         influence=torch.rand(60) * 2,
     )
-    return Posed.at_rest(cloud)
+    return PosedCloud.at_rest(cloud)
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def attended(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many rays each call of the attention got."""
     rays: list[int] = []
 
-    def counted(papr: Papr, posed: Posed, bundle: Any, **options: Any) -> Any:
+    def counted(papr: Papr, posed: PosedCloud, bundle: Any, **options: Any) -> Any:
         rays.append(len(bundle.origins))
         return trace(papr, posed, bundle, **options)
 
@@ -62,7 +62,7 @@ def same(one: Image, other: Image) -> bool:
     ],
 )
 def test_the_last_picture_is_what_render_gives_bit_for_bit(
-    posed: Posed, size: tuple[int, int], tile: int, max_rays: int | None, pictures: int
+    posed: PosedCloud, size: tuple[int, int], tile: int, max_rays: int | None, pictures: int
 ) -> None:
     papr, cam = network(cutoff=0.3), camera(*size)
     shown = list(render_progressively(papr, posed, cam, tile=tile, max_rays=max_rays))
@@ -75,7 +75,7 @@ def test_the_last_picture_is_what_render_gives_bit_for_bit(
 
 
 def test_the_first_picture_comes_early_and_no_ray_is_attended_to_thrice(
-    posed: Posed, attended: list[int]
+    posed: PosedCloud, attended: list[int]
 ) -> None:
     stages = render_progressively(network(), posed, camera(100, 80), max_rays=300, tile=32)
     next(stages)
@@ -88,7 +88,7 @@ def test_the_first_picture_comes_early_and_no_ray_is_attended_to_thrice(
     assert sum(attended) == 25 * 20 + 100 * 80
 
 
-def test_coarse_pictures_are_those_of_their_rays(posed: Posed) -> None:
+def test_coarse_pictures_are_those_of_their_rays(posed: PosedCloud) -> None:
     papr, cam = network(), camera(48, 40)
     with torch.no_grad():
         exact = trace(papr, posed, cam.rays())
@@ -102,7 +102,7 @@ def test_coarse_pictures_are_those_of_their_rays(posed: Posed) -> None:
         assert torch.equal(stage.rgb[:stride, :stride], stage.rgb[:1, :1].expand(stride, stride, 3))
 
 
-def test_pictures_stay_as_they_are(posed: Posed) -> None:
+def test_pictures_stay_as_they_are(posed: PosedCloud) -> None:
     papr, cam = network(), camera(40, 40)
     kept: list[tuple[Image, Image]] = []
     for stage in render_progressively(papr, posed, cam, tile=8):
@@ -115,7 +115,7 @@ def test_pictures_stay_as_they_are(posed: Posed) -> None:
         assert not torch.equal(one.rgb[rows:], finished[-1].rgb[rows:])
 
 
-def test_cancelling_between_chunks(posed: Posed, attended: list[int]) -> None:
+def test_cancelling_between_chunks(posed: PosedCloud, attended: list[int]) -> None:
     seen: list[Image] = []
     stages = render_progressively(
         network(), posed, camera(64, 64), max_rays=100, cancel=lambda: bool(seen)
@@ -126,7 +126,7 @@ def test_cancelling_between_chunks(posed: Posed, attended: list[int]) -> None:
     assert sum(attended) == 64
 
 
-def test_closing_the_generator_ends_the_work(posed: Posed, attended: list[int]) -> None:
+def test_closing_the_generator_ends_the_work(posed: PosedCloud, attended: list[int]) -> None:
     stages: Iterator[Image] = render_progressively(network(), posed, camera(64, 64))
     next(stages)
     assert torch.is_grad_enabled()
@@ -134,7 +134,7 @@ def test_closing_the_generator_ends_the_work(posed: Posed, attended: list[int]) 
     assert sum(attended) == 64
 
 
-def test_what_asks_for_a_gradient_is_refused(posed: Posed) -> None:
+def test_what_asks_for_a_gradient_is_refused(posed: PosedCloud) -> None:
     """Such pictures have none."""
     posed.cloud.positions.requires_grad_()
     with pytest.raises(InputError, match="nothing that asks for a gradient"):
@@ -144,12 +144,12 @@ def test_what_asks_for_a_gradient_is_refused(posed: Posed) -> None:
 
 
 @pytest.mark.parametrize("strides", [(8, 3), (4, 8), (8, 1)])
-def test_strides_that_do_not_fit(posed: Posed, strides: tuple[int, ...]) -> None:
+def test_strides_that_do_not_fit(posed: PosedCloud, strides: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="each a multiple of the next"):
         next(render_progressively(network(), posed, camera(40, 40), strides=strides))
 
 
-def test_other_strides_and_a_threshold(posed: Posed) -> None:
+def test_other_strides_and_a_threshold(posed: PosedCloud) -> None:
     papr, cam = network(), camera(40, 40)
     shown = list(render_progressively(papr, posed, cam, strides=(6, 2), threshold=0.3))
     assert same(shown[-1], render(papr, posed, cam, threshold=0.3))

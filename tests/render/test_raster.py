@@ -16,7 +16,7 @@ from pcore.deform.simple import uniform_scale
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
 from pcore.render.picture import render
@@ -29,7 +29,7 @@ FOCAL = 60.0
 CONFIG = replace(tiny_scene.CONFIG, samples=4, cutoff=0.3, pixel=DISTANCE / FOCAL)
 
 
-def ball() -> Posed:
+def ball() -> PosedCloud:
     draw = torch.Generator().manual_seed(4)
     half = torch.nn.functional.normalize(torch.randn(200, 3, generator=draw), dim=-1)
     cloud = PointCloud(
@@ -37,7 +37,7 @@ def ball() -> Posed:
         features=torch.randn(400, 4, generator=draw),
         influence=torch.ones(400),
     )
-    return Posed.at_rest(cloud)
+    return PosedCloud.at_rest(cloud)
 
 
 def camera(factor: float = 1.0, distance: float = DISTANCE) -> Camera:
@@ -183,7 +183,7 @@ def test_the_rim_of_a_picture_is_no_frame() -> None:
     assert float(error[~ring].mean()) < 0.01 * spread
 
 
-def evenly(points: Posed, gain: float) -> Posed:
+def evenly(points: PosedCloud, gain: float) -> PosedCloud:
     """All of a surface that many times as bright."""
     surfels = Surfels(
         places=points.positions,

@@ -10,26 +10,26 @@ import torch
 
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
 from pcore.model.hits import Hits
 from pcore.render.surface import middle_surface, surface_of
 
 
-def cloud_at(depths: list[float], beside: list[float] | None = None) -> Posed:
+def cloud_at(depths: list[float], beside: list[float] | None = None) -> PosedCloud:
     """Points along z."""
     positions = torch.zeros(len(depths), 3)
     positions[:, 2] = torch.tensor(depths)
     if beside is not None:
         positions[:, 0] = torch.tensor(beside)
     count = len(depths)
-    return Posed.at_rest(
+    return PosedCloud.at_rest(
         PointCloud(positions=positions, features=torch.zeros(count, 1), influence=torch.ones(count))
     )
 
 
-def hits_of(posed: Posed, weights: list[list[float]]) -> Hits:
+def hits_of(posed: PosedCloud, weights: list[list[float]]) -> Hits:
     each = torch.tensor(weights)
     return Hits(
         neighbours=torch.arange(len(posed)).expand(len(each), -1),
@@ -41,7 +41,7 @@ def hits_of(posed: Posed, weights: list[list[float]]) -> Hits:
     )
 
 
-def depths_of(posed: Posed, weights: list[list[float]], cutoff: float | None) -> list[float]:
+def depths_of(posed: PosedCloud, weights: list[list[float]], cutoff: float | None) -> list[float]:
     rows = len(weights)
     rays = RayBundle(
         origins=torch.tensor([[0.0, 0.0, -5.0]]).expand(rows, 3),
@@ -111,7 +111,7 @@ def test_with_surfels_the_first_layer_is_met_in_its_own_light() -> None:
     )
 
     def depths_and_gains(
-        posed: Posed, cutoff: float | None
+        posed: PosedCloud, cutoff: float | None
     ) -> tuple[list[float], list[float] | None]:
         places, gains = surface_of(posed, rays, hits_of(posed, weights), cutoff)
         return places[:, 2].tolist(), None if gains is None else gains.tolist()
@@ -147,7 +147,7 @@ def test_the_kernel_of_the_cpu_finds_the_same_layer(
         features=torch.zeros(200, 1),
         influence=torch.ones(200),
     )
-    posed = Posed.at_rest(cloud)
+    posed = PosedCloud.at_rest(cloud)
     if moved:
         maps = LocalMaps(to_rest=torch.eye(3).expand(200, 3, 3))
         posed = replace(posed, positions=torch.rand(200, 3, generator=draw), local_maps=maps)

@@ -17,7 +17,7 @@ from torch.nn import functional as F
 import tiny_scene
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import spacing_of
 from pcore.model.papr import Papr
 from pcore.relight.lamps import sphere
@@ -203,7 +203,7 @@ def test_a_view_gives_its_points_normals_and_solid_pixels_alone_are_shown() -> N
         view: Any = SimpleNamespace(camera=camera, rgba=lambda: rgba, has_alpha=has_alpha)
         sums[has_alpha] = torch.zeros(600, 7)
         with torch.no_grad():
-            shown = look(papr, Posed.at_rest(cloud), view, sums[has_alpha])
+            shown = look(papr, PosedCloud.at_rest(cloud), view, sums[has_alpha])
         met = shown.depth.isfinite()
         assert torch.equal(shown.rgb, rgba[..., :3])
         assert bool(met[:, :20].any()) is not has_alpha

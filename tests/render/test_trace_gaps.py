@@ -15,7 +15,7 @@ from pcore.deform.pose import pose
 from pcore.deform.simple import Twist, uniform_scale
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.hits import Hits
 from pcore.model.papr import Papr
@@ -28,7 +28,7 @@ class SeenFromAbove(torch.nn.Module):
     """Attention that knows points from one side only: opaque for rays that go down."""
 
     def forward(
-        self, posed: Posed, rays: RayBundle, neighbours: Tensor, *_: Any, **__: Any
+        self, posed: PosedCloud, rays: RayBundle, neighbours: Tensor, *_: Any, **__: Any
     ) -> Hits:
         weights = torch.zeros(neighbours.shape)
         weights[:, 0] = 1.0
@@ -66,7 +66,7 @@ def rays(height: float) -> RayBundle:
     return Camera.from_fov(pose, width=16, height=16, angle_x=0.6).rays().flat()
 
 
-def twisted(cloud: PointCloud, aware: bool = True) -> Posed:
+def twisted(cloud: PointCloud, aware: bool = True) -> PosedCloud:
     """Both ends of the sheet turned by 10 degrees."""
     turn = Twist(
         rotation=torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
@@ -97,13 +97,13 @@ def test_what_is_opaque_from_one_end_is_opaque_from_the_other() -> None:
 def test_nothing_is_turned_where_nothing_came_apart() -> None:
     papr, cloud = network(), sheet()
     grown = pose(cloud, uniform_scale(1.1))
-    for still in (Posed.at_rest(cloud), grown, twisted(cloud, aware=False)):
+    for still in (PosedCloud.at_rest(cloud), grown, twisted(cloud, aware=False)):
         assert float(trace(papr, still, rays(-3.0)).background.min()) == pytest.approx(0.9)
 
 
 @torch.no_grad()
 def test_rays_that_pass_by_or_begin_among_the_points_are_left_alone() -> None:
-    posed = Posed.at_rest(sheet())
+    posed = PosedCloud.at_rest(sheet())
     along = torch.tensor([[0.0, 0.0, 1.0]]).expand(4, 3)
     origins = torch.tensor([[0.01, 0.0, -3.0], [0.56, 0.0, -3.0], [0.01, 0.0, -0.3], [9.0, 0, -3]])
     lines = RayBundle(origins=origins, directions=along)
@@ -123,7 +123,7 @@ def test_rays_that_pass_by_or_begin_among_the_points_are_left_alone() -> None:
 
 
 def test_a_turned_line_begins_behind_all_points() -> None:
-    posed, lines = Posed.at_rest(sheet()), rays(-3.0)
+    posed, lines = PosedCloud.at_rest(sheet()), rays(-3.0)
     back = lines.from_other_ends(*posed.sphere)
     torch.testing.assert_close(back.directions, -lines.directions)
     apart = torch.linalg.cross(back.origins - lines.origins, lines.directions).norm(dim=-1)

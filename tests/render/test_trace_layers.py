@@ -13,7 +13,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.hits import Hits, composite_over
 from pcore.model.papr import Papr
@@ -49,7 +49,7 @@ def camera() -> Camera:
     return Camera.from_fov(pose, width=16, height=16, angle_x=0.15)
 
 
-def two_sheets(front: float) -> Posed:
+def two_sheets(front: float) -> PosedCloud:
     """Two sheets side by side at rest; the second was brought before the first at depth `front`."""
     rest = torch.cat([sheet(-0.5, 0.0), sheet(0.5, 0.0)])
     moved = rest.clone()
@@ -61,14 +61,16 @@ def two_sheets(front: float) -> Posed:
         features=torch.randn(2 * SHEET, 5),
         influence=torch.rand(2 * SHEET) + 0.5,
     )
-    return Posed(cloud=cloud, positions=moved, local_maps=maps)
+    return PosedCloud(cloud=cloud, positions=moved, local_maps=maps)
 
 
 def network(**changes: Any) -> Papr:
     return Papr(replace(CONFIG, **changes)).requires_grad_(False).eval()
 
 
-def layer(posed: Posed, rays: RayBundle, *, back: bool = False) -> tuple[torch.Tensor, RayBundle]:
+def layer(
+    posed: PosedCloud, rays: RayBundle, *, back: bool = False
+) -> tuple[torch.Tensor, RayBundle]:
     """Neighbours (M, k) of one layer of rays that all come near, and the rays as those see them."""
     _, ray_of_near, candidates = search(posed, rays, CONFIG.neighbours, CUTOFF)
     assert len(ray_of_near) == len(rays.flat().origins)
@@ -81,7 +83,7 @@ def layer(posed: Posed, rays: RayBundle, *, back: bool = False) -> tuple[torch.T
 
 
 def attended(
-    papr: Papr, posed: Posed, rays: RayBundle, *options: float, back: bool = False
+    papr: Papr, posed: PosedCloud, rays: RayBundle, *options: float, back: bool = False
 ) -> Hits:
     neighbours, seen = layer(posed, rays, back=back)
     return papr.attention(posed, rays, neighbours, seen.slid(torch.zeros(3), 1.5), *options)
@@ -136,7 +138,7 @@ def test_what_the_front_lets_through_is_seen_behind_it() -> None:
     torch.testing.assert_close(out.weights.sum(dim=-1), torch.ones_like(share))
 
 
-def half_transparent() -> tuple[Papr, Posed]:
+def half_transparent() -> tuple[Papr, PosedCloud]:
     """Sheets that let light through; the one behind was stretched along x."""
     posed = two_sheets(0.3)
     assert posed.local_maps is not None
@@ -180,7 +182,7 @@ def test_rays_that_are_opaque_look_no_further(monkeypatch: pytest.MonkeyPatch) -
     asked: list[int] = []
     whole = trace_module.layer_of
 
-    def counted(posed: Posed, lines: RayBundle, *rest: Any, back_layer: bool = False) -> Any:
+    def counted(posed: PosedCloud, lines: RayBundle, *rest: Any, back_layer: bool = False) -> Any:
         if back_layer:
             asked.append(len(lines.origins))
         return whole(posed, lines, *rest, back_layer=back_layer)
@@ -305,9 +307,9 @@ def test_one_affine_map_has_no_strangers() -> None:
     def as_one(positions: torch.Tensor, to_rest: torch.Tensor) -> bool:
         features, influence = torch.zeros(40, 1), torch.ones(40)
         cloud = PointCloud(positions=rest, features=features, influence=influence)
-        assert not Posed.at_rest(cloud).moved_as_one, "nothing was moved"
+        assert not PosedCloud.at_rest(cloud).moved_as_one, "nothing was moved"
         maps = LocalMaps(to_rest=to_rest)
-        return Posed(cloud=cloud, positions=positions, local_maps=maps).moved_as_one
+        return PosedCloud(cloud=cloud, positions=positions, local_maps=maps).moved_as_one
 
     assert as_one(moved, back)
     apart = moved.clone()

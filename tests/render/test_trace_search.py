@@ -12,7 +12,7 @@ from pcore.deform.simple import Twist
 from pcore.geometry.camera import Camera
 from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.render import trace as trace_module
 from pcore.render.trace import layer_of, search
@@ -20,10 +20,10 @@ from pcore.render.trace import layer_of, search
 K, CUTOFF = 6, 0.1
 
 
-def ball(count: int = 3000) -> Posed:
+def ball(count: int = 3000) -> PosedCloud:
     draw = torch.Generator().manual_seed(1)
     places = torch.nn.functional.normalize(torch.randn(count, 3, generator=draw), dim=-1)
-    return Posed.at_rest(
+    return PosedCloud.at_rest(
         PointCloud(
             positions=0.6 * places, features=torch.zeros(count, 2), influence=torch.ones(count)
         )
@@ -38,12 +38,12 @@ def pixels(size: int) -> RayBundle:
     return camera.rays(places=grid_places(4)).by_pixel()
 
 
-def twisted(posed: Posed) -> Posed:
+def twisted(posed: PosedCloud) -> PosedCloud:
     about_z = Twist(rotation=torch.eye(3), origin=torch.zeros(3), extent=(-0.6, 0.6), value=1.0)
     return pose(posed.cloud, about_z)
 
 
-def looked(posed: Posed, rays: RayBundle) -> tuple[Tensor, Tensor, RayBundle]:
+def looked(posed: PosedCloud, rays: RayBundle) -> tuple[Tensor, Tensor, RayBundle]:
     """Neighbours (R, k) of all rays, rays (M,) that may meet them, and those as points see them."""
     nearest, ray_of_near, candidates = search(posed, rays, K, CUTOFF)
     lines = rays.flat()[ray_of_near]

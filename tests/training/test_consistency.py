@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from pcore.deform.base import Affine, Deformation, Identity
 from pcore.deform.simple import uniform_scale
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
 from pcore.render.image import Image
@@ -49,7 +49,7 @@ def model(*, cutoff: float | None = None) -> tuple[Papr, PointCloud]:
 
 
 def canonical(papr: Papr, cloud: PointCloud) -> tuple[Canonical, Image]:
-    image = render_rays(papr, Posed.at_rest(cloud), rays())
+    image = render_rays(papr, PosedCloud.at_rest(cloud), rays())
     # The median splits the rays of these random networks into object and background.
     alpha = float(image.alpha.detach().median())
     return canonical_of(image, cloud, rays(), image.rgb, alpha), image
@@ -99,7 +99,7 @@ def test_ends_lie_on_their_rays(cutoff: float | None) -> None:
 
 def test_the_foreground_is_what_is_opaque() -> None:
     papr, cloud = model()
-    image = render_rays(papr, Posed.at_rest(cloud), rays())
+    image = render_rays(papr, PosedCloud.at_rest(cloud), rays())
     known = canonical_of(image, cloud, rays(), image.rgb, 0.01)
     assert torch.equal(known.foreground, image.alpha > 0.01)
 

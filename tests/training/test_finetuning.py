@@ -46,11 +46,10 @@ def every_step(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- what it does -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("train_points", [False, True])
-def test_the_base_is_left_as_it_is(box: Scene, train_points: bool) -> None:
+def test_the_base_is_left_as_it_is(box: Scene) -> None:
     base = box_model()
     before = copied(weights_of(base))
-    tuned = finetune(box, base, finetune_config(train_points=train_points))
+    tuned = finetune(box, base, finetune_config())
     assert_same(weights_of(base), before)
     assert not any(parameter.requires_grad for parameter in base.papr.parameters())
     after = weights_of(tuned)
@@ -60,12 +59,10 @@ def test_the_base_is_left_as_it_is(box: Scene, train_points: bool) -> None:
     assert tuned.step == 6
 
 
-@pytest.mark.parametrize("train_points", [False, True])
-def test_points_move_only_when_asked_to(box: Scene, train_points: bool) -> None:
+def test_points_stay_where_they_are(box: Scene) -> None:
     base = box_model()
-    tuned = finetune(box, base, finetune_config(train_points=train_points))
-    stayed = torch.equal(tuned.cloud.positions, base.cloud.positions)
-    assert stayed is not train_points
+    tuned = finetune(box, base, finetune_config())
+    assert torch.equal(tuned.cloud.positions, base.cloud.positions)
 
 
 def opaque_model() -> Trained:
@@ -76,6 +73,7 @@ def opaque_model() -> Trained:
     return replace(base, papr=papr.requires_grad_(False))
 
 
+@pytest.mark.learned
 def test_the_surface_learns_to_follow(box: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """L_geo over the same draws, before and after fine-tuning with others."""
     every_step(monkeypatch)
@@ -98,6 +96,7 @@ def test_the_surface_learns_to_follow(box: Scene, monkeypatch: pytest.MonkeyPatc
 
     before = measure(opaque_model())
     after = measure(finetune(box, opaque_model(), settings))
+    # Over 6 seeds 0.58 to 0.59.
     assert 0 < after < 0.8 * before
 
 
@@ -214,20 +213,6 @@ def test_the_texture_target(box: Scene, target: str, monkeypatch: pytest.MonkeyP
     assert found["tex_rays"] == pytest.approx(expected, rel=1e-3, abs=1e-9)
 
 
-@pytest.mark.parametrize("anchor", [True, False])
-def test_the_anchor_is_the_network_before_fine_tuning(
-    box: Scene, anchor: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Under the identity only the anchor notices that the network has changed."""
-    from pcore.deform.base import Identity
-
-    monkeypatch.setattr(objective, "sample_deformation", lambda *args: Identity())
-    config = finetune_config(steps=3, anchor=anchor, rays_and_points=False)
-    found = [one["tex_points"] for one in terms(box, config, monkeypatch)]
-    assert found[0] < 1e-9
-    assert (found[-1] > 1e-6) is anchor
-
-
 def test_one_mode_at_least() -> None:
     with pytest.raises(InputError, match="at least one of points_only and rays_and_points"):
         finetune_config(points_only=False, rays_and_points=False)
@@ -323,8 +308,7 @@ def in_folder(scene: Scene, config: FinetuneConfig, path: Path, *, resume: bool)
 @pytest.mark.parametrize(
     "changes",
     [
-        {"alternate": True, "train_points": True, "background": "random"},
-        {"average": 0.9},
+        {"alternate": True, "background": "random"},
         {"largest_loss": 50.0},
     ],
 )

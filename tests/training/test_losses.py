@@ -13,7 +13,7 @@ import pcore.data.images
 from pcore.data.scene import Scene
 from pcore.errors import WeightsError
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.hits import Hits
 from pcore.model.papr import Papr
@@ -114,7 +114,7 @@ def test_points_beyond_the_cut_off_are_not_the_first() -> None:
         influence=torch.ones(2),
     )
     ray = RayBundle(origins=torch.zeros(1, 3), directions=torch.tensor([[0.0, 0.0, 1.0]]))
-    hits = trace(papr, Posed.at_rest(cloud), ray)
+    hits = trace(papr, PosedCloud.at_rest(cloud), ray)
     assert hits.weights.tolist() == [[1.0, 0.0]]
     assert hits.spread.item() == 0.0
 

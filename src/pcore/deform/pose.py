@@ -11,7 +11,7 @@ from pcore.deform.base import Deformation, Identity
 from pcore.deform.jacobian import analytic_maps, unchecked_maps
 from pcore.errors import EditError
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
 
 
@@ -21,7 +21,7 @@ def pose(
     *,
     surfels: Surfels | None = None,
     aware: bool = True,
-) -> Posed:
+) -> PosedCloud:
     """Move a canonical cloud; positions and local maps are computed in double precision.
 
     Autograd follows the points, and parameters of the deformation that ask for it.
@@ -43,8 +43,8 @@ def pose(
     exact = cloud.positions.cpu().double()
     moved = _moved(deformation, exact)
     if not moved.requires_grad and _stays(deformation, exact):
-        return Posed.at_rest(cloud, surfels)
-    posed = Posed(cloud=cloud, positions=moved.to(cloud.positions))
+        return PosedCloud.at_rest(cloud, surfels)
+    posed = PosedCloud(cloud=cloud, positions=moved.to(cloud.positions))
     if not aware and surfels is None:
         return posed
     maps_at = analytic_maps if aware else unchecked_maps

@@ -9,25 +9,27 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pcore.asset.asset import Asset, Posed
+from pcore.asset.content import LightName, MovedPoints, RaysName
 from pcore.errors import EditError, InputError
 from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
 from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
-from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
-from pcore.geometry.surfels import Surfels
 from pcore.metrics.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
-from pcore.model.papr import Papr
-from pcore.relight.relighting import Relighting
 from pcore.render.image import Image
 
 Value = float | int | None
 Progress = Callable[[int, int], None]
 
 
-Draw = Callable[[Papr, Posed, Camera], Image]
-"""Renders one view; `pcore.render.picture.render` is one."""
+Draw = Callable[[Asset, Posed, Camera], Image]
+"""Takes a picture of a posed asset."""
+
+
+def draw_asset(asset: Asset, posed: Posed, camera: Camera) -> Image:
+    """Take it as `Asset.render` does."""
+    return asset.render(posed, camera)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,22 +38,17 @@ class Method:
 
     Attributes:
         name: for tables; unique among the methods.
-        papr: the networks, which have been trained on white or render on white.
-        cloud: canonical points, world units.
-        surfels: the surface over them at rest; None where it is not known.
-        aware: render deformed states with deformation-aware rays, else with plain ones.
+        asset: what is drawn, on white.
+        rays: how deformed states are seen.
+        light: what the light does while points move; "still" needs aware rays.
         unseen: (N,) bool, which points no training view saw; None where that is not known.
-        light: a light that stands still while points move; None leaves points as they were
-            photographed.
     """
 
     name: str
-    papr: Papr
-    cloud: PointCloud
-    aware: bool
-    surfels: Surfels | None = None
+    asset: Asset
+    rays: RaysName
+    light: LightName = "baked"
     unseen: Tensor | None = None
-    light: Relighting | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +104,7 @@ def evaluate(
     methods: Sequence[Method],
     states: Sequence[State],
     *,
-    draw: Draw,
+    draw: Draw = draw_asset,
     protocols: Sequence[Protocol] = (PAPR, STANDARD),
     perceptual: Perceptual | None = None,
     progress: Progress | None = None,
@@ -118,7 +115,7 @@ def evaluate(
     Args:
         methods: at least one, names unique.
         states: from `SceneStates.select`.
-        draw: the renderer.
+        draw: takes the pictures.
         protocols: ways to score images; every picture is taken once and scored by each.
         perceptual: LPIPS networks; None leaves LPIPS out.
         progress: called with (pictures done, pictures in all).
@@ -135,16 +132,14 @@ def evaluate(
     total = len(methods) * sum(len(state.shots) for state in states)
     rows: list[ImageRow] = []
     done = 0
-    # All clouds first: a state that cannot be drawn must not cost the pictures of those before.
+    # All poses first: a state that cannot be drawn must not cost the pictures of those before.
     carried = [carry(methods, state) for state in states]
-    for state, clouds in zip(states, carried, strict=True):
-        mended = {
-            name: None if one.local_maps is None else len(one.local_maps.mended)
-            for name, one in clouds.items()
-        }
-        health = _health(methods, clouds, state)
+    for state, poses in zip(states, carried, strict=True):
+        maps = {name: one.local_maps for name, one in poses.items()}
+        mended = {name: None if one is None else len(one.mended) for name, one in maps.items()}
+        health = _health(methods, poses, state)
         for index in range(len(state.shots)):
-            taken = _take(methods, clouds, health, state, index, draw)
+            taken = _take(methods, poses, health, state, index, draw)
             rows += _score(taken, state, protocols, perceptual, mended)
             done += len(methods)
             if progress is not None:
@@ -156,7 +151,7 @@ def evaluate(
 
 def _take(
     methods: Sequence[Method],
-    clouds: Mapping[str, Posed],
+    poses: Mapping[str, Posed],
     health: Mapping[str, Health],
     state: State,
     index: int,
@@ -165,7 +160,7 @@ def _take(
     """Render one shot with every method."""
     shot = state.shots[index]
     with torch.no_grad():
-        photos = {m.name: draw(m.papr, clouds[m.name], shot.camera).cpu() for m in methods}
+        photos = {m.name: draw(m.asset, poses[m.name], shot.camera).cpu() for m in methods}
     return Taken(
         state=state.name,
         view=shot.view.name,
@@ -216,59 +211,46 @@ def _check_names(methods: Sequence[Method]) -> None:
         )
 
 
-@torch.no_grad()
 def carry(methods: Sequence[Method], state: State) -> dict[str, Posed]:
-    """Pose every method's cloud in the state; methods of one run share the work.
+    """Move every method's asset to the state; methods of one run share the work.
 
-    All methods are measured by one kind of depth, that of the surfels where a run has them,
+    All methods are measured by one kind of depth, that of the surface where a run knows it,
     whatever their rays and their light.
     """
-    known: dict[int, tuple[Posed, EditError | None]] = {}
-    posed: dict[str, Posed] = {}
+    motions: dict[int, tuple[MovedPoints, EditError | None]] = {}
+    poses: dict[str, Posed] = {}
     for method in methods:
-        if id(method.cloud) not in known:
-            known[id(method.cloud)] = _carried(method, methods, state)
-        whole, error = known[id(method.cloud)]
-        if error is not None and method.aware:
+        asset, key = method.asset, id(method.asset)
+        if key not in motions:
+            motions[key] = _moved(state, asset.points.detach().cpu())
+        motion, error = motions[key]
+        if error is not None and method.rays == "aware":
             raise EditError(f"state {state.name}: {error}; plain rays can draw it") from error
-        one = whole if method.aware else replace(whole, local_maps=None)
-        if method.light is not None and whole.local_maps is not None:
-            one = replace(one, gains=method.light.gains(one, world=state.world))
-        posed[method.name] = one.to(method.cloud.positions.device)
-    return posed
+        poses[method.name] = asset.pose(motion, rays=method.rays, light=method.light)
+    return poses
 
 
-def _carried(
-    method: Method, methods: Sequence[Method], state: State
-) -> tuple[Posed, EditError | None]:
-    """A method's cloud with local maps and surfels, on the CPU, and why it may lack both."""
-    cloud = method.cloud.detached().to("cpu")
-    surfels = None if method.surfels is None else method.surfels.to("cpu")
-    moved = state.move(cloud.positions)
-    aware = any(one.aware for one in methods if one.cloud is method.cloud)
-    if not aware and surfels is None:
-        return Posed(cloud=cloud, positions=moved), None
+def _moved(state: State, rest: Tensor) -> tuple[MovedPoints, EditError | None]:
+    """Where a state takes canonical points (N, 3), and why there may be no local maps."""
+    positions = state.move(rest)
     try:
-        maps = state.local_maps(cloud.positions, moved)
+        maps = state.local_maps(rest, positions)
     except EditError as error:
-        return Posed(cloud=cloud, positions=moved), error
-    if maps is None:
-        return replace(Posed.at_rest(cloud, surfels), positions=moved), None
-    covered = None if surfels is None else surfels.moved(moved, maps)
-    return Posed(cloud=cloud, positions=moved, local_maps=maps, surfels=covered), None
+        return MovedPoints(positions=positions, world=state.world), error
+    return MovedPoints(positions=positions, local_maps=maps, world=state.world), None
 
 
 def _health(
-    methods: Sequence[Method], clouds: Mapping[str, Posed], state: State
+    methods: Sequence[Method], poses: Mapping[str, Posed], state: State
 ) -> dict[str, Health]:
     """Diagnose every method's points; methods of one run share the work."""
     known: dict[int, Health] = {}
     for method in methods:
-        if id(method.cloud) not in known:
-            rest, moved = method.cloud.positions, clouds[method.name].positions
+        if id(method.asset) not in known:
+            rest, moved = method.asset.points, poses[method.name].points
             handles = () if state.handles is None else state.handles(rest.detach().cpu())
-            known[id(method.cloud)] = health_of(rest, moved, method.unseen, handles)
-    return {method.name: known[id(method.cloud)] for method in methods}
+            known[id(method.asset)] = health_of(rest, moved, method.unseen, handles)
+    return {method.name: known[id(method.asset)] for method in methods}
 
 
 def _geometry(photo: Image, rgba: Tensor, taken: Taken, state: State) -> Mapping[str, Value]:

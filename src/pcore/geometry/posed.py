@@ -21,7 +21,7 @@ _LEAST = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Posed:
+class PosedCloud:
     """Points in a pose, with the surface over them and its light.
 
     Attributes:
@@ -58,7 +58,7 @@ class Posed:
             raise InputError("posed cloud: expected surfels with gains, got gains alone")
 
     @classmethod
-    def at_rest(cls, cloud: PointCloud, surfels: Surfels | None = None) -> Posed:
+    def at_rest(cls, cloud: PointCloud, surfels: Surfels | None = None) -> PosedCloud:
         """Pose a canonical cloud (with its surfels at rest) as it is."""
         over = None if surfels is None else surfels.over(cloud.positions)
         return cls(cloud=cloud, positions=cloud.positions, surfels=over)
@@ -120,17 +120,17 @@ class Posed:
             parts.append(self.gains)
         return torch.is_grad_enabled() and any(part.requires_grad for part in parts)
 
-    def to(self, device: torch.device | str) -> Posed:
+    def to(self, device: torch.device | str) -> PosedCloud:
         """Return the same on a device; this very pose when it is there already."""
         if self.positions.device == torch.device(device):
             return self
         return self.each(lambda tensor: tensor.to(device))
 
-    def each(self, change: Callable[[Tensor], Tensor]) -> Posed:
+    def each(self, change: Callable[[Tensor], Tensor]) -> PosedCloud:
         """Return the same with every tensor changed."""
         cloud = self.cloud.each(change)
         still = self.positions is self.cloud.positions
-        return Posed(
+        return PosedCloud(
             cloud=cloud,
             positions=cloud.positions if still else change(self.positions),
             local_maps=None if self.local_maps is None else self.local_maps.each(change),

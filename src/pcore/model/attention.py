@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels.functional import AttentionRules, proximity_attention
 from pcore.kernels.networks import Layers
@@ -83,7 +83,7 @@ class ProximityAttention(nn.Module):
 
     def forward(
         self,
-        posed: Posed,
+        posed: PosedCloud,
         rays: RayBundle,
         neighbours: Tensor,
         seen: RayBundle,

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
 from pcore.relight.config import DEFAULT, RelightConfig
 from pcore.relight.lamps import Light, falling_of
@@ -79,7 +79,7 @@ class Relighting:
             config=config,
         )
 
-    def gains(self, posed: Posed, *, world: float = 1.0) -> Tensor:
+    def gains(self, posed: PosedCloud, *, world: float = 1.0) -> Tensor:
         """Find by which factor the light on posed points has changed, while it stands still.
 
         Args:
@@ -109,7 +109,7 @@ class Relighting:
             gains = (falls / self.received).pow(1 / encoding).clamp(1 / most, most)
         return gains.to(posed.positions.device)
 
-    def _check(self, posed: Posed) -> Surfels:
+    def _check(self, posed: PosedCloud) -> Surfels:
         """Raise InputError where `gains` would; return the surfels."""
         rest = posed.cloud.positions.detach().cpu().float()
         if rest.shape != self.positions.shape or not torch.equal(rest, self.positions):

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pcore.errors import InputError, PcoreError
 from pcore.geometry.camera import Camera
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import determinants
 from pcore.model.encoding import encoded_size
@@ -47,7 +47,7 @@ class RenderCancelledError(PcoreError):
 
 def render(
     papr: Papr,
-    posed: Posed,
+    posed: PosedCloud,
     camera: Camera | Sequence[Camera],
     *,
     max_rays: int | None = None,
@@ -109,7 +109,7 @@ def render(
 
 def _picture(
     papr: Papr,
-    posed: Posed,
+    posed: PosedCloud,
     camera: Camera,
     raster: Raster,
     rays: int,
@@ -134,7 +134,7 @@ def _picture(
 
 def render_rays(
     papr: Papr,
-    posed: Posed,
+    posed: PosedCloud,
     rays: RayBundle,
     background: Tensor | None = None,
     *,
@@ -182,7 +182,7 @@ def render_rays(
     )
 
 
-def asks_gradient(papr: Papr, posed: Posed, camera: Camera) -> bool:
+def asks_gradient(papr: Papr, posed: PosedCloud, camera: Camera) -> bool:
     """Whether autograd follows anything that a picture is made of."""
     networks = torch.is_grad_enabled() and any(one.requires_grad for one in papr.parameters())
     return networks or posed.asks_gradient or camera.asks_gradient
@@ -194,7 +194,9 @@ def check_cancel(cancel: Callable[[], bool] | None) -> None:
         raise RenderCancelledError("the rendering was cancelled before it was complete")
 
 
-def check_request(papr: Papr, posed: Posed, camera: Camera, max_rays: int | None, tile: int) -> int:
+def check_request(
+    papr: Papr, posed: PosedCloud, camera: Camera, max_rays: int | None, tile: int
+) -> int:
     """Raise InputError where `render` would; return the number of rays of a chunk."""
     if camera.height < ALIGNMENT or camera.width < ALIGNMENT:
         raise InputError(
@@ -208,7 +210,7 @@ def check_request(papr: Papr, posed: Posed, camera: Camera, max_rays: int | None
     return check_count("render: max_rays", max_rays or _rays_at_once(papr))
 
 
-def _check_pose(posed: Posed) -> None:
+def _check_pose(posed: PosedCloud) -> None:
     """Raise rather than draw a black picture of points that a deformation has torn to NaN."""
     parts = {"position": posed.positions}
     if posed.local_maps is not None:

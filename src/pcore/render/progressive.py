@@ -16,7 +16,7 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
 from pcore.model.unet import ALIGNMENT
 from pcore.render.image import Image
@@ -38,7 +38,7 @@ STRIDES = (8, 4)
 
 def render_progressively(
     papr: Papr,
-    posed: Posed,
+    posed: PosedCloud,
     camera: Camera,
     *,
     strides: Sequence[int] = STRIDES,
@@ -86,7 +86,7 @@ def render_progressively(
 @torch.no_grad()
 def _stages(
     papr: Papr,
-    posed: Posed,
+    posed: PosedCloud,
     camera: Camera,
     raster: Raster,
     strides: Sequence[int],
@@ -125,7 +125,7 @@ def _check_strides(strides: Sequence[int]) -> None:
 
 def _coarse(
     papr: Papr,
-    posed: Posed,
+    posed: PosedCloud,
     camera: Camera,
     strides: Sequence[int],
     chunk: int,

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from pcore.geometry.camera import Camera
 from pcore.geometry.pixel_samples import check_samples, grid_places
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.model.papr_config import PaprConfig
 from pcore.model.unet import ALIGNMENT, RECEPTIVE_MARGIN
 
@@ -61,7 +61,7 @@ class Raster:
 
 def raster_of(
     config: PaprConfig,
-    posed: Posed,
+    posed: PosedCloud,
     camera: Camera,
     samples: int | None,
     tile: int,
@@ -101,7 +101,7 @@ def raster_of(
     )
 
 
-def photo_pixels(config: PaprConfig, posed: Posed, camera: Camera) -> float:
+def photo_pixels(config: PaprConfig, posed: PosedCloud, camera: Camera) -> float:
     """How many pixels of a camera are as wide as one of the photos, at the object; 1/16 to 16.
 
     An edit that enlarges the object spreads what was one pixel over more of them. 1 where the
@@ -116,7 +116,9 @@ def photo_pixels(config: PaprConfig, posed: Posed, camera: Camera) -> float:
     return min(max(detail, 1 / _FINEST), _FINEST)
 
 
-def film_detail(config: PaprConfig, poses: Sequence[Posed], cameras: Sequence[Camera]) -> float:
+def film_detail(
+    config: PaprConfig, poses: Sequence[PosedCloud], cameras: Sequence[Camera]
+) -> float:
     """One `photo_pixels` for all frames of a film, the median, so that its look does not jump.
 
     Args:

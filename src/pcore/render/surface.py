@@ -17,7 +17,7 @@ import math
 import torch
 from torch import Tensor
 
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
 from pcore.kernels import cpu_intersection
@@ -42,7 +42,7 @@ _HIDDEN = 1e-6
 
 
 def surface_of(
-    posed: Posed, rays: RayBundle, hits: Hits, cutoff: float | None
+    posed: PosedCloud, rays: RayBundle, hits: Hits, cutoff: float | None
 ) -> tuple[Tensor, Tensor | None]:
     """Find where rays meet the surface: one layer of it, that of the first point that counts.
 
@@ -76,7 +76,7 @@ def surface_of(
 
 
 def first_layer(
-    posed: Posed, rays: RayBundle, hits: Hits, cutoff: float | None
+    posed: PosedCloud, rays: RayBundle, hits: Hits, cutoff: float | None
 ) -> tuple[Tensor, Tensor]:
     """Weights (R, k) of the points of the layer that rays meet first, and its mean place (R, 3).
 

@@ -17,7 +17,7 @@ from torch.nn import functional as F
 from pcore.data.scene import View
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels, spacing_of
 from pcore.model.papr import Papr
@@ -100,7 +100,7 @@ def observe(
     """
     device = next(papr.parameters()).device
     cloud = cloud.detached().to(device)
-    posed = Posed.at_rest(cloud)
+    posed = PosedCloud.at_rest(cloud)
     sums = torch.zeros(len(cloud), 7)
     kept = {len(views) * step // _MOST_VIEWS for step in range(_MOST_VIEWS)}
     shown: list[Shown] = []
@@ -210,7 +210,7 @@ def _colors(places: Tensor, normals: Tensor, shown: Shown, close: float) -> Tens
     return torch.where(seen[:, None] & (share > 0), found[:, :3] / share, math.nan)
 
 
-def _look(papr: Papr, posed: Posed, view: View, sums: Tensor) -> Shown:
+def _look(papr: Papr, posed: PosedCloud, view: View, sums: Tensor) -> Shown:
     """Add normal, colour and 1 of every pixel to its points, by the weights of their attention."""
     largest = max(view.camera.width, view.camera.height)
     stride = math.ceil(largest / _LARGEST_SIDE)
@@ -233,7 +233,7 @@ def _look(papr: Papr, posed: Posed, view: View, sums: Tensor) -> Shown:
     return Shown(camera=camera, rgb=rgba[..., :3], depth=depth)
 
 
-def _met(papr: Papr, posed: Posed, rays: RayBundle) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _met(papr: Papr, posed: PosedCloud, rays: RayBundle) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Opacity (R,), surface (R, 3), weights (R, k) and points (R, k) of rays (R,), on the CPU."""
     rays = rays.to(posed.positions.device)
     hits = trace(papr, posed, rays)

@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.geometry.camera import Camera
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.hits import Hits
 from pcore.model.papr import Papr, constant
@@ -101,7 +101,7 @@ class Canvas:
 
 
 def paint(
-    canvas: Canvas, papr: Papr, posed: Posed, raster: Raster, chunk: int, threshold: float
+    canvas: Canvas, papr: Papr, posed: PosedCloud, raster: Raster, chunk: int, threshold: float
 ) -> Iterator[int]:
     """Fill a canvas from above; yield the number of its complete rows after every chunk and tile.
 
@@ -138,7 +138,7 @@ def _rays_of(raster: Raster, wanted: Tensor) -> RayBundle:
 def trace_pixels(
     canvas: Canvas,
     papr: Papr,
-    posed: Posed,
+    posed: PosedCloud,
     rays: RayBundle,
     pixel_of_row: Tensor,
     threshold: float,

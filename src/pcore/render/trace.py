@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle, perpendicular
 from pcore.kernels.functional import nearest_to_rays, pull_back, rays_at_rest
 from pcore.model.hits import Hits, composite_over
@@ -62,7 +62,7 @@ _Attend = Callable[[RayBundle, Tensor, RayBundle], Hits]
 
 def trace(
     papr: Papr,
-    posed: Posed,
+    posed: PosedCloud,
     rays: RayBundle,
     *,
     threshold: float = 0.0,
@@ -94,7 +94,7 @@ def trace(
     return hits.with_rows(ray_of_gap[gap_of_solid], back[gap_of_solid])
 
 
-def _trace_layers(papr: Papr, posed: Posed, rays: RayBundle, attend: _Attend) -> Hits:
+def _trace_layers(papr: Papr, posed: PosedCloud, rays: RayBundle, attend: _Attend) -> Hits:
     """What R rays hit from this end: the foremost layer, and through it the one behind."""
     k, cutoff = min(papr.config.neighbours, len(posed)), papr.config.cutoff
     nearest, ray_of_near, candidates = search(posed, rays, k, cutoff)
@@ -118,7 +118,7 @@ def _trace_layers(papr: Papr, posed: Posed, rays: RayBundle, attend: _Attend) ->
 
 @torch.no_grad()
 def search(
-    posed: Posed, rays: RayBundle, k: int, cutoff: float | None
+    posed: PosedCloud, rays: RayBundle, k: int, cutoff: float | None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Find the points that R rays may meet.
 
@@ -161,7 +161,7 @@ def search(
 
 
 def layer_of(
-    posed: Posed,
+    posed: PosedCloud,
     lines: RayBundle,
     candidates: Tensor,
     k: int,
@@ -204,7 +204,7 @@ def layer_of(
 
 
 @torch.no_grad()
-def gaps(hits: Hits, posed: Posed, lines: RayBundle, cutoff: float) -> Tensor:
+def gaps(hits: Hits, posed: PosedCloud, lines: RayBundle, cutoff: float) -> Tensor:
     """Which (G,) of R rays from outside pass close to points and see through them.
 
     Args:
@@ -226,7 +226,7 @@ def gaps(hits: Hits, posed: Posed, lines: RayBundle, cutoff: float) -> Tensor:
 
 def _attend(
     papr: Papr,
-    posed: Posed,
+    posed: PosedCloud,
     threshold: float,
     stop_encoding: bool,
     lines: RayBundle,
@@ -240,14 +240,14 @@ def _attend(
     return papr.attention(posed, lines, neighbours, seen, threshold, stop_encoding=stop_encoding)
 
 
-def _seen_at_rest(posed: Posed, lines: RayBundle, neighbours: Tensor) -> RayBundle:
+def _seen_at_rest(posed: PosedCloud, lines: RayBundle, neighbours: Tensor) -> RayBundle:
     """Rays (M, k) of the rest state as neighbours see rays (M,), with their gradient."""
     assert posed.local_maps is not None
     points = posed.positions, posed.cloud.positions, posed.local_maps.to_rest
     return rays_at_rest(lines.origins, lines.directions, *points, neighbours)
 
 
-def _moved_back(posed: Posed, lines: RayBundle) -> RayBundle:
+def _moved_back(posed: PosedCloud, lines: RayBundle) -> RayBundle:
     """Rays (R,) of the rest state from which one map takes all points."""
     assert posed.local_maps is not None
     to_rest = posed.local_maps.to_rest[0].T
@@ -256,7 +256,7 @@ def _moved_back(posed: Posed, lines: RayBundle) -> RayBundle:
 
 
 def _muted(
-    posed: Posed, neighbours: Tensor, seen: RayBundle, counts: Tensor, cutoff: float
+    posed: PosedCloud, neighbours: Tensor, seen: RayBundle, counts: Tensor, cutoff: float
 ) -> RayBundle:
     """Rays (M, k) where those of slots without a point pass far beside the point they repeat."""
     k = neighbours.shape[1]

@@ -72,6 +72,15 @@ class PopulationReport:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SurfaceReport:
+    """At the end, the training views tell where the surface over the points is."""
+
+    stage: str
+    step: int
+    views: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Saved:
     """A file is complete on the disk."""
 
@@ -91,13 +100,14 @@ class Stopped:
     """For people: why, and how to go on."""
 
 
-Event = StepReport | ValidationReport | PopulationReport | Saved | Stopped
+Event = StepReport | ValidationReport | PopulationReport | SurfaceReport | Saved | Stopped
 Listener = Callable[[Event], None]
 
 _NAMES: dict[type, str] = {
     StepReport: "step",
     ValidationReport: "validation",
     PopulationReport: "population",
+    SurfaceReport: "surface",
     Saved: "saved",
     Stopped: "stopped",
 }

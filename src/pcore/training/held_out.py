@@ -8,7 +8,7 @@ import torch
 
 from pcore.data.images import background_color, composite
 from pcore.data.scene import View
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.render.picture import render
 from pcore.training.config import Background
 from pcore.training.trained import Trained
@@ -19,7 +19,7 @@ def validate(model: Trained, views: Sequence[View], background: Background) -> d
     color = background_color("white" if background == "random" else background)
     found: dict[str, list[float]] = {"psnr": [], "foreground_psnr": []}
     for view in views:
-        rgb = render(model.papr, Posed.at_rest(model.cloud), view.camera).rgb.clamp(0, 1).cpu()
+        rgb = render(model.papr, PosedCloud.at_rest(model.cloud), view.camera).rgb.clamp(0, 1).cpu()
         rgba = view.rgba()
         error = (rgb - composite(rgba, color)).square().mean(dim=-1)
         found["psnr"].append(_decibels(error.mean()))

@@ -20,7 +20,14 @@ from pcore.files.run_folder import RunFolder
 from pcore.render.surfel_fit import observe
 from pcore.training.compiling import compiler_errors_explained
 from pcore.training.config import Background
-from pcore.training.events import Listener, Saved, StepReport, Stopped, ValidationReport
+from pcore.training.events import (
+    Listener,
+    Saved,
+    StepReport,
+    Stopped,
+    SurfaceReport,
+    ValidationReport,
+)
 from pcore.training.held_out import validate
 from pcore.training.losses import Losses
 from pcore.training.schedule import Schedule
@@ -39,7 +46,6 @@ class Plan:
         rates: learning rates by the names of the optimiser's groups.
         validate_every: steps between validations.
         save_every: steps between saves.
-        average: decay of the running average of weights, 0 for none.
         views: training views, which say at the end where the surface over the points is.
         validation: held-out training views.
         background: behind images with alpha.
@@ -50,7 +56,6 @@ class Plan:
     rates: Mapping[str, Schedule]
     validate_every: int
     save_every: int
-    average: float
     views: Sequence[View]
     validation: Sequence[View]
     background: Background
@@ -128,8 +133,6 @@ def _step(work: Trainable, plan: Plan, losses: Callable[[], Losses]) -> Losses:
         found.total.backward()
     work.optimizer.step()
     work.step += 1
-    if plan.average > 0:
-        work.update_average(plan.average)
     return found
 
 
@@ -167,7 +170,7 @@ def _validate(
         work.best = {**work.best, "psnr": psnr, "step": work.step}
     accepted = accept(psnr)
     if "weights" in work.best and accepted:
-        work.best["weights"] = {k: t.clone() for k, t in (work.average or work.weights()).items()}
+        work.best["weights"] = {k: t.clone() for k, t in work.weights().items()}
         work.best |= {"kept_step": work.step, "kept_psnr": psnr}
     listener(
         ValidationReport(
@@ -203,6 +206,8 @@ def _save(
         folder.save_state(work.state())
         listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
     if finished:
+        views = len(plan.views)
+        listener(SurfaceReport(stage=work.stage, step=work.step, views=views))
         observed = observe(result.papr, result.cloud, plan.views)
         result = replace(result, surfels=observed.surfels(result.cloud), observed=observed)
     if folder is None:

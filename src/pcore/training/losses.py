@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.metrics.perceptual import load_lpips
 from pcore.model.papr import Papr
@@ -61,7 +61,7 @@ def perceptual_loss(weight: float, trunk: TrunkName, device: torch.device) -> Pe
     return load_lpips(trunk, device=device) if weight > 0 else None
 
 
-def training_image(papr: Papr, posed: Posed, rays: RayBundle, background: Tensor) -> Image:
+def training_image(papr: Papr, posed: PosedCloud, rays: RayBundle, background: Tensor) -> Image:
     """Render rays as losses want them: no gradient through gamma(p), as in the original.
 
     Depth and surface, for which no loss asks, are not looked for.

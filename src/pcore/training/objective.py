@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import torch
-
 from pcore.deform.base import Deformation
 from pcore.deform.sampler import sample_deformation
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
-from pcore.render.image import Image
 from pcore.training.config import FinetuneConfig
 from pcore.training.consistency import (
     Canonical,
@@ -31,21 +28,20 @@ class Objective:
         self,
         config: FinetuneConfig,
         work: Trainable,
-        anchor: Trained,
+        base: Trained,
         perceptual: Perceptual | None,
     ) -> None:
-        self._config, self._work, self._anchor = config, work, anchor
-        self._perceptual = perceptual
-        lower, upper = anchor.cloud.extent()
+        self._config, self._work, self._perceptual = config, work, perceptual
+        lower, upper = base.cloud.extent()
         self._lower, self._upper = lower.cpu(), upper.cpu()
-        self._points = anchor.cloud.positions.cpu()
+        self._points = base.cloud.positions.cpu()
         self._unit = float((upper - lower).norm())
         self._move = _motion(config, work, self._unit)
 
     def __call__(self, patch: Patch) -> Losses:
         """L_rgb + lambda_geo L_geo + lambda_tex L_tex of a patch (paper, "Joint Loss")."""
         config, work = self._config, self._work
-        posed = Posed.at_rest(work.cloud)
+        posed = PosedCloud.at_rest(work.cloud)
         image = training_image(work.papr, posed, patch.rays, patch.background)
         photo = photometric(
             image,
@@ -55,7 +51,8 @@ class Objective:
             perceptual=self._perceptual,
             front_weight=config.front_weight,
         )
-        canonical = self._canonical(image, patch)
+        rgb = patch.rgb if config.texture_target == "photo" else image.rgb
+        canonical = canonical_of(image, work.cloud, patch.rays, rgb, config.foreground_alpha)
         deformation = sample_deformation(
             work.generator, self._lower, self._upper, self._points, config.ranges
         )
@@ -72,15 +69,6 @@ class Objective:
             terms[f"geo_{name}"] = config.geometry_weight * found.geometry
             terms[f"tex_{name}"] = config.texture_weight * found.texture
         return Losses(terms=terms, squared_error=photo.squared_error)
-
-    def _canonical(self, image: Image, patch: Patch) -> Canonical:
-        config = self._config
-        if config.anchor:
-            with torch.no_grad():
-                posed = Posed.at_rest(self._anchor.cloud)
-                image = training_image(self._anchor.papr, posed, patch.rays, patch.background)
-        rgb = patch.rgb if config.texture_target == "photo" else image.rgb
-        return canonical_of(image, self._work.cloud, patch.rays, rgb, config.foreground_alpha)
 
     def _modes(
         self, rays: RayBundle, canonical: Canonical, deformation: Deformation

@@ -21,7 +21,7 @@ from pcore.deform.jacobian import maps_of, unchecked_maps
 from pcore.deform.skinning import pose_of, skin
 from pcore.geometry.farthest_points import farthest_points
 from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.posed import Posed
+from pcore.geometry.posed import PosedCloud
 from pcore.training.config import SkinningTrainConfig
 from pcore.training.consistency import Canonical
 
@@ -36,7 +36,7 @@ class MovedScene:
         terms: losses of the motion itself, weighted, by name.
     """
 
-    posed: Posed
+    posed: PosedCloud
     surface: Tensor
     terms: Mapping[str, Tensor]
 
@@ -63,7 +63,7 @@ class FieldMotion:
         # The derivative of the maps is left out: it is small, and costs second derivatives.
         maps = unchecked_maps(deformation, positions.detach()) if self.aware else None
         return MovedScene(
-            posed=Posed(cloud=cloud, positions=deformation(positions), local_maps=maps),
+            posed=PosedCloud(cloud=cloud, positions=deformation(positions), local_maps=maps),
             surface=deformation(canonical.surface),
             terms={},
         )
@@ -109,7 +109,7 @@ class SkinnedMotion:
                 terms["skinning"] = self.config.position_weight * error
         # As an edit by anchors is rendered: the maps are the blended rotations.
         maps = maps_of(points, moved.linear.detach()) if self.aware else None
-        posed = Posed(cloud=cloud, positions=moved.positions, local_maps=maps)
+        posed = PosedCloud(cloud=cloud, positions=moved.positions, local_maps=maps)
         return MovedScene(posed=posed, surface=surface, terms=terms)
 
 
