@@ -189,9 +189,9 @@ def test_methods_need_different_names(states: SceneStates, perfect: Method) -> N
         evaluate([], states.select([]), draw=draw_box)
 
 
-def test_one_kind_of_depth_whatever_rays_and_light(states: SceneStates, perfect: Method) -> None:
+def test_one_kind_of_depth_whatever_rays_and_light(states: SceneStates) -> None:
     """Surfels follow every method's points, so that hole rates compare."""
-    rest = perfect.cloud.positions
+    rest = tiny_scene.corner_cloud().positions
     normals = torch.nn.functional.normalize(rest, dim=1)
     surfels = Surfels.at_rest(rest, normals, torch.full((8,), 0.05))
     light = Light(
@@ -201,16 +201,15 @@ def test_one_kind_of_depth_whatever_rays_and_light(states: SceneStates, perfect:
         center=torch.zeros(3),
     )
     lit = Relighting.of(light, rest, surfels, torch.ones(8))
+    asset = asset_of(Papr(tiny_scene.CONFIG), tiny_scene.corner_cloud(), surfels=surfels, light=lit)
     methods = [
-        replace(perfect, name="plain", surfels=surfels),
-        replace(perfect, name="aware", surfels=surfels, aware=True),
-        replace(perfect, name="lit", surfels=surfels, aware=True, light=lit),
+        Method(name="plain", asset=asset, rays="plain"),
+        Method(name="aware", asset=asset, rays="aware"),
+        Method(name="lit", asset=asset, rays="aware", light="still"),
     ]
     for state in states.select(["grown", "walk"]):
-        posed = carry(methods, state)
+        posed = {name: one.content for name, one in carry(methods, state).items()}
         for one in posed.values():
-            assert one.surfels is not None
-            assert posed["aware"].surfels is not None
             assert torch.equal(one.surfels.places, posed["aware"].surfels.places)
         moved = state.name != CANONICAL
         assert posed["plain"].local_maps is None
