@@ -12,7 +12,7 @@ from pcore.evaluation.protocol import PROTOCOLS
 from pcore.evaluation.runner import Method, evaluate, mean
 from pcore.evaluation.states import CANONICAL, open_states
 from pcore.model.papr_config import MlpConfig
-from pcore.model.render import render
+from pcore.render.picture import render
 from pcore.training.presets import TINY
 from pcore.training.pretrain import pretrain
 

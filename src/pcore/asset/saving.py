@@ -18,8 +18,9 @@ from pcore.files.run_folder import RunFolder, write_guard
 from pcore.files.run_record import RunRecord, relative
 from pcore.files.skinning_file import SKINNING_FILE, load_skinning
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
-from pcore.relight.shading import Shading
+from pcore.relight.relighting import Relighting
 
 Reader = Callable[[Path, str], tuple[Content[Any], Provenance]]
 
@@ -66,7 +67,8 @@ def asset_of(
     scene: str = "",
     stage: Stage = "pretrain",
     step: int = 0,
-    light: Shading | None = None,
+    surfels: Surfels | None = None,
+    light: Relighting | None = None,
     skinning: Skinning | None = None,
 ) -> Asset:
     """Make an asset of networks and points that are in memory.
@@ -79,12 +81,18 @@ def asset_of(
         scene: name of the scene.
         stage: what made the weights.
         step: steps of that stage.
+        surfels: the surface over the points at rest.
         light: of the photos.
         skinning: weights that were learned for edits by anchors.
     """
     cloud = cloud.detached().to("cpu")
     return Asset(
-        content=NeuralPoints(papr=papr, cloud=cloud, read_light=light and (lambda: light)),
+        content=NeuralPoints(
+            papr=papr,
+            cloud=cloud,
+            surfels=None if surfels is None else surfels.to("cpu"),
+            read_light=light and (lambda: light),
+        ),
         provenance=provenance_of(cloud, papr.config, scene=scene, stage=stage, step=step),
         record=RunRecord(stage=stage),
         read_skinning=skinning and (lambda: skinning),

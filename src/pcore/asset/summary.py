@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pcore.asset.saving import load
+from pcore.asset.saving import load, neural_points_of
 from pcore.errors import CheckpointError
 from pcore.files.model_file import MODEL_FILE, ModelSummary, describe_model
 from pcore.files.run_record import RunRecord
@@ -71,7 +71,10 @@ def _light_of(folder: Path) -> str | None:
     if not (folder / LIGHT_FILE).is_file():
         return None
     try:
-        light = load(folder).light
+        asset = load(folder)
+        light, surfels = asset.light, neural_points_of(asset, "light").surfels
     except CheckpointError as error:
         return f"cannot be used: {error}"
-    return None if light is None else describe_light(light)
+    if light is None or surfels is None:
+        return None
+    return describe_light(light, surfels)

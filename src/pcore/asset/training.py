@@ -14,8 +14,9 @@ from pcore.errors import InputError
 from pcore.files.records import to_dict
 from pcore.files.run_folder import RunFolder
 from pcore.files.run_record import RunRecord, relative
-from pcore.relight.estimate import fit_shading
-from pcore.relight.light_file import LIGHT_FILE, save_shading
+from pcore.relight.estimate import fit_light
+from pcore.relight.light_file import LIGHT_FILE, save_light
+from pcore.render.surfel_fit import Observed, observe
 from pcore.training import presets
 from pcore.training.config import FinetuneConfig, PresetName, PretrainConfig
 from pcore.training.events import Listener, silent
@@ -178,15 +179,23 @@ def finetune_settings(
 
 
 def estimate_light(
-    asset: Asset, scene: Scene, *, progress: Callable[[int, int], None] | None = None
+    asset: Asset,
+    scene: Scene,
+    *,
+    observed: Observed | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Asset:
     """Estimate the light of an object's photos; written beside it where it has a folder.
+
+    Where nobody has estimated the surface over its points, as in an imported run, that is done as
+    well, and kept in the model file.
 
         asset = estimate_light(asset, asset.scene())
 
     Args:
         asset: the object; its device does the work.
         scene: the one it was trained on; only training views are used.
+        observed: what the views say about the points, where that is known (`Trained.observed`).
         progress: told (views seen, views in all).
 
     Raises:
@@ -197,9 +206,17 @@ def estimate_light(
     """
     content, views = neural_points_of(asset, "light"), scene.split("train")
     check_images(views)
-    light = fit_shading(content.papr, content.cloud, views, progress=progress)
+    if observed is None:
+        observed = observe(content.papr, content.cloud, views, progress=progress)
+    if content.surfels is None:
+        content = replace(content, surfels=observed.surfels(content.cloud))
+        asset = replace(asset, content=content)
+        if asset.record.path is not None:
+            # Before the light, which may fail: too few points may have a normal for it.
+            content.save_model(asset.path, asset.provenance)
+    light = fit_light(observed, content.cloud.positions)
     if asset.record.path is not None:
-        save_shading(asset.path / LIGHT_FILE, light)
+        save_light(asset.path / LIGHT_FILE, light)
     return replace(asset, content=replace(content, read_light=lambda: light))
 
 
@@ -223,7 +240,8 @@ def _made(
     """Train as `record` says and hand over the asset; a finished run is left as it is."""
     place = scene.name if scene.folder is None else scene.folder.resolve()
     if record.path is None:
-        asset = _in_memory(run(None, listener), scene, record, str(place))
+        trained = run(None, listener)
+        asset = _in_memory(trained, scene, record, str(place))
     else:
         plan = FolderPlan(
             path=record.path,
@@ -242,7 +260,7 @@ def _made(
             return asset
     if options.light:
         try:
-            return estimate_light(asset, scene)
+            return estimate_light(asset, scene, observed=trained.observed)
         except (InputError, OSError) as error:
             options.note(f"note: {error}")
     return asset
@@ -256,6 +274,7 @@ def _in_memory(trained: Trained, scene: Scene, record: RunRecord, place: str) ->
         scene=scene.name,
         stage=record.stage,
         step=trained.step,
+        surfels=trained.surfels,
         skinning=trained.skinning,
     )
     return replace(asset, record=replace(record, scene=place))

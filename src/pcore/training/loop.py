@@ -23,6 +23,7 @@ from pcore.training.events import (
     Saved,
     StepReport,
     Stopped,
+    SurfaceReport,
     ValidationReport,
 )
 from pcore.training.interrupt import deferred_interrupt
@@ -44,6 +45,7 @@ class Plan:
         rates: learning rates by the names of the optimiser's groups.
         validate_every: steps between validations.
         save_every: steps between saves.
+        views: training views, which say at the end where the surface over the points is.
         validation: held-out training views.
         background: behind images with alpha.
         scene: name of the scene, for the model file.
@@ -53,6 +55,7 @@ class Plan:
     rates: Mapping[str, Schedule]
     validate_every: int
     save_every: int
+    views: Sequence[View]
     validation: Sequence[View]
     background: Background
     scene: str
@@ -89,9 +92,10 @@ def run_loop(
     if budget is not None:
         work.best = {"weights": {k: t.clone() for k, t in budget.before.items()}, "kept_step": 0}
     _resume(work, folder)
+    result = work.result()
     if work.step >= plan.steps:
         # Killed between the files of the last save: complete them.
-        _save(work, plan, folder, listener, finished=True)
+        result = _save(work, plan, folder, listener, finished=True)
     clock = _Clock(work.step, plan.steps)
     with deferred_interrupt() as interrupted:
         while work.step < plan.steps:
@@ -103,11 +107,12 @@ def run_loop(
                 _validate(work, plan, budget, listener)
             last = work.step == plan.steps or bool(interrupted)
             if last or work.step % plan.save_every == 0:
-                _save(work, plan, folder, listener, finished=last and not interrupted)
+                done = last and not interrupted
+                result = _save(work, plan, folder, listener, finished=done)
             if interrupted:
                 _stop(work, folder, listener)
     listener(_finished(work))
-    return _result(work)
+    return result
 
 
 def _finished(work: Work[Any]) -> Stopped:
@@ -207,19 +212,31 @@ def _resume(work: Work[Any], folder: RunFolder | None) -> None:
 
 
 def _save(
-    work: Work[Any], plan: Plan, folder: RunFolder | None, listener: Listener, *, finished: bool
-) -> None:
+    work: Work[Result],
+    plan: Plan,
+    folder: RunFolder | None,
+    listener: Listener,
+    *,
+    finished: bool,
+) -> Result:
+    """Save what is trained, and return it; at the end with the surface over its points."""
     _check_finite(work)
+    result = _result(work)
+    if folder is not None:
+        folder.save_state(work.state())
+        listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
+    if finished:
+        listener(SurfaceReport(stage=work.stage, step=work.step, views=len(plan.views)))
+        result = work.with_surface(result, plan.views)
     if folder is None:
-        return
-    folder.save_state(work.state())
-    listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
-    for path in work.save(folder, plan.scene):
+        return result
+    for path in work.save(folder, plan.scene, result):
         listener(Saved(stage=work.stage, step=work.step, path=path))
     best = {key: value for key, value in work.best.items() if isinstance(value, int | float)}
     trade = {"trade": work.best["trade"]} if "trade" in work.best else {}
     status = "finished" if finished else "running"
     folder.update(status=status, step=work.step, validation=best, **trade)
+    return result
 
 
 def _check_finite(work: Work[Any]) -> None:

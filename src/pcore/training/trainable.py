@@ -18,6 +18,7 @@ from pcore.files.run_folder import RunFolder
 from pcore.files.training_state import TrainingState, generator_states, restore_generators
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
+from pcore.render.surfel_fit import observe
 from pcore.training.config import Background, Rates
 from pcore.training.held_out import validate
 from pcore.training.schedule import Schedule
@@ -88,9 +89,13 @@ class Trainable:
         """Figures on held-out training views, see `held_out.validate`."""
         return validate(self.result(weights), views, background)
 
-    def save(self, folder: RunFolder, scene: str) -> list[str]:
-        """Write the weights that validation accepted last, where those are kept, else the last."""
-        result = self.result(self.best.get("weights"))
+    def with_surface(self, result: Trained, views: Sequence[View]) -> Trained:
+        """Return the result with the surface over its points, as training views show it."""
+        observed = observe(result.papr, result.cloud, views)
+        return replace(result, surfels=observed.surfels(result.cloud), observed=observed)
+
+    def save(self, folder: RunFolder, scene: str, result: Trained) -> list[str]:
+        """Write model and skinning; return the paths."""
         config = result.papr.config
         provenance = provenance_of(
             result.cloud,
@@ -99,7 +104,9 @@ class Trainable:
             stage="pretrain" if self.stage == "pretrain" else "finetune",
             step=self.best.get("kept_step", self.step),
         )
-        folder.save_model(result.papr.state_dict(), result.cloud, config, provenance)
+        folder.save_model(
+            result.papr.state_dict(), result.cloud, config, provenance, result.surfels
+        )
         if result.skinning is None:
             return [str(folder.model)]
         folder.save_skinning(result.skinning)

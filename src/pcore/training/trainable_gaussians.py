@@ -146,9 +146,14 @@ class TrainableGaussians:
 
         return mean_scores(views, color, draw)
 
-    def save(self, folder: RunFolder, scene: str) -> list[str]:
+    def with_surface(self, result: TrainedGaussians, views: Sequence[View]) -> TrainedGaussians:
+        """Return the result as it is: Gaussians have shapes of their own."""
+        del views
+        return result
+
+    def save(self, folder: RunFolder, scene: str, result: TrainedGaussians) -> list[str]:
         """Write what users load; return the paths."""
-        found = self.result()
+        found = result
         lower, upper = found.gaussians.means.amin(dim=0), found.gaussians.means.amax(dim=0)
         provenance = Provenance(
             scene=scene,
