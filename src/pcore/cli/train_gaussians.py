@@ -23,12 +23,10 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         InputError: an option that Gaussians do not have.
         PcoreError: as `fit_gaussians` and the run folder.
     """
+    from pcore.asset.training import RunOptions, train
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.sessions import Session, run_session, show_result
+    from pcore.cli.sessions import show_result, shown_training
     from pcore.data.load import load_scene
-    from pcore.files.records import to_dict
-    from pcore.files.run_folder import bytes_needed
-    from pcore.training.gaussian_fit import fit_gaussians
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -40,27 +38,22 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
             Text("images without alpha have no visual hull: Gaussians start before the cameras"),
             soft_wrap=True,
         )
-    numbers = 11 + 3 * (config.degree + 1) ** 2
-    session = Session(
-        path=command.output,
-        stage="pretrain",
-        scene=command.scene,
-        config={
-            "model": "gaussians",
-            "preset": command.preset,
-            "factor": command.factor,
-            "gaussians": to_dict(config),
-        },
-        resume=command.resume,
-        tensorboard=not command.no_tensorboard,
-        needed=bytes_needed(numbers * max(config.points, config.density.limit)),
-    )
-    run_session(
-        session,
-        lambda run, tell: fit_gaussians(scene, config, folder=run, listener=tell, device=device),
-        console,
-    )
-    show_result(console, command.output, next_command=f"pcore info {command.output}")
+    with shown_training(console) as (listener, note):
+        options = RunOptions(
+            resume=command.resume,
+            tensorboard=not command.no_tensorboard,
+            preset=command.preset,
+            note=note,
+        )
+        asset = train(
+            scene,
+            config,
+            folder=command.output,
+            listener=listener,
+            device=device,
+            options=options,
+        )
+    show_result(console, asset)
 
 
 def _config(command: TrainCommand) -> GaussianConfig:

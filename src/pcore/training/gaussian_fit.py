@@ -99,7 +99,6 @@ def fit_gaussians(
             rates=config.rates.named(),
             validate_every=config.validate_every,
             save_every=config.save_every,
-            average=0.0,
             validation=validation,
             background=config.background,
             scene=scene.name,

@@ -61,7 +61,6 @@ class TrainableGaussians:
         seen: (N,) how many pictures they are of.
         stage: "pretrain": in a run folder this is what stands in the place of pre-training.
         step: steps done.
-        average: always empty.
         best: figures of the best validation.
     """
 
@@ -75,7 +74,6 @@ class TrainableGaussians:
     seen: Tensor
     stage: str = "pretrain"
     step: int = 0
-    average: dict[str, Tensor] = field(default_factory=dict[str, Tensor])
     best: dict[str, Any] = field(default_factory=dict[str, Any])
 
     @property
@@ -107,10 +105,6 @@ class TrainableGaussians:
             group["lr"] = rates[group["name"]].at(self.step, steps)
             if group["name"] == "means":
                 group["lr"] *= self.distance
-
-    def update_average(self, decay: float) -> None:
-        """Not there: Gaussians come and go, and their weights with them."""
-        raise NotImplementedError(f"Gaussians keep no running average ({decay})")
 
     def replace(self, keep: Tensor, new: Mapping[str, Tensor]) -> None:
         """Keep some Gaussians and append others; what was summed about all of them begins anew."""
@@ -149,17 +143,10 @@ class TrainableGaussians:
     def save(self, folder: RunFolder, scene: str) -> list[str]:
         """Write what users load; return the paths."""
         found = self.result()
-        lower, upper = found.gaussians.means.amin(dim=0), found.gaussians.means.amax(dim=0)
-        provenance = Provenance(
-            scene=scene,
-            stage="pretrain",
-            step=self.step,
-            background=found.background,
-            extent=(_vector(lower), _vector(upper)),
-            pcore=pcore_version(),
-        )
         saved = SavedGaussians(
-            gaussians=found.gaussians, footprint=found.footprint, provenance=provenance
+            gaussians=found.gaussians,
+            footprint=found.footprint,
+            provenance=provenance_of_gaussians(found, scene),
         )
         with write_guard(folder.gaussians):
             save_gaussians(folder.gaussians, saved)
@@ -172,10 +159,12 @@ class TrainableGaussians:
             step=self.step,
             papr={},
             cloud=self.weights(),
-            optimisers={"adam": self.optimizer.state_dict()},
+            optimisers={
+                "adam": self.optimizer.state_dict(),
+                "density": {"slopes": self.slopes, "seen": self.seen},
+            },
             generators=generator_states({"draws": self.generator}),
             best=self.best,
-            counters={"slopes": self.slopes, "seen": self.seen},
         )
 
     def restore(self, state: TrainingState) -> None:
@@ -195,7 +184,8 @@ class TrainableGaussians:
             group["params"] = [self.raw[group["name"]]]
         self.optimizer.load_state_dict(state.optimisers["adam"])
         restore_generators({"draws": self.generator}, state.generators)
-        self.slopes, self.seen = (state.counters[n].to(device) for n in ("slopes", "seen"))
+        density = state.optimisers["density"]
+        self.slopes, self.seen = (density[name].to(device) for name in ("slopes", "seen"))
         self.step, self.best = state.step, dict(state.best)
 
 
@@ -229,6 +219,19 @@ def trainable_gaussians(
         backdrop=backdrop,
         slopes=slopes,
         seen=seen,
+    )
+
+
+def provenance_of_gaussians(found: TrainedGaussians, scene: str) -> Provenance:
+    """Describe where trained Gaussians come from, as this version of pcore."""
+    means = found.gaussians.means
+    return Provenance(
+        scene=scene,
+        stage="pretrain",
+        step=found.step,
+        background=found.background,
+        extent=(_vector(means.amin(dim=0)), _vector(means.amax(dim=0))),
+        pcore=pcore_version(),
     )
 
 

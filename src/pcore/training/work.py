@@ -24,14 +24,12 @@ class Work(Protocol[Result]):
         stage: "pretrain" or "finetune".
         step: steps done.
         optimizer: has one group with a `name` per learning rate.
-        average: running average of all weights by name; empty where none is kept.
         best: figures of the best validation, and its weights where they are kept.
     """
 
     stage: str
     step: int
     optimizer: torch.optim.Optimizer
-    average: dict[str, Tensor]
     best: dict[str, Any]
 
     @property
@@ -47,12 +45,8 @@ class Work(Protocol[Result]):
         """Set the learning rate of every group, by its name, for the coming step."""
         ...
 
-    def update_average(self, decay: float) -> None:
-        """Move the running average towards the weights."""
-        ...
-
     def result(self, weights: Mapping[str, Tensor] | None = None) -> Result:
-        """What to hand over: of `weights`, or the average, or as it is."""
+        """What to hand over: of `weights`, or as it is."""
         ...
 
     def scores(self, views: Sequence[View], background: Background) -> dict[str, float]:
