@@ -16,8 +16,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+import pcore
 from pcore.deform.jacobian import estimated_frames
-from pcore.files.model_file import load_model
 
 CUTS = (
     (0, 0.35, 50, (0.0, 0.0, 0.0)),
@@ -35,7 +35,7 @@ def main() -> None:
     if len(sys.argv) < 2 or sys.argv[1].startswith("-"):
         raise SystemExit(__doc__)
     for run in sys.argv[1:]:
-        points = load_model(Path(run)).cloud.positions.double()
+        points = pcore.load(run).points.double()
         row = [seam_errors(points, *cut) for cut in CUTS]
         cells = [f"{float(one.mean()):.2f} / {float(one.quantile(0.99)):.1f}" for one in row]
         print(f"| {Path(run).name} | {' | '.join(cells)} |", flush=True)

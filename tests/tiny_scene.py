@@ -9,6 +9,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from pcore.asset.asset import Asset, Posed
 from pcore.evaluation.ground_truth import mesh_depth
 from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder
@@ -74,9 +75,9 @@ def see(vertices: np.ndarray, camera: Camera) -> tuple[Tensor, Tensor]:
     return torch.cat([alpha[..., None] * color, alpha[..., None]], dim=-1), depth
 
 
-def draw_box(papr: Papr, cloud: PointCloud, camera: Camera) -> Picture:
-    """Renderer that is perfect when the points of the cloud are the corners of the box."""
-    rgba, depth = see(cloud.positions.double().numpy(), camera)
+def draw_box(asset: Asset, posed: Posed, camera: Camera) -> Picture:
+    """Renderer that is perfect when the points are the corners of the box."""
+    rgba, depth = see(posed.points.double().numpy(), camera)
     alpha = rgba[..., 3:]
     return Picture(
         rgb=rgba[..., :3] + 1 - alpha,

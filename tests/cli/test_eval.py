@@ -164,7 +164,7 @@ def test_why_lpips_is_missing(
         monkeypatch.setenv(name, str(tmp_path / "nowhere"))
     assert main(["eval", str(run), "--state", "canonical", "--protocol", "papr"]) == 0
     out = capsys.readouterr().out
-    assert "no LPIPS with alex, vgg: weights are missing; `pcore doctor`" in out
+    assert "no LPIPS with alex, vgg: no weights; `pcore doctor --weights`" in out
     notes = json.loads((run / "eval" / "summary.json").read_text())["notes"]
     assert "lin_alex.pth" in notes[0]
 

@@ -44,7 +44,7 @@ def test_info_tells_stage_points_settings_and_scores(
         came = provenance_of(cloud, CONFIG, scene="lego", stage="finetune", step=500)
         run.save_model(Papr(CONFIG).state_dict(), cloud, CONFIG, came)
         run.update(status="finished", scores={"psnr": 25.5})
-    assert main(["info", str(path)]) == 0
+    assert main(["info", str(path), "--settings"]) == 0
     rows = {line.split(maxsplit=1)[0]: line for line in capsys.readouterr().out.splitlines()}
     assert rows["stage"].split() == ["stage", "finetune"]
     assert rows["status"].split() == ["status", "finished"]
@@ -92,14 +92,19 @@ def test_doctor_reports_everything(
     ):
         assert name in shown
     assert torch.__version__ in shown
+    assert "LPIPS      no weights of alex, squeeze, vgg" in shown
+    assert "`pcore doctor --weights` says which files go where" in shown
+    assert main(["doctor", "--weights"]) == 0
+    shown = capsys.readouterr().out
     assert "LPIPS vgg      missing" in shown
     assert "PCORE_LPIPS_DIR" in shown
 
 
 def test_doctor_finds_weights(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PCORE_LPIPS_DIR", str(shared_data / "lpips"))
-    found = {item.name: item for item in doctor.examine() if item.name.startswith("LPIPS")}
-    assert any(item.good and str(shared_data) in item.value for item in found.values())
+    assert any(item.good and str(shared_data) in item.value for item in doctor.weight_files())
+    (found,) = [item for item in doctor.examine() if item.name == "LPIPS"]
+    assert "no weights" not in found.value.split(", ")[0]
 
 
 def test_doctor_names_the_extra_of_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,7 +156,7 @@ def test_doctor_reports_a_backend_that_cannot_work(
         assert said in shown
         assert "none for cpu" in shown
         assert not kernels()["search"].good
-        assert "LPIPS alex" in shown, "the report goes on"
+        assert "LPIPS" in shown, "the report goes on"
 
 
 def kernels() -> dict[str, doctor.Finding]:

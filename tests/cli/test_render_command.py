@@ -50,7 +50,7 @@ def names(folder: Path) -> list[str]:
 
 
 def write_edit(path: Path, *edits: dict[str, object]) -> Path:
-    path.write_text(json.dumps({"version": 1, "edits": edits}))
+    path.write_text(json.dumps({"version": 2, "edits": edits}))
     return path
 
 

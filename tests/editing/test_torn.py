@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from pcore.deform.checks import count_folded
+from pcore.deform.checks import count_folds
 from pcore.deform.jacobian import estimated_frames
 from pcore.deform.motion import rigid
 from pcore.editing.apply import deformed_cloud
@@ -118,4 +118,4 @@ def test_a_mirrored_object_is_refused_with_advice_that_fits_and_drawn_with_plain
     deformation = script().bound(points, check=False).deformation
     moved = deformed_cloud(cloud(points), deformation, aware=False)
     assert torch.equal(moved.positions, points * torch.tensor([1.0, 1.0, -1.0]))
-    assert count_folded(deformation, points.double()) == 400
+    assert count_folds(deformation, points.double()).folded == 400

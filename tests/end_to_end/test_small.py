@@ -76,7 +76,7 @@ def learned_pictures(folder: Path, seed: int = 0) -> Path:
     """
     scene, run, out = write_scene(folder / "ball"), folder / "run", folder / "pictures"
     edit, near = folder / "large.json", folder / "near.json"
-    edit.write_text(json.dumps({"version": 1, "edits": [{"type": "scale", "factor": FACTOR}]}))
+    edit.write_text(json.dumps({"version": 2, "edits": [{"type": "scale", "factor": FACTOR}]}))
     write_cameras(near, cameras(2, 0.45, DISTANCE / FACTOR), "near")
     cpu = ["--device", "cpu"]
     train = ["train", str(scene), "-o", str(run), "--steps", "300", "--points", "300", *cpu]

@@ -8,12 +8,13 @@ import pytest
 import torch
 
 import tiny_scene
+from pcore.asset.asset import Asset, Posed
+from pcore.asset.saving import asset_of
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual
 from pcore.evaluation.runner import ImageRow, Method, Taken, evaluate
 from pcore.evaluation.states import SceneStates, open_states
 from pcore.geometry.camera import Camera
-from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 from pcore.model.render import Picture
 from tiny_scene import draw_box
@@ -31,9 +32,8 @@ def states(scene: Path) -> SceneStates:
 
 @pytest.fixture
 def perfect() -> Method:
-    return Method(
-        name="true", papr=Papr(tiny_scene.CONFIG), cloud=tiny_scene.corner_cloud(), aware=False
-    )
+    asset = asset_of(Papr(tiny_scene.CONFIG), tiny_scene.corner_cloud())
+    return Method(name="true", asset=asset, rays="plain")
 
 
 def test_a_perfect_renderer_is_perfect_in_every_state(states: SceneStates, perfect: Method) -> None:
@@ -59,25 +59,25 @@ def test_a_perfect_renderer_is_perfect_in_every_state(states: SceneStates, perfe
 
 
 def test_points_are_carried_and_cameras_scaled(states: SceneStates, perfect: Method) -> None:
-    seen: list[tuple[PointCloud, Camera]] = []
+    seen: list[tuple[Posed, Camera]] = []
 
-    def draw(papr: Papr, cloud: PointCloud, camera: Camera) -> Picture:
-        seen.append((cloud, camera))
-        return draw_box(papr, cloud, camera)
+    def draw(asset: Asset, posed: Posed, camera: Camera) -> Picture:
+        seen.append((posed, camera))
+        return draw_box(asset, posed, camera)
 
     canonical, grown, scaled = states.select(["grown", "scale:2"])
     evaluate([perfect], [canonical, grown, scaled], draw=draw, protocols=[PAPR])
-    start = perfect.cloud.positions
-    torch.testing.assert_close(seen[0][0].positions, start)
-    torch.testing.assert_close(seen[2][0].positions, 1.5 * start)
-    torch.testing.assert_close(seen[4][0].positions, 2 * start)
+    start = perfect.asset.points
+    torch.testing.assert_close(seen[0][0].points, start)
+    torch.testing.assert_close(seen[2][0].points, 1.5 * start)
+    torch.testing.assert_close(seen[4][0].points, 2 * start)
     torch.testing.assert_close(seen[4][1].center, 2 * seen[0][1].center)
     torch.testing.assert_close(seen[2][1].center, seen[0][1].center)
 
 
 def test_holes_show_in_both_kinds_of_figures(states: SceneStates, perfect: Method) -> None:
-    def torn(papr: Papr, cloud: PointCloud, camera: Camera) -> Picture:
-        whole = draw_box(papr, cloud, camera)
+    def torn(asset: Asset, posed: Posed, camera: Camera) -> Picture:
+        whole = draw_box(asset, posed, camera)
         alpha = whole.alpha.clone()
         alpha[:, : alpha.shape[1] // 2] = 0
         white = torch.ones_like(whole.rgb)

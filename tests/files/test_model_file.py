@@ -139,40 +139,12 @@ def test_safetensors_of_somebody_else(tmp_path: Path) -> None:
     assert "not a model of pcore: expected the format 'pcore-model'" in error_of(path)
 
 
-def test_a_newer_version(saved: tuple[Path, Papr, PointCloud]) -> None:
-    rewrite(saved[0], header={"version": "6"})
+@pytest.mark.parametrize("version", ["4", "6"])
+def test_another_version(saved: tuple[Path, Papr, PointCloud], version: str) -> None:
+    rewrite(saved[0], header={"version": version})
     message = error_of(saved[0])
-    assert "version '6'" in message
-    assert "reads versions 1, 2, 3, 4 and 5" in message
-
-
-def test_older_versions_had_fewer_settings(saved: tuple[Path, Papr, PointCloud]) -> None:
-    with safe_open(saved[0], framework="pt") as file:
-        config = json.loads(file.metadata()["config"])
-    del config["reference"]
-    del config["octaves"]
-    config["frequencies"] = 2
-    rewrite(saved[0], header={"version": "1", "config": json.dumps(config)})
-    assert load_model(saved[0]).config == CONFIG
-    rewrite(saved[0], header={"version": "2"})
-    assert "config: missing key 'reference'" in error_of(saved[0])
-    config["reference"] = None
-    rewrite(saved[0], header={"config": json.dumps(config)})
-    assert load_model(saved[0]).config == CONFIG, "version 2 had one number of octaves"
-    rewrite(saved[0], header={"version": "3"})
-    assert "config: missing key 'octaves'" in error_of(saved[0])
-    config["octaves"] = dict.fromkeys(("point", "along", "across", "direction"), 2)
-    del config["samples"], config["frequencies"]
-    rewrite(saved[0], header={"config": json.dumps(config)})
-    assert load_model(saved[0]).config.samples == 1, "version 3 had one ray per pixel"
-    rewrite(saved[0], header={"version": "4"})
-    assert "config: missing key 'samples'" in error_of(saved[0])
-    config["samples"] = 1
-    del config["pixel"]
-    rewrite(saved[0], header={"config": json.dumps(config)})
-    assert load_model(saved[0]).config.pixel is None, "version 4 did not know its photos"
-    rewrite(saved[0], header={"version": "5"})
-    assert "config: missing key 'pixel'" in error_of(saved[0])
+    assert f"version '{version}'" in message
+    assert "reads version 5" in message
 
 
 def test_a_changed_configuration(saved: tuple[Path, Papr, PointCloud]) -> None:
@@ -181,7 +153,7 @@ def test_a_changed_configuration(saved: tuple[Path, Papr, PointCloud]) -> None:
     rewrite(saved[0], header={"config": json.dumps({**config, "colour": 1})})
     assert "config: unknown key 'colour'" in error_of(saved[0])
     rewrite(saved[0], header={"config": "{"})
-    assert "expected JSON under 'config'" in error_of(saved[0])
+    assert "expected a JSON object under 'config'" in error_of(saved[0])
 
 
 @pytest.mark.parametrize(

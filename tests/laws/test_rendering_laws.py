@@ -201,7 +201,7 @@ def test_permuting_the_points_changes_nothing_with_a_cutoff(papr: Papr, cloud: P
 def test_the_identity_edit_gives_the_identical_picture(
     papr: Papr, cloud: PointCloud, edit: dict[str, object]
 ) -> None:
-    script = parse_edit({"version": 1, "edits": [edit]})
+    script = parse_edit({"version": 2, "edits": [edit]})
     deformation = script.bind(cloud.positions)
     moved = cloud.moved(deformation(cloud.positions.double()).float())
     assert same(render(papr, moved), render(papr, cloud), 0.0)

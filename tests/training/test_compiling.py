@@ -10,7 +10,6 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from small_training import Heard, assert_same, finetune_config, pretrain_config, weights_of
 from torch import Tensor, nn
 from torch._dynamo.testing import CompileCounter
 from torch.fx import GraphModule
@@ -25,6 +24,7 @@ from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import PopulationReport
 from pcore.training.finetune import finetune
 from pcore.training.pretrain import pretrain
+from small_training import Heard, assert_same, finetune_config, pretrain_config, weights_of
 
 # Torch's own, while it looks at what the attention hands to the renderer.
 pytestmark = pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor:UserWarning")

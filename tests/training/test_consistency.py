@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-from small_training import box_cloud, box_model
 from torch import Tensor, nn
 
 from pcore.deform.base import Affine, Deformation, Identity
@@ -22,6 +21,7 @@ from pcore.training.consistency import (
     points_only_rays,
     rays_and_points_rays,
 )
+from small_training import box_cloud, box_model
 from tiny_scene import orbit
 
 MIDDLE = torch.tensor([0.1, -0.05, 0.08])

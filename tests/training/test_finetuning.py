@@ -8,17 +8,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from small_training import (
-    RATES,
-    ZERO,
-    Heard,
-    assert_same,
-    box_model,
-    copied,
-    ctrl_c_at,
-    finetune_config,
-    weights_of,
-)
 
 import pcore.data.images
 from pcore.data.load import load_scene
@@ -35,6 +24,17 @@ from pcore.training.events import StepReport, Stopped, ValidationReport
 from pcore.training.finetune import finetune
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
+from small_training import (
+    RATES,
+    ZERO,
+    Heard,
+    assert_same,
+    box_model,
+    copied,
+    ctrl_c_at,
+    finetune_config,
+    weights_of,
+)
 from tiny_scene import write_scene
 
 
@@ -46,11 +46,10 @@ def every_step(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- what it does -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("train_points", [False, True])
-def test_the_base_is_left_as_it_is(box: Scene, train_points: bool) -> None:
+def test_the_base_is_left_as_it_is(box: Scene) -> None:
     base = box_model()
     before = copied(weights_of(base))
-    tuned = finetune(box, base, finetune_config(train_points=train_points))
+    tuned = finetune(box, base, finetune_config())
     assert_same(weights_of(base), before)
     assert not any(parameter.requires_grad for parameter in base.papr.parameters())
     after = weights_of(tuned)
@@ -60,12 +59,10 @@ def test_the_base_is_left_as_it_is(box: Scene, train_points: bool) -> None:
     assert tuned.step == 6
 
 
-@pytest.mark.parametrize("train_points", [False, True])
-def test_points_move_only_when_asked_to(box: Scene, train_points: bool) -> None:
+def test_points_stay_where_they_are(box: Scene) -> None:
     base = box_model()
-    tuned = finetune(box, base, finetune_config(train_points=train_points))
-    stayed = torch.equal(tuned.cloud.positions, base.cloud.positions)
-    assert stayed is not train_points
+    tuned = finetune(box, base, finetune_config())
+    assert torch.equal(tuned.cloud.positions, base.cloud.positions)
 
 
 def opaque_model() -> Trained:
@@ -216,20 +213,6 @@ def test_the_texture_target(box: Scene, target: str, monkeypatch: pytest.MonkeyP
     assert found["tex_rays"] == pytest.approx(expected, rel=1e-3, abs=1e-9)
 
 
-@pytest.mark.parametrize("anchor", [True, False])
-def test_the_anchor_is_the_network_before_fine_tuning(
-    box: Scene, anchor: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Under the identity only the anchor notices that the network has changed."""
-    from pcore.deform.base import Identity
-
-    monkeypatch.setattr(objective, "sample_deformation", lambda *args: Identity())
-    config = finetune_config(steps=3, anchor=anchor, rays_and_points=False)
-    found = [one["tex_points"] for one in terms(box, config, monkeypatch)]
-    assert found[0] < 1e-9
-    assert (found[-1] > 1e-6) is anchor
-
-
 def test_one_mode_at_least() -> None:
     with pytest.raises(InputError, match="at least one of points_only and rays_and_points"):
         finetune_config(points_only=False, rays_and_points=False)
@@ -325,8 +308,7 @@ def in_folder(scene: Scene, config: FinetuneConfig, path: Path, *, resume: bool)
 @pytest.mark.parametrize(
     "changes",
     [
-        {"alternate": True, "train_points": True, "background": "random"},
-        {"average": 0.9},
+        {"alternate": True, "background": "random"},
         {"largest_loss": 50.0},
     ],
 )

@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 import torch
-from small_training import RATES, Heard, assert_same, box_work, copied, weights_of
-from torch import Tensor
 
 from pcore.errors import CheckpointError, TrainingError
 from pcore.files.model_file import load_model
@@ -23,6 +21,7 @@ from pcore.training.losses import Losses
 from pcore.training.schedule import Schedule
 from pcore.training.trainable import Trainable
 from pcore.training.trained import Trained
+from small_training import RATES, Heard, assert_same, box_work, copied, weights_of
 
 
 def plan(**changes: Any) -> Plan:
@@ -31,7 +30,6 @@ def plan(**changes: Any) -> Plan:
         "rates": RATES.named(),
         "validate_every": 2,
         "save_every": 3,
-        "average": 0.0,
         "validation": (),
         "background": "white",
         "scene": "box",
@@ -118,24 +116,6 @@ def test_every_group_holds_its_own_parameters() -> None:
         for key in before:
             # A target of no parameter is exactly where it started: all others move.
             assert torch.equal(before[key], after[key]) == key.startswith(group[name]), (name, key)
-
-
-def test_the_running_average_is_the_result() -> None:
-    work = box_work()
-    average: dict[str, Tensor] = {}
-
-    def follow(listener: object) -> None:
-        weights = copied(work.weights())
-        for name, tensor in weights.items():
-            old = average.get(name, tensor)
-            average[name] = 0.8 * old + 0.2 * tensor
-
-    result = run_loop(work, plan(average=0.8), pull(work), after_step=follow, listener=Heard())
-    found = weights_of(result)
-    for name, tensor in average.items():
-        assert torch.allclose(found[name.split(".", 1)[1]], tensor, atol=1e-6), name
-    last = work.weights()["cloud.features"]
-    assert not torch.allclose(found["features"], last, atol=1e-4)
 
 
 # --- events -----------------------------------------------------------------------------------

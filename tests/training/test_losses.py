@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from small_training import Heard, box_model, finetune_config, pretrain_config
 from torch import Tensor
 
 import pcore.data.images
@@ -20,6 +19,7 @@ from pcore.training.finetune import finetune
 from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric
 from pcore.training.patches import Patch
 from pcore.training.pretrain import pretrain
+from small_training import Heard, box_model, finetune_config, pretrain_config
 
 RGB, ALPHA = torch.rand(4, 5, 3), torch.rand(4, 5)
 TRUTH, COVERAGE = torch.rand(4, 5, 3), torch.rand(4, 5)

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 import torch
 from PIL import Image
-from small_training import Heard, assert_same, ctrl_c_at, pretrain_config, weights_of
 
 import pcore.data.images
 from pcore.data.load import load_scene
@@ -23,6 +22,7 @@ from pcore.training.events import PopulationReport, StepReport, ValidationReport
 from pcore.training.pretrain import pretrain
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
+from small_training import Heard, assert_same, ctrl_c_at, pretrain_config, weights_of
 from tiny_scene import write_scene
 
 FROZEN = replace(pretrain_config(), steps=1)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-from small_training import SKINNING, box_cloud
 
 from pcore.contrib.skinning_loss import position_loss
 from pcore.deform.base import Affine, Deformation
@@ -16,6 +15,7 @@ from pcore.errors import InputError
 from pcore.training.config import SkinningTrainConfig
 from pcore.training.consistency import Canonical
 from pcore.training.random_motion import FieldMotion, MovedScene, SkinnedMotion, skinning_to_train
+from small_training import SKINNING, box_cloud
 
 CLOUD = box_cloud()
 SHEAR = Affine(torch.eye(3) + torch.tensor([[0, 0.3, 0], [0, 0, 0.2], [0.1, 0, 0]]), torch.ones(3))

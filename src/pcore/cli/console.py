@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 from rich.text import Text
 
+from pcore.demo.machine import clock
 from pcore.errors import PcoreError
 
 if TYPE_CHECKING:
@@ -69,14 +70,6 @@ def _say(title: str, message: str) -> None:
     # broken in two cannot be copied.
     text = Text.assemble((f"{title}: ", "bold red"), message)
     Console(stderr=True).print(text, soft_wrap=True)
-
-
-def clock(seconds: float) -> str:
-    """Seconds as 1:02:03 or 2:03."""
-    whole = max(0, round(seconds))
-    hours, minutes = whole // 3600, whole // 60 % 60
-    head = f"{hours}:{minutes:02}" if hours else f"{minutes}"
-    return f"{head}:{whole % 60:02}"
 
 
 class ProgressDisplay:

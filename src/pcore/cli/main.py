@@ -60,7 +60,6 @@ VERBS: tuple[Verb, ...] = (
     Verb("edit apply", "pcore.cli.edit", "ApplyCommand", "move points, say how the edit does"),
     Verb("edit list", "pcore.cli.edit", "ListCommand", "say what an edit file does"),
     Verb("edit validate", "pcore.cli.edit", "ValidateCommand", "check an edit file"),
-    Verb("edit upgrade", "pcore.cli.edit", "UpgradeCommand", "write the newest version of it"),
     Verb("deform", "pcore.cli.deform", "DeformCommand", "apply an edit file to any points"),
     Verb(
         "import papr",

@@ -10,16 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pcore.asset.asset import Asset, Posed
+from pcore.asset.content import LightName, MovedPoints, RaysName
 from pcore.errors import EditError, InputError
 from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
 from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
-from pcore.geometry.point_cloud import PointCloud
 from pcore.metrics.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
-from pcore.model.papr import Papr
-from pcore.relight.shading import Shading
 
 Value = float | int | None
 Progress = Callable[[int, int], None]
@@ -44,8 +43,13 @@ class Photo(Shape):
         ...
 
 
-Draw = Callable[[Papr, PointCloud, Camera], Photo]
-"""Renders one view; `pcore.model.render.render` is one."""
+Draw = Callable[[Asset, Posed, Camera], Photo]
+"""Takes a picture of a posed asset."""
+
+
+def draw_asset(asset: Asset, posed: Posed, camera: Camera) -> Photo:
+    """Take it as `Asset.render` does."""
+    return asset.render(posed, camera)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,20 +58,17 @@ class Method:
 
     Attributes:
         name: for tables; unique among the methods.
-        papr: the networks, which have been trained on white or render on white.
-        cloud: canonical points, world units.
-        aware: render deformed states with deformation-aware rays, else with plain ones.
+        asset: what is drawn, on white.
+        rays: how deformed states are seen.
+        light: what the light does while points move; "still" needs aware rays.
         unseen: (N,) bool, which points no training view saw; None where that is not known.
-        shading: a light that stands still while points move, for aware rays; None leaves points as
-            they were photographed.
     """
 
     name: str
-    papr: Papr
-    cloud: PointCloud
-    aware: bool
+    asset: Asset
+    rays: RaysName
+    light: LightName = "baked"
     unseen: Tensor | None = None
-    shading: Shading | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +124,7 @@ def evaluate(
     methods: Sequence[Method],
     states: Sequence[State],
     *,
-    draw: Draw,
+    draw: Draw = draw_asset,
     protocols: Sequence[Protocol] = (PAPR, STANDARD),
     perceptual: Perceptual | None = None,
     progress: Progress | None = None,
@@ -134,7 +135,7 @@ def evaluate(
     Args:
         methods: at least one, names unique.
         states: from `SceneStates.select`.
-        draw: the renderer.
+        draw: takes the pictures.
         protocols: ways to score images; every picture is taken once and scored by each.
         perceptual: LPIPS networks; None leaves LPIPS out.
         progress: called with (pictures done, pictures in all).
@@ -151,13 +152,14 @@ def evaluate(
     total = len(methods) * sum(len(state.shots) for state in states)
     rows: list[ImageRow] = []
     done = 0
-    # All clouds first: a state that cannot be drawn must not cost the pictures of those before.
+    # All poses first: a state that cannot be drawn must not cost the pictures of those before.
     carried = [carry(methods, state) for state in states]
-    for state, clouds in zip(states, carried, strict=True):
-        mended = {name: one.frames and len(one.frames.mended) for name, one in clouds.items()}
-        health = _health(methods, clouds, state)
+    for state, poses in zip(states, carried, strict=True):
+        maps = {name: one.local_maps for name, one in poses.items()}
+        mended = {name: one and len(one.mended) for name, one in maps.items()}
+        health = _health(methods, poses, state)
         for index in range(len(state.shots)):
-            taken = _take(methods, clouds, health, state, index, draw)
+            taken = _take(methods, poses, health, state, index, draw)
             rows += _score(taken, state, protocols, perceptual, mended)
             done += len(methods)
             if progress is not None:
@@ -169,7 +171,7 @@ def evaluate(
 
 def _take(
     methods: Sequence[Method],
-    clouds: Mapping[str, PointCloud],
+    poses: Mapping[str, Posed],
     health: Mapping[str, Health],
     state: State,
     index: int,
@@ -178,7 +180,7 @@ def _take(
     """Render one shot with every method."""
     shot = state.shots[index]
     with torch.no_grad():
-        photos = {m.name: draw(m.papr, clouds[m.name], shot.camera) for m in methods}
+        photos = {m.name: draw(m.asset, poses[m.name], shot.camera) for m in methods}
     return Taken(
         state=state.name,
         view=shot.view.name,
@@ -229,42 +231,38 @@ def _check_names(methods: Sequence[Method]) -> None:
         )
 
 
-def carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
-    """Move every method's cloud to the state; methods of one run share the work."""
-    known: dict[tuple[int, bool], PointCloud] = {}
+def carry(methods: Sequence[Method], state: State) -> dict[str, Posed]:
+    """Move every method's asset to the state; methods of one run share the work."""
+    moved: dict[int, Tensor] = {}
+    maps: dict[int, LocalMaps | None] = {}
+    poses: dict[str, Posed] = {}
     for method in methods:
-        key = id(method.cloud), method.aware
-        if key not in known:
-            rest = method.cloud.positions.detach()
-            moved = state.move(rest.cpu())
-            frames = _frames(state, rest.cpu(), moved) if method.aware else None
-            known[key] = method.cloud.detached().moved(moved, frames).to(rest.device)
-    return {m.name: _lit(known[id(m.cloud), m.aware], m.shading, state) for m in methods}
-
-
-def _lit(cloud: PointCloud, shading: Shading | None, state: State) -> PointCloud:
-    """Light a moved cloud anew; where nothing moved there are no frames, and nothing changes.
-
-    All methods are measured by one kind of depth, that of the points, so that their hole rates
-    compare.
-    """
-    if shading is None or cloud.frames is None:
-        return cloud
-    skin = shading.skin(cloud.frames, cloud.positions, world=state.world)
-    return cloud.covered(replace(skin, deep=False))
+        asset, key = method.asset, id(method.asset)
+        rest = asset.points.detach().cpu()
+        if key not in moved:
+            moved[key] = state.move(rest)
+        if method.rays == "aware" and key not in maps:
+            maps[key] = _frames(state, rest, moved[key])
+        motion = MovedPoints(
+            positions=moved[key],
+            local_maps=maps[key] if method.rays == "aware" else None,
+            world=state.world,
+        )
+        poses[method.name] = asset.pose(motion, rays=method.rays, light=method.light)
+    return poses
 
 
 def _health(
-    methods: Sequence[Method], clouds: Mapping[str, PointCloud], state: State
+    methods: Sequence[Method], poses: Mapping[str, Posed], state: State
 ) -> dict[str, Health]:
     """Diagnose every method's points; methods of one run share the work."""
     known: dict[int, Health] = {}
     for method in methods:
-        if id(method.cloud) not in known:
-            rest, moved = method.cloud.positions, clouds[method.name].positions
+        if id(method.asset) not in known:
+            rest, moved = method.asset.points, poses[method.name].points
             handles = () if state.handles is None else state.handles(rest.detach().cpu())
-            known[id(method.cloud)] = health_of(rest, moved, method.unseen, handles)
-    return {method.name: known[id(method.cloud)] for method in methods}
+            known[id(method.asset)] = health_of(rest, moved, method.unseen, handles)
+    return {method.name: known[id(method.asset)] for method in methods}
 
 
 def _frames(state: State, rest: Tensor, moved: Tensor) -> LocalMaps | None:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -24,7 +24,6 @@ from pcore.model.papr_config import PaprConfig
 MODEL_FILE = "model.safetensors"
 _FORMAT = "pcore-model"
 _VERSION = 5
-_READ = ("1", "2", "3", "4", str(_VERSION))
 _CLOUD = ("positions", "features", "influence")
 
 
@@ -45,10 +44,8 @@ class SavedModel:
     provenance: Provenance
 
     def papr(self) -> Papr:
-        """Build the networks with these weights, in evaluation mode."""
-        papr = Papr(self.config)
-        papr.load_state_dict(self.papr_state)
-        return papr.eval()
+        """Build the networks with these weights, in evaluation mode and without gradients."""
+        return networks(self.config, self.papr_state)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +57,19 @@ class ModelSummary:
     points: int
     parameters: int
     """Numbers in all tensors, the cloud's included."""
+
+
+def networks(config: PaprConfig, state: Mapping[str, Tensor]) -> Papr:
+    """Build networks with these weights, in evaluation mode and without gradients.
+
+    Args:
+        config: their architecture.
+        state: state dict of `Papr(config)`.
+    """
+    with torch.random.fork_rng(devices=[]):  # Their initial weights are drawn and overwritten.
+        papr = Papr(config)
+    papr.load_state_dict(state)
+    return papr.requires_grad_(False).eval()
 
 
 def save_model(
@@ -176,7 +186,7 @@ def _open(path: Path) -> Any:
         return safe_open(path, framework="pt")
     except SafetensorError as error:
         raise CheckpointError(
-            f"{path} is truncated, damaged or not a safetensors file ({error}): expected a "
+            f"{path} is truncated, damaged or not a safetensors file: expected a "
             f"{MODEL_FILE} written by pcore; copy it again or save it anew with `--resume`"
         ) from error
 
@@ -195,22 +205,13 @@ def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
             f"'{_FORMAT}' in its header, got {header.get('format')!r}; give a file written by "
             "`pcore train`, `pcore finetune` or `pcore import papr`"
         )
-    if header.get("version") not in _READ:
+    if header.get("version") != str(_VERSION):
         raise CheckpointError(
             f"{path} has version {header.get('version')!r} of the model format: this pcore "
-            f"({pcore_version()}) reads versions {', '.join(_READ[:-1])} and {_READ[-1]}; use the "
-            "pcore that wrote it"
+            f"({pcore_version()}) reads version {_VERSION}; use the pcore that wrote it, or train "
+            "anew"
         )
     settings = _json(path, header, "config")
-    if header["version"] == "1":
-        settings["reference"] = None  # Version 1 knew rays from the camera only.
-    if header["version"] in {"1", "2"} and "frequencies" in settings:
-        number = settings.pop("frequencies")  # One number for all, before version 3.
-        settings["octaves"] = dict.fromkeys(("point", "along", "across", "direction"), number)
-    if header["version"] in {"1", "2", "3"}:
-        settings["samples"] = 1  # Pictures had one ray per pixel, before version 4.
-    if header["version"] in {"1", "2", "3", "4"}:
-        settings["pixel"] = None  # Nor did models know the size of their photos' pixels.
     config = from_dict(PaprConfig, settings, where=f"{path}: config")
     provenance = from_dict(
         Provenance, _json(path, header, "provenance"), where=f"{path}: provenance"
@@ -219,20 +220,36 @@ def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
     return config, provenance, forms
 
 
-def _json(path: Path, header: Mapping[str, str], key: str) -> Any:
+def _json(path: Path, header: Mapping[str, str], key: str) -> dict[str, Any]:
     try:
-        return json.loads(header.get(key, ""))
-    except json.JSONDecodeError as error:
+        found: Any = json.loads(header.get(key, ""))
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
         raise CheckpointError(
-            f"{path}: expected JSON under '{key}' of the header, got {header.get(key)!r:.60}; "
-            "the file was edited, use the original"
-        ) from error
+            f"{path}: expected a JSON object under '{key}' of the header, got "
+            f"{header.get(key)!r:.60}; the file was edited, use the original"
+        )
+    return cast("dict[str, Any]", found)
 
 
 def _check_tensors(path: Path, forms: Mapping[str, _Form], config: PaprConfig) -> None:
     """Raise unless names, shapes and types are those of `Papr(config)` and a cloud."""
-    with torch.device("meta"):
-        expected = {f"papr.{k}": _form(v) for k, v in Papr(config).state_dict().items()}
+    layers = (config.key.layers, config.query.layers, config.value.layers)
+    # Every layer has tensors of its own: numbers beyond those of the file would take forever.
+    if sum(layers) > len(forms):
+        raise CheckpointError(
+            f"{path}: the tensors are not those of its configuration: expected {sum(layers)} "
+            f"layers, got {len(forms)} tensors; the file was edited, save the model again"
+        )
+    try:
+        with torch.device("meta"):
+            expected = {f"papr.{k}": _form(v) for k, v in Papr(config).state_dict().items()}
+    except (RuntimeError, OverflowError, TypeError) as error:
+        raise CheckpointError(
+            f"{path}: expected a configuration of a network, got sizes that none can have; the "
+            "file was edited, save the model again"
+        ) from error
     points = next(iter(forms.get("cloud.positions", ((0,), ""))[0]), 0)
     expected["cloud.positions"] = ((points, 3), "F32")
     expected["cloud.features"] = ((points, config.feature_size), "F32")

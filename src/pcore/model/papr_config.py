@@ -129,6 +129,10 @@ class PaprConfig:
                 "PAPR: expected neighbours and feature_size of at least 1, got "
                 f"{self.neighbours} and {self.feature_size}"
             )
+        if min(self.unet_channels) < 1:
+            raise InputError(
+                f"PAPR: expected unet_channels of at least 1, got {self.unet_channels}"
+            )
         check_samples("PAPR", self.samples)
         if self.pixel is not None and not (math.isfinite(self.pixel) and self.pixel > 0):
             raise InputError(

@@ -104,7 +104,7 @@ def _work(anchor: Trained, config: FinetuneConfig) -> Trainable:
         copy.deepcopy(anchor.papr).train(),
         anchor.cloud,
         seed=config.seed,
-        train_points=config.train_points,
+        train_points=False,
         skinning=skinning,
     )
 
@@ -118,7 +118,6 @@ def _plan(config: FinetuneConfig, validation: Sequence[View], scene: str) -> Pla
         rates=rates,
         validate_every=config.validate_every,
         save_every=config.save_every,
-        average=config.average,
         validation=validation,
         background=config.background,
         scene=scene,

@@ -38,7 +38,6 @@ class Plan:
         rates: learning rates by the names of the optimiser's groups.
         validate_every: steps between validations.
         save_every: steps between saves.
-        average: decay of the running average of weights, 0 for none.
         validation: held-out training views.
         background: behind images with alpha.
         scene: name of the scene, for the model file.
@@ -48,7 +47,6 @@ class Plan:
     rates: Mapping[str, Schedule]
     validate_every: int
     save_every: int
-    average: float
     validation: Sequence[View]
     background: Background
     scene: str
@@ -123,8 +121,6 @@ def _step(work: Trainable, plan: Plan, losses: Callable[[], Losses]) -> Losses:
         found.total.backward()
     work.optimizer.step()
     work.step += 1
-    if plan.average > 0:
-        work.update_average(plan.average)
     return found
 
 
@@ -162,7 +158,7 @@ def _validate(
         work.best = {**work.best, "psnr": psnr, "step": work.step}
     accepted = accept(psnr)
     if "weights" in work.best and accepted:
-        work.best["weights"] = {k: t.clone() for k, t in (work.average or work.weights()).items()}
+        work.best["weights"] = {k: t.clone() for k, t in work.weights().items()}
         work.best |= {"kept_step": work.step, "kept_psnr": psnr}
     listener(
         ValidationReport(

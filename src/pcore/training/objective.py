@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import torch
-
 from pcore.deform.base import Deformation
 from pcore.deform.sampler import sample_deformation
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Rendering
 from pcore.training.config import FinetuneConfig
 from pcore.training.consistency import (
     Canonical,
@@ -30,14 +27,13 @@ class Objective:
         self,
         config: FinetuneConfig,
         work: Trainable,
-        anchor: Trained,
+        base: Trained,
         perceptual: Perceptual | None,
     ) -> None:
-        self._config, self._work, self._anchor = config, work, anchor
-        self._perceptual = perceptual
-        lower, upper = anchor.cloud.extent()
+        self._config, self._work, self._perceptual = config, work, perceptual
+        lower, upper = base.cloud.extent()
         self._lower, self._upper = lower.cpu(), upper.cpu()
-        self._points = anchor.cloud.positions.cpu()
+        self._points = base.cloud.positions.cpu()
         self._unit = float((upper - lower).norm())
         self._move = _motion(config, work, self._unit)
 
@@ -53,7 +49,8 @@ class Objective:
             perceptual=self._perceptual,
             front_weight=config.front_weight,
         )
-        canonical = self._canonical(rendering, patch)
+        rgb = patch.rgb if config.texture_target == "photo" else rendering.rgb
+        canonical = canonical_of(rendering, work.cloud, patch.rays, rgb, config.foreground_alpha)
         deformation = sample_deformation(
             work.generator, self._lower, self._upper, self._points, config.ranges
         )
@@ -70,14 +67,6 @@ class Objective:
             terms[f"geo_{name}"] = config.geometry_weight * found.geometry
             terms[f"tex_{name}"] = config.texture_weight * found.texture
         return Losses(terms=terms, squared_error=photo.squared_error)
-
-    def _canonical(self, rendering: Rendering, patch: Patch) -> Canonical:
-        config = self._config
-        if config.anchor:
-            with torch.no_grad():
-                rendering = self._anchor.papr(self._anchor.cloud, patch.rays, patch.background)
-        rgb = patch.rgb if config.texture_target == "photo" else rendering.rgb
-        return canonical_of(rendering, self._work.cloud, patch.rays, rgb, config.foreground_alpha)
 
     def _modes(
         self, rays: RayBundle, canonical: Canonical, deformation: Deformation

@@ -127,6 +127,11 @@ def preset(name: PretrainName) -> PretrainConfig:
     return _PRESETS[name]
 
 
+def preset_of(config: PretrainConfig) -> PretrainName | None:
+    """Name of the preset that has the architecture of these settings; None where none has."""
+    return next((name for name, one in _PRESETS.items() if one.model == config.model), None)
+
+
 def demo_pretrain() -> PretrainConfig:
     """Return `tiny`, shortened for the embedded sample."""
     return replace(

@@ -34,7 +34,6 @@ class Trainable:
         generator: source of every random draw of the loop.
         skinning: trained along with the renderer; None where nothing is.
         step: steps done.
-        average: running average of all weights by name; empty where none is kept.
         best: figures of the best validation, and its weights where they are kept.
     """
 
@@ -45,7 +44,6 @@ class Trainable:
     generator: torch.Generator
     skinning: Skinning | None = None
     step: int = 0
-    average: dict[str, Tensor] = field(default_factory=dict[str, Tensor])
     best: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def weights(self) -> dict[str, Tensor]:
@@ -67,17 +65,9 @@ class Trainable:
         # The points' rate is in scaled units, the points themselves are in world units.
         self.optimizer.param_groups[0]["lr"] /= self.papr.config.coord_scale
 
-    def update_average(self, decay: float) -> None:
-        """Move the running average towards the weights; it starts as the first weights it sees."""
-        weights = self.weights()
-        if not self.average:
-            self.average = {name: tensor.clone() for name, tensor in weights.items()}
-        for name, tensor in self.average.items():
-            tensor.lerp_(weights[name], 1 - decay)
-
     def result(self, weights: Mapping[str, Tensor] | None = None) -> Trained:
-        """Networks and points to hand over: of `weights`, or the average, or as they are."""
-        chosen = weights or self.average or self.weights()
+        """Networks and points to hand over: of `weights`, or as they are."""
+        chosen = weights or self.weights()
         return rebuild(self.papr, chosen, self.step, skinning=self.skinning)
 
     def state(self) -> TrainingState:
@@ -89,7 +79,6 @@ class Trainable:
             cloud={name: getattr(self.cloud, name).detach() for name in _CLOUD},
             optimisers={"adam": self.optimizer.state_dict()},
             generators=generator_states({"draws": self.generator}),
-            average=dict(self.average),
             best=self.best,
             skinning=self._skinning_state(),
         )
@@ -156,7 +145,6 @@ def restore(work: Trainable, state: TrainingState) -> None:
     work.optimizer.load_state_dict(state.optimisers["adam"])
     restore_generators({"draws": work.generator}, state.generators)
     work.step = state.step
-    work.average = {name: tensor.to(device) for name, tensor in state.average.items()}
     work.best = dict(state.best)
     if "weights" in work.best:
         kept = work.best["weights"]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import platform
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
 
-from pcore.cli.console import clock
-from pcore.cli.demo_folder import DemoFolder
-from pcore.cli.demo_story import (
+from pcore.asset.summary import summarize
+from pcore.demo.demo_folder import DemoFolder
+from pcore.demo.demo_settings import DemoSettings
+from pcore.demo.demo_story import (
     AWARE,
     BASELINE,
     CANONICAL_VIDEO,
@@ -22,7 +21,7 @@ from pcore.cli.demo_story import (
     filmed_state,
     panel,
 )
-from pcore.cli.doctor import usable_cores
+from pcore.demo.machine import clock, usable_cores
 from pcore.evaluation.figures import data_uri
 from pcore.evaluation.protocol import STANDARD
 from pcore.evaluation.report import (
@@ -36,10 +35,7 @@ from pcore.evaluation.report import (
 )
 from pcore.evaluation.summary import Gain, StateMean
 from pcore.evaluation.tables import SUMMARY_FILE, read_summary, shown
-from pcore.files.model_file import describe_model
-
-if TYPE_CHECKING:
-    from pcore.cli.demo import DemoSettings
+from pcore.files.provenance import pcore_version
 
 _NAMES = {
     "canonical": "Canonical",
@@ -63,14 +59,14 @@ _TITLES = (
 _COMMANDS = (
     Command(
         purpose="Train on your own scene (NeRF-Synthetic layout, see docs/guide/scenes.md), "
-        "then make it safe to deform:",
+        "then, for plain rays, make it safe to deform as the paper does:",
         text="pcore train MY_SCENE -o my-run\npcore finetune my-run",
     ),
     Command(
         purpose="Deform it with an edit file (docs/guide/edit-files.md) and go once around it:",
-        text='echo \'{"version": 1, "edits": [{"type": "twist", "axis": "z", '
+        text='echo \'{"version": 2, "edits": [{"type": "twist", "axis": "z", '
         '"angle_deg": 60}]}\' > edit.json\n'
-        "pcore render my-run-pcore --edit edit.json --orbit 60",
+        "pcore render my-run --edit edit.json --orbit 60",
     ),
     Command(
         purpose="Measure what was gained; a uniform scale has an exact truth on any scene:",
@@ -196,7 +192,8 @@ def _outcome(state: str, means: list[StateMean]) -> str:
 
 
 def _facts(folder: DemoFolder, settings: DemoSettings) -> tuple[tuple[str, str], ...]:
-    points = describe_model(folder.path / "pcore").points
+    model = summarize(folder.path / "pcore").model
+    points = 0 if model is None else model.points
     times = ", ".join(f"{name} {clock(spent)}" for name, spent in folder.seconds.items())
     return (
         ("Model", f"{points:,} points; {settings.resolution} x {settings.resolution} pixels"),
@@ -205,13 +202,6 @@ def _facts(folder: DemoFolder, settings: DemoSettings) -> tuple[tuple[str, str],
             f"{settings.pretrain.steps:,} steps PAPR, {settings.finetune.steps:,} steps P-CORE",
         ),
         ("Minutes", times),
-        ("Made by", f"pcore {_version()}, torch {torch.__version__}, {platform.machine()}"),
+        ("Made by", f"pcore {pcore_version()}, torch {torch.__version__}, {platform.machine()}"),
         ("Files", f"{folder.path.name}: runs papr and pcore, eval/images.csv, eval/summary.json"),
     )
-
-
-def _version() -> str:
-    try:
-        return version("pcore-edit")
-    except PackageNotFoundError:
-        return "(not installed)"

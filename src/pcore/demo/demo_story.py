@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
-from rich.console import Console
 from torch import Tensor
 
-from pcore.cli.demo_folder import DemoFolder, stamp_of
-from pcore.cli.models import Run, never_seen, open_run
-from pcore.cli.results import counting
+from pcore.asset.asset import Asset
+from pcore.asset.content import RaysName
 from pcore.data.pictures import to_bytes
 from pcore.data.video import write_video
+from pcore.demo.demo_folder import DemoFolder, stamp_of
+from pcore.demo.demo_settings import DemoSettings
 from pcore.evaluation.figures import png_bytes
+from pcore.evaluation.methods import never_seen, open_subject
 from pcore.evaluation.panels import depth_maps, object_window, renderings, strain_maps
 from pcore.evaluation.protocol import load_perceptual
 from pcore.evaluation.runner import Method, Taken, carry, evaluate
@@ -24,14 +24,11 @@ from pcore.evaluation.summary import gains, state_means
 from pcore.evaluation.tables import SUMMARY_FILE, read_summary, summary_record, write_tables
 from pcore.files.atomic import write_atomically
 from pcore.files.model_file import MODEL_FILE
+from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_like
-from pcore.model.render import render
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from pcore.cli.demo import DemoSettings
-    from pcore.geometry.camera import Camera
+Tell = Callable[[int, int], None]
+"""Told (done, total)."""
 
 BASELINE, METHOD, AWARE = "PAPR", "P-CORE", "aware + P-CORE"
 METHODS = (BASELINE, METHOD, "aware", AWARE)
@@ -41,16 +38,16 @@ CANONICAL_VIDEO, DEFORMED_VIDEO = "canonical.mp4", "deformed.mp4"
 _FPS = 16
 
 
-def models_of(folder: DemoFolder, device: str) -> dict[str, Run]:
+def models_of(folder: DemoFolder, device: str) -> dict[str, Asset]:
     """Open both runs: before and after fine-tuning."""
     return {
-        BASELINE: open_run(folder.path / "papr", device=device),
-        METHOD: open_run(folder.path / "pcore", device=device),
+        BASELINE: open_subject(folder.path / "papr", device=device),
+        METHOD: open_subject(folder.path / "pcore", device=device),
     }
 
 
 def evaluate_demo(
-    folder: DemoFolder, settings: DemoSettings, models: dict[str, Run], console: Console
+    folder: DemoFolder, settings: DemoSettings, models: dict[str, Asset], tell: Tell
 ) -> None:
     """Score both models on all states and keep the pictures that the report shows."""
     stamp = _stamp(folder, list(settings.shown), "strain")
@@ -60,11 +57,10 @@ def evaluate_demo(
     (output / "panels").mkdir(parents=True, exist_ok=True)
     states, perceptual = _states(folder), load_perceptual()
     methods = _methods(models, states)
-    with folder.timed("evaluation", stamp), counting(console, "pictures") as tell:
+    with folder.timed("evaluation", stamp):
         rows = evaluate(
             methods,
             states.select(STATES),
-            draw=render,
             perceptual=perceptual,
             progress=tell,
             show=lambda taken: _keep(taken, settings.shown, output / "panels"),
@@ -81,7 +77,7 @@ def panel(output: Path, state: str, view: int, number: int) -> Path:
 
 
 def film_demo(
-    folder: DemoFolder, settings: DemoSettings, models: dict[str, Run], console: Console
+    folder: DemoFolder, settings: DemoSettings, models: dict[str, Asset], tell: Tell
 ) -> None:
     """Write two videos: P-CORE canonical; PAPR, P-CORE and aware in the state that differs most."""
     stamp = _stamp(folder, settings.frames)
@@ -94,7 +90,7 @@ def film_demo(
     filmed = [one for one in methods if one.name in FILMED]
     stories = [(canonical, methods[1:2]), (deformed, filmed)]
     total = len(stories) * settings.frames
-    with folder.timed("videos", stamp), counting(console, "frames") as tell:
+    with folder.timed("videos", stamp):
         for number, (video, (state, shown)) in enumerate(zip(videos, stories, strict=True)):
             cameras = _orbit(states, state, settings.frames)
             first = number * settings.frames
@@ -110,14 +106,15 @@ def filmed_state(output: Path) -> str:
     return max(states, key=lambda name: holes[name, BASELINE] - holes[name, AWARE])
 
 
-def _methods(models: dict[str, Run], states: SceneStates) -> list[Method]:
+def _methods(models: dict[str, Asset], states: SceneStates) -> list[Method]:
     """Both runs with plain rays, then both with rays that know of the deformation."""
-    unseen = {name: never_seen(run.cloud, states.scene) for name, run in models.items()}
-    hidden = [*unseen.values(), *unseen.values()]
-    runs = [(aware, run) for aware in (False, True) for run in models.values()]
+    unseen = {name: never_seen(one.points, states.scene) for name, one in models.items()}
+    ways: tuple[RaysName, ...] = ("plain", "aware")
+    titles = iter(METHODS)
     return [
-        Method(name=name, papr=run.papr, cloud=run.cloud, aware=aware, unseen=own)
-        for name, (aware, run), own in zip(METHODS, runs, hidden, strict=True)
+        Method(name=next(titles), asset=asset, rays=rays, unseen=unseen[name])
+        for rays in ways
+        for name, asset in models.items()
     ]
 
 
@@ -149,10 +146,10 @@ def _orbit(states: SceneStates, state: State, count: int) -> list[Camera]:
 
 
 def _frames(
-    state: State, methods: list[Method], cameras: list[Camera], tell: Callable[[int], None]
+    state: State, methods: list[Method], cameras: list[Camera], told: Callable[[int], None]
 ) -> Iterator[Tensor]:
-    clouds = carry(methods, state)
+    poses = carry(methods, state)
     for index, camera in enumerate(cameras):
-        pictures = [render(one.papr, clouds[one.name], camera).rgb for one in methods]
+        pictures = [one.asset.render(poses[one.name], camera).rgb for one in methods]
         yield to_bytes(torch.cat(pictures, dim=1))
-        tell(index + 1)
+        told(index + 1)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import sys
 import time
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
 
+from pcore.demo.machine import peak_memory
 from pcore.errors import InputError
 from pcore.evaluation.tables import write_json
 from pcore.validation import first_names
@@ -101,16 +101,6 @@ def stamp_of(*parts: Any) -> str:
         content = part.read_bytes() if isinstance(part, Path) else json.dumps(part).encode()
         digest.update(hashlib.sha256(content).digest())
     return digest.hexdigest()[:16]
-
-
-def peak_memory() -> int | None:
-    """Most memory this process has used, bytes; None where the system does not tell."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def _read(path: Path) -> dict[str, Any]:
