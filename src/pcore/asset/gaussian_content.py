@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pcore.asset.content import Color, LightName, Motion, MovedPoints, RaysName, Sampling
-from pcore.deform.jacobian import analytic_frames
+from pcore.deform.jacobian import analytic_maps
 from pcore.errors import InputError
 from pcore.files.gaussian_file import (
     GAUSSIANS_FILE,
@@ -24,8 +24,7 @@ from pcore.gaussians.render import Footprint, PosedGaussians, pose, render, surf
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Rendering
-from pcore.model.passes import Picture
+from pcore.render.image import Image
 
 _TRACE = 1e-6
 """Less opacity than this shows nothing that could have a depth."""
@@ -89,7 +88,7 @@ class GaussianContent:
         else:
             exact = self.points.double()
             positions = motion(exact)
-            maps = analytic_frames(motion, self.points) if rays == "aware" else None
+            maps = analytic_maps(motion, self.points) if rays == "aware" else None
         device = self.gaussians.means.device
         positions = positions.to(self.gaussians.means)
         if maps is None or rays == "plain":
@@ -106,7 +105,7 @@ class GaussianContent:
         """See `Content.local_maps_of`."""
         return posed.maps
 
-    def trace(self, posed: MovedGaussians, rays: RayBundle, background: Tensor | None) -> Rendering:
+    def trace(self, posed: MovedGaussians, rays: RayBundle, background: Tensor | None) -> Image:
         """See `Content.trace`; Gaussians are drawn picture by picture and meet no single rays.
 
         Raises:
@@ -118,13 +117,13 @@ class GaussianContent:
         )
 
     @torch.no_grad()
-    def render(self, posed: MovedGaussians, camera: Camera, sampling: Sampling) -> Picture:
+    def render(self, posed: MovedGaussians, camera: Camera, sampling: Sampling) -> Image:
         """See `Content.render`; one pass, whose footprint needs no samples."""
         color = self.gaussians.means.new_tensor(self.background)
         found = render(posed.drawn, [camera], footprint=self.footprint, background=color)
         alpha = found.alpha[0].cpu()
         depth = torch.where(alpha > _TRACE, found.depth[0].cpu(), torch.nan)
-        return Picture(
+        return Image(
             rgb=found.rgb[0].cpu(),
             alpha=alpha,
             depth=depth,
