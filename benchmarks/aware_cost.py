@@ -15,12 +15,9 @@ from pathlib import Path
 
 import torch
 
-from pcore.cli.light import shading_of
+import pcore
 from pcore.evaluation.states import State, open_states
-from pcore.files.model_file import SavedModel, load_model
 from pcore.kernels.memory import keep_freed_memory
-from pcore.model.render import render
-from pcore.relight.shading import Shading
 
 
 def main() -> None:
@@ -35,39 +32,38 @@ def main() -> None:
     keep_freed_memory()
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
-    saved = load_model(wish.run)
+    asset = pcore.load(wish.run)
     states = open_states(wish.scene, factor=wish.factor).select(wish.states)[1:]
-    shading = shading_of(wish.run, saved.cloud, None, aware=True)
-    found = {state.name: measure(saved, shading, state, wish.rounds) for state in states}
+    found = {state.name: measure(asset, state, wish.rounds) for state in states}
     print(json.dumps(found, indent=1))
 
 
-def measure(
-    saved: SavedModel, shading: Shading | None, state: State, rounds: int
-) -> dict[str, float]:
+def measure(asset: pcore.Asset, state: State, rounds: int) -> dict[str, float]:
     """Medians over test cameras of a state; ratios are those of pictures drawn in turn."""
-    papr, rest = saved.papr(), saved.cloud
-    moved = state.move(rest.positions)
+    moved = state.move(asset.points)
     start = time.process_time()
-    frames = state.frames(rest.positions, moved)
+    maps = state.frames(asset.points, moved)
     edits = {"frames": time.process_time() - start}
-    clouds = {"plain": rest.moved(moved), "aware": rest.moved(moved, frames)}
-    if shading is not None:
+    motion = pcore.MovedPoints(positions=moved, local_maps=maps, world=state.world)
+    poses = {
+        "plain": asset.pose(motion, rays="plain", light="baked"),
+        "aware": asset.pose(motion, light="baked"),
+    }
+    if asset.light is not None:
         # The first edit computes the light of the rest state as well, and compiles.
         for name in ("first light", "light"):
             start = time.process_time()
-            skin = shading.skin(frames, moved, world=state.world)
+            poses["lit"] = asset.pose(motion, light="still")
             edits[name] = time.process_time() - start
-        clouds["lit"] = clouds["aware"].covered(skin)
-    seconds: dict[str, list[float]] = {name: [] for name in clouds}
+    seconds: dict[str, list[float]] = {name: [] for name in poses}
     for shot in [state.shots[turn % len(state.shots)] for turn in range(rounds + 1)]:
-        for name, cloud in clouds.items():
+        for name, posed in poses.items():
             start = time.process_time()
-            render(papr, cloud, shot.camera)
+            asset.render(posed, shot.camera)
             seconds[name].append(time.process_time() - start)
     # The first round compiles and warms up.
     found = {name: statistics.median(values[1:]) for name, values in seconds.items()}
-    for name in [one for one in clouds if one != "plain"]:
+    for name in [one for one in poses if one != "plain"]:
         pairs = zip(seconds[name][1:], seconds["plain"][1:], strict=True)
         # Of a machine that is now faster, now slower, the same moment is compared.
         found[f"{name} / plain"] = statistics.median(one / plain for one, plain in pairs)

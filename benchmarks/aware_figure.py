@@ -16,13 +16,12 @@ import numpy as np
 import torch
 from PIL import Image
 
-from pcore.cli.models import Run, open_run
+from pcore.asset.asset import Asset
 from pcore.evaluation.figures import Pixels, sheet
+from pcore.evaluation.methods import open_subject
 from pcore.evaluation.panels import object_window, renderings
 from pcore.evaluation.runner import Method, Taken, evaluate
 from pcore.evaluation.states import open_states
-from pcore.model.render import render
-from pcore.relight.light_file import load_shading
 
 METHODS = ("PAPR", "P-CORE", "aware", "aware + light")
 
@@ -48,25 +47,24 @@ def main() -> None:
 
 def pictures(wish: argparse.Namespace, scene: str, state: str, view: int) -> list[Pixels | None]:
     """Truth and methods of one test view, cut to the object."""
-    base, tuned = (open_run(wish.runs / name) for name in (scene, f"{scene}-pcore"))
+    base, tuned = (open_subject(wish.runs / name) for name in (scene, f"{scene}-pcore"))
     methods = [_method(name, tuned if "P-CORE" in name else base) for name in wish.methods]
-    chosen = open_states(wish.data / scene, factor=base.factor).select([state])[-1]
+    chosen = open_states(wish.data / scene, factor=base.record.factor).select([state])[-1]
     chosen = replace(chosen, shots=chosen.shots[view : view + 1])
     kept: list[Taken] = []
-    evaluate(methods, [chosen], draw=render, show=kept.append)
+    evaluate(methods, [chosen], show=kept.append)
     window = object_window(kept[0])
     cut = [p[window] for p in renderings(kept[0], wish.methods) if p is not None]
     return [np.ascontiguousarray(picture) for picture in cut]
 
 
-def _method(name: str, run: Run) -> Method:
+def _method(name: str, asset: Asset) -> Method:
     """The method of a name, as `pcore eval` calls it."""
     return Method(
         name=name,
-        papr=run.papr,
-        cloud=run.cloud,
-        aware="aware" in name,
-        shading=load_shading(run.path, run.cloud.positions) if "light" in name else None,
+        asset=asset,
+        rays="aware" if "aware" in name else "plain",
+        light="still" if "light" in name else "baked",
     )
 
 

@@ -22,13 +22,12 @@ from reprojected_truth import PhotoSurface
 from scipy import ndimage
 from torch import Tensor
 
+import pcore
 from pcore.data.images import composite
 from pcore.data.load import load_scene
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.runner import Method, carry
 from pcore.evaluation.states import CANONICAL, State, open_states
-from pcore.files.model_file import load_model
-from pcore.model.render import render
 
 PARTS = ("edge", "jump", "inside")
 _RIM = 2.0
@@ -49,8 +48,7 @@ def main() -> None:
     parser.add_argument("--states", nargs="+", default=["all"])
     wish = parser.parse_args()
     torch.set_flush_denormal(True)
-    saved = load_model(wish.run)
-    method = Method(name="run", papr=saved.papr(), cloud=saved.cloud, aware=True)
+    method = Method(name="run", asset=pcore.load(wish.run), rays="aware")
     places = open_states(wish.scene, factor=wish.factor)
     if places.truth is None:
         raise SystemExit(f"{wish.scene}: no meshes.npz")
@@ -68,7 +66,7 @@ def measure(
     method: Method, photos: PhotoSurface, truth: DeformedTruth, state: State, every: int
 ) -> dict[str, list[float]]:
     """By picture the parts of its mean squared error, and of the pixels, in the order of PARTS."""
-    cloud = carry([method], state)[method.name]
+    posed = carry([method], state)[method.name]
     vertices = truth.vertices(None if state.name == CANONICAL else state.name)
     sums = {who: [0.0] * len(PARTS) for who in ("pixels", "run", "photos")}
     white = torch.ones(3)
@@ -78,7 +76,7 @@ def measure(
         rgba = shot.view.rgba()
         target = composite(rgba, white)
         pictures = {
-            "run": render(method.papr, cloud, shot.camera).rgb.clamp(0, 1),
+            "run": method.asset.render(posed, shot.camera).rgb.clamp(0, 1),
             "photos": composite(photo_picture(photos, vertices, shot.camera)[0], white),
         }
         masks = parts(rgba[..., 3].numpy() > 0.5, shot.depth(), _JUMP * state.object_size)

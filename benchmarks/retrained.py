@@ -15,9 +15,7 @@ from pathlib import Path
 
 import torch
 
-from pcore.editing.anchors import AnchorRig
-from pcore.editing.runs import points_of_run
-from pcore.editing.script import EditScript, load_edit
+import pcore
 from pcore.evaluation.ground_truth import load_truth
 
 _MOVES = 1e-3
@@ -32,26 +30,26 @@ def main() -> None:
     wish = parser.parse_args()
     truth = load_truth(wish.scene)
     surface = torch.from_numpy(truth.vertices(None)).float()
-    subjects = [points_of_run(run) for run in wish.runs]
+    subjects = [pcore.load(run) for run in wish.runs]
     print(
         "| edit | vertices that move | largest move | mean difference of those | 99 % | largest |"
     )
     print("|---|---|---|---|---|---|")
     for path in wish.edits:
-        row = compare(load_edit(path), subjects, surface, truth.object_size())
+        row = compare(pcore.load_edit(path), subjects, surface, truth.object_size())
         print(
             f"| {path.stem} | {' | '.join(f'{100 * value:.2f} %' for value in row)} |", flush=True
         )
 
 
 def compare(
-    script: EditScript,
-    subjects: list[tuple[torch.Tensor, AnchorRig | None]],
+    script: pcore.EditScript,
+    subjects: list[pcore.Asset],
     surface: torch.Tensor,
     size: float,
 ) -> tuple[float, ...]:
     """Shares and lengths of the table's columns; lengths in units of the object's size."""
-    first, second = (script.bind(points, rig=rig)(surface) - surface for points, rig in subjects)
+    first, second = (script.bind(one.points, rig=one.rig)(surface) - surface for one in subjects)
     difference = (first - second).norm(dim=1) / size
     length = first.norm(dim=1) / size
     moves = torch.maximum(length, second.norm(dim=1) / size) > _MOVES

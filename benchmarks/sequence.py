@@ -26,19 +26,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pcore.editing.apply import deformed_cloud
+import pcore
+from pcore.asset.content import RaysName
 from pcore.editing.session import EditSession
 from pcore.evaluation.protocol import STANDARD, measure
 from pcore.evaluation.states import Shot, open_states
-from pcore.files.model_file import SavedModel, load_model
 from pcore.geometry.extent import size_of
-from pcore.geometry.point_cloud import PointCloud
 from pcore.metrics.image_metrics import psnr
-from pcore.model.render import render
 
 TRUTH, ANGLE = "twist60", 60.0
 PLANS = ((ANGLE, 12), (120.0, 24))
 """Angle in degrees, and into how many steps it is cut."""
+RAYS: tuple[RaysName, ...] = ("aware", "plain")
 SMALL = 8
 """Steps of a drag and of a turn."""
 
@@ -47,7 +46,7 @@ SMALL = 8
 class Plan:
     """What is twisted, where, and who looks."""
 
-    saved: SavedModel
+    asset: pcore.Asset
     shots: Sequence[Shot]
     axis: str
     extent: list[float]
@@ -64,39 +63,41 @@ def main() -> None:
     wish = parser.parse_args()
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
-    saved = load_model(wish.run)
+    asset = pcore.load(wish.run)
     state = open_states(wish.scene, factor=wish.factor).select([TRUTH])[1]
     record = json.loads((wish.scene / TRUTH / "deformation.json").read_text(encoding="utf-8"))
     extent = [record["driver_lo"], record["driver_hi"]]
     plan = Plan(
-        saved=saved,
+        asset=asset,
         shots=state.shots[:: wish.every],
         axis=record["axis"].lower(),
         extent=extent,
     )
     for angle, count in PLANS:
         for kind in ("twist", "displacement"):
-            for aware in (True, False):
+            for rays in RAYS:
                 sessions = [_edited(plan, kind, angle, steps) for steps in (1, count)]
-                line = compared(plan, sessions, aware=aware, truth=angle == ANGLE)
+                line = compared(plan, sessions, rays=rays, truth=angle == ANGLE)
                 print(f"{angle:g} degrees in {count}, {kind}, {line}", flush=True)
     for name, steps in (("drag", drags), ("turn with a seam", turns)):
-        sessions = [_done(plan, steps(saved.cloud.positions, n)) for n in (1, SMALL)]
-        for aware in (True, False):
-            line = compared(plan, sessions, aware=aware, truth=False)
+        sessions = [_done(plan, steps(asset.points, n)) for n in (1, SMALL)]
+        for rays in RAYS:
+            line = compared(plan, sessions, rays=rays, truth=False)
             print(f"{name} in {SMALL}, {line}", flush=True)
 
 
-def compared(plan: Plan, sessions: Sequence[EditSession], *, aware: bool, truth: bool) -> str:
+def compared(plan: Plan, sessions: Sequence[EditSession], *, rays: RaysName, truth: bool) -> str:
     """Render one edit and the sequence, and say how far they are from each other and the truth."""
-    cloud, papr = plan.saved.cloud, plan.saved.papr()
+    asset, cameras = plan.asset, [shot.camera for shot in plan.shots]
     once, often = (session.state for session in sessions)
-    clouds = [deformed_cloud(cloud, one.deformation, aware=aware) for one in (once, often)]
-    pictures = [[_rgb(papr, one, shot) for shot in plan.shots] for one in clouds]
+    # The light is baked in, so that what differs is what edits make of the surface.
+    poses = [asset.pose(one, rays=rays, light="baked") for one in (once, often)]
+    drawn = [asset.render(posed, cameras) for posed in poses]
+    pictures = [[one.rgb.clamp(0, 1) for one in own] for own in drawn]
     apart = statistics.mean(psnr(a, b) for a, b in zip(*pictures, strict=True))
-    away = (once.points - often.points).norm(dim=-1) / size_of(cloud.positions)
+    away = (once.points - often.points).norm(dim=-1) / size_of(asset.points)
     line = (
-        f"{'aware' if aware else 'plain'} rays: points {float(away.mean()):.1e} of the size apart, "
+        f"{rays} rays: points {float(away.mean()):.1e} of the size apart, "
         f"{float(away.max()):.1e} at most; pictures {apart:.2f} dB"
     )
     if not truth:
@@ -128,7 +129,7 @@ def turns(points: Tensor, count: int) -> list[dict[str, Any]]:
 
 
 def _done(plan: Plan, edits: Sequence[dict[str, Any]]) -> EditSession:
-    session = EditSession(plan.saved.cloud.positions)
+    session = plan.asset.session()
     for edit in edits:
         session.do(edit)
     return session
@@ -136,9 +137,8 @@ def _done(plan: Plan, edits: Sequence[dict[str, Any]]) -> EditSession:
 
 def _edited(plan: Plan, kind: str, angle: float, count: int) -> EditSession:
     """A session in which the whole turn was done in so many edits."""
-    points = plan.saved.cloud.positions
     twist: dict[str, Any] = {"type": "twist", "axis": plan.axis, "extent": plan.extent}
-    session, guide = EditSession(points), EditSession(points)
+    session, guide = plan.asset.session(), plan.asset.session()
     with TemporaryDirectory() as folder:
         for number in range(count):
             before = guide.state.bound.setting.points
@@ -152,11 +152,6 @@ def _edited(plan: Plan, kind: str, angle: float, count: int) -> EditSession:
                 np.save(file, place.numpy())
             session.do({"type": "displacement", "before": files[0], "after": files[1]})
     return session
-
-
-def _rgb(papr: Any, cloud: PointCloud, shot: Shot) -> Tensor:
-    with torch.no_grad():
-        return render(papr, cloud, shot.camera).rgb.clamp(0, 1)
 
 
 def _foreground(pictures: Sequence[Tensor], shots: Sequence[Shot]) -> float:

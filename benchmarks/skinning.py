@@ -27,6 +27,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+import pcore
 from pcore.contrib.learned_skinning import SkinningConfig, untrained_skinning
 from pcore.contrib.skinning_fit import SkinningFitConfig, fit_skinning, skinning_error
 from pcore.deform.anchor_distance import (
@@ -36,7 +37,7 @@ from pcore.deform.anchor_distance import (
     distance_weigher,
     path_distance,
 )
-from pcore.deform.jacobian import estimated_frames
+from pcore.deform.jacobian import estimated_maps
 from pcore.deform.sampler import DeformationRanges, sample_deformation
 from pcore.deform.skinning import Weigher, skin
 from pcore.editing.anchors import SIGMA, anchor_graph, pose_from_places
@@ -44,12 +45,8 @@ from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.protocol import STANDARD, Perceptual, load_perceptual, measure
 from pcore.evaluation.states import State, open_states
 from pcore.evaluation.surface_samples import load_samples
-from pcore.files.model_file import SavedModel, load_model
-from pcore.files.skinning_file import load_skinning
 from pcore.geometry.farthest_points import ANCHORS, farthest_points
-from pcore.geometry.point_cloud import PointCloud
 from pcore.metrics.point_metrics import compare_clouds
-from pcore.model.render import render
 
 MOTIONS = {"knight": ("run", "cheer", "sit"), "robot": ("run", "wave", "dance")}
 TRUE = "true motion"
@@ -114,15 +111,20 @@ def held_out(points: Tensor, anchors: Tensor, methods: Mapping[str, Weigher]) ->
 
 
 def picture_scores(
-    model: SavedModel, moved: PointCloud, state: State, views: int, perceptual: Perceptual | None
+    asset: pcore.Asset,
+    moved: pcore.MovedPoints,
+    state: State,
+    views: int,
+    perceptual: Perceptual | None,
 ) -> dict[str, float]:
-    """Mean image scores of the model's networks over evenly chosen test views."""
-    papr, cloud = model.papr(), model.cloud.moved(moved.positions, moved.frames)
+    """Mean image scores of an object over evenly chosen test views, its light baked in."""
+    rays = "plain" if moved.local_maps is None else "aware"
+    posed = asset.pose(moved, rays=rays, light="baked")
     chosen = np.unique(np.linspace(0, len(state.shots) - 1, views).round().astype(int))
     rows = []
     for index in chosen:
         shot = state.shots[index]
-        picture = render(papr, cloud, shot.camera)
+        picture = asset.render(posed, shot.camera)
         rows.append(measure(STANDARD, picture.rgb, shot.view.rgba(), perceptual).row())
     return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
 
@@ -132,7 +134,7 @@ class Show:
     """What one renderer shows: its run, and the methods to draw with it by the names of rows."""
 
     run: str
-    model: SavedModel
+    asset: pcore.Asset
     methods: Mapping[str, str]
 
 
@@ -140,13 +142,13 @@ def shows_of(name: str, runs: Path, joint: Sequence[str], methods: Sequence[str]
     """All renderers of an object; those that learned with a skinning show only that one."""
     everything = {method: method for method in (*methods, TRUE)}
     found = [
-        Show(run=run, model=load_model(runs / run), methods=everything)
+        Show(run=run, asset=pcore.load(runs / run), methods=everything)
         for run in (name, f"{name}-pcore")
     ]
     for suffix in joint:
         own = {one: f"{one}, renderer of {suffix}" for one in (joint_name(suffix), TRUE)}
         run = f"{name}-{suffix}"
-        found.append(Show(run=run, model=load_model(runs / run), methods=own))
+        found.append(Show(run=run, asset=pcore.load(runs / run), methods=own))
     return found
 
 
@@ -173,16 +175,19 @@ def score_object(
     samples = load_samples(root)
     rest = torch.from_numpy(samples.positions(truth, None)).float()
     rows: list[Row] = []
-    canonical = load_model(runs / name).cloud
-    points = canonical.positions
+    points = pcore.load(runs / name).points
     distance = path_distance(points, farthest_points(points, ANCHORS))
     graph = anchor_graph(distance.anchors, distance.between)
     print(f"{name}: {len(points)} points, mean anchor spacing {graph.spacing:.3f}", flush=True)
     methods = weighers(distance, points, steps)
-    methods |= {joint_name(s): load_skinning(runs / f"{name}-{s}", points) for s in joint}
+    for suffix in joint:
+        learned = pcore.load(runs / f"{name}-{suffix}").skinning
+        if learned is None:
+            raise SystemExit(f"{name}-{suffix}: no learned weights")
+        methods[joint_name(suffix)] = learned
     shows = shows_of(name, runs, joint, list(methods))
     # Fine-tuning leaves the points alone, so that one set of weights serves all runs.
-    assert all(torch.equal(show.model.cloud.positions, points) for show in shows)
+    assert all(torch.equal(show.asset.points, points) for show in shows)
     held_out(points, distance.anchors, methods)
     weights = {method: (weigh(points), weigh(rest)) for method, weigh in methods.items()}
     hung = truth.anchor(points)
@@ -201,13 +206,13 @@ def score_object(
                 "error": float((places - carried).norm(dim=1).mean()),
             }
             # The same rule for all methods: what is around a point is told by its neighbours.
-            frames = estimated_frames(points, places) if aware else None
-            drawn = canonical.moved(places, frames)
+            frames = estimated_maps(points, places) if aware else None
+            drawn = pcore.MovedPoints(positions=places, local_maps=frames)
             for show in shows:
                 if method not in show.methods:
                     continue
                 called = show.methods[method]
-                pictures = picture_scores(show.model, drawn, state, views, perceptual)
+                pictures = picture_scores(show.asset, drawn, state, views, perceptual)
                 scores = pictures | geometry
                 rows.append(Row(run=show.run, state=state.name, method=called, scores=scores))
                 print(f"  {show.run} {state.name} {called}: {pictures['foreground_psnr']:.2f} dB")

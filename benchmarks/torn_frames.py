@@ -16,8 +16,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from pcore.deform.jacobian import estimated_frames
-from pcore.files.model_file import load_model
+import pcore
+from pcore.deform.jacobian import estimated_maps
 
 CUTS = (
     (0, 0.35, 50, (0.0, 0.0, 0.0)),
@@ -35,7 +35,7 @@ def main() -> None:
     if len(sys.argv) < 2 or sys.argv[1].startswith("-"):
         raise SystemExit(__doc__)
     for run in sys.argv[1:]:
-        points = load_model(Path(run)).cloud.positions.double()
+        points = pcore.load(run).points.double()
         row = [seam_errors(points, *cut) for cut in CUTS]
         cells = [f"{float(one.mean()):.2f} / {float(one.quantile(0.99)):.1f}" for one in row]
         print(f"| {Path(run).name} | {' | '.join(cells)} |", flush=True)
@@ -53,7 +53,7 @@ def seam_errors(
     pivot[axis] = place
     part = points[:, axis] > place
     gone = (points - pivot) @ turn.T + pivot + torch.tensor(shift, dtype=torch.float64)
-    frames = estimated_frames(points, torch.where(part[:, None], gone, points))
+    frames = estimated_maps(points, torch.where(part[:, None], gone, points))
     still = torch.eye(3, dtype=torch.float64)
     true = torch.where(part[:, None, None], turn, still)
     wrong = (torch.linalg.inv(frames.to_rest.double()) - true).norm(dim=(1, 2))

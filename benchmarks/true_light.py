@@ -25,22 +25,23 @@ from reprojected_truth import PhotoSurface
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from pcore.cli.models import Run, open_run
+from pcore.asset.asset import Asset, Posed
+from pcore.asset.content import LightName
 from pcore.data.load import load_scene
 from pcore.evaluation.ground_truth import DeformedTruth
+from pcore.evaluation.methods import open_subject
 from pcore.evaluation.runner import Method, carry
 from pcore.evaluation.states import CANONICAL, State, open_states
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.surface_search import SurfaceSearch
-from pcore.model.render import render
-from pcore.relight.light_file import load_shading
 
 _BLUR = 0.7
 _DARK = 0.02
 _SOLID = 0.9
 _LARGEST = 3.0
 _BESIDE = 16
+LIGHTS: tuple[LightName, ...] = ("baked", "still")
 COLUMNS = ("baked in", "estimated light", "true, points", "true, pixels")
 
 
@@ -59,7 +60,7 @@ def main() -> None:
     places, fine = (open_states(wish.scene, factor=factor) for factor in (wish.factor, 1))
     if places.truth is None:
         raise SystemExit(f"{wish.scene}: no meshes.npz")
-    known = TrueLight(open_run(wish.run), wish.scene, places.truth)
+    known = TrueLight(open_subject(wish.run), wish.scene, places.truth)
     detailed = {state.name: state for state in fine.select(["all"])}
     print(f"| {wish.scene.name} | {' | '.join(COLUMNS)} |\n|{'---|' * (len(COLUMNS) + 1)}")
     for state in places.select(wish.states):
@@ -70,9 +71,11 @@ def main() -> None:
 class TrueLight:
     """A run, and what the true pictures of its scene say about the light."""
 
-    def __init__(self, run: Run, scene: Path, truth: DeformedTruth) -> None:
-        self._run, self._truth = run, truth
-        self._shading = load_shading(run.path, run.cloud.positions)
+    def __init__(self, asset: Asset, scene: Path, truth: DeformedTruth) -> None:
+        self._asset, self._truth = asset, truth
+        if asset.light is None:
+            raise SystemExit(f"{asset.path}: no light; `pcore light` estimates it")
+        self._shading = asset.light
         views = load_scene(scene)
         self._photos = PhotoSurface(views, scene / "meshes.npz")
         self._faces = outwards(truth.canonical, truth.faces)
@@ -87,37 +90,25 @@ class TrueLight:
     def scores(self, state: State, detailed: State, every: int) -> tuple[float, ...]:
         """PSNR in dB of the columns."""
         plain, lit = (
-            carry(
-                [
-                    Method(
-                        name="one",
-                        papr=self._run.papr,
-                        cloud=self._run.cloud,
-                        aware=True,
-                        shading=shading,
-                    )
-                ],
-                state,
-            )["one"]
-            for shading in (None, self._shading)
+            carry([Method(name="one", asset=self._asset, rays="aware", light=light)], state)["one"]
+            for light in LIGHTS
         )
         vertices = self._truth.vertices(None if state.name == CANONICAL else state.name)
         by_points = self._with_true_gains(lit, detailed, vertices)
         rows: list[tuple[float, ...]] = []
         for shot in state.shots[::every]:
             truth, camera = shot.view.rgba(), shot.camera
-            pictures = [render(self._run.papr, one, camera).rgb for one in (plain, lit, by_points)]
+            pictures = [self._asset.render(one, camera).rgb for one in (plain, lit, by_points)]
             photos, _ = photo_picture(self._photos, vertices, camera)
             pictures.append(pictures[0] * true_factors(truth, photos).unsqueeze(2))
             rows.append(tuple(foreground_psnr(solid(one), truth) for one in pictures))
         return tuple(statistics.mean(column) for column in zip(*rows, strict=True))
 
-    def _with_true_gains(
-        self, cloud: PointCloud, detailed: State, vertices: np.ndarray
-    ) -> PointCloud:
-        """The cloud with true factors of the points that photos and true pictures show."""
+    def _with_true_gains(self, posed: Posed, detailed: State, vertices: np.ndarray) -> Posed:
+        """The object with true factors of the points that photos and true pictures show."""
+        cloud: PointCloud = posed.content
         if cloud.skin is None:
-            return cloud
+            return posed
         views = [shot.view for shot in detailed.shots]
         there, seen = colours(*self._spots.of(vertices), views, vertices, self._faces)
         before, photographed = self._rest
@@ -129,7 +120,7 @@ class TrueLight:
             gains=gains.float().nan_to_num(1.0).clamp(1 / _LARGEST, _LARGEST),
             beside=known[nearest(rest[known], rest, _BESIDE)[0]],
         )
-        return cloud.covered(skin)
+        return replace(posed, content=cloud.covered(skin))
 
 
 def solid(rgb: Tensor) -> Tensor:

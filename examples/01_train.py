@@ -11,8 +11,6 @@ from pathlib import Path
 import tyro
 
 import pcore
-from pcore.files.records import to_dict
-from pcore.files.run_folder import RunFolder
 from pcore.training.events import Event, StepReport, ValidationReport
 
 
@@ -46,13 +44,10 @@ def main(scene: Path, run: Path, /, steps: int = 300, factor: int = 1) -> None:
     views = pcore.load_scene(scene, factor=factor)
     config = replace(pcore.preset("tiny"), steps=steps, validate_every=max(1, steps // 3))
     watch = Watch()
-    # What stands in `config` decides the result; `pcore finetune` and `render` read it later.
-    settings = {"preset": "tiny", "factor": factor, "pretrain": to_dict(config)}
-    place = str(scene.resolve())
-    with RunFolder.create(run, stage="pretrain", scene=place, config=settings) as folder:
-        trained = pcore.pretrain(views, config, folder=folder, listener=watch)
+    options = pcore.RunOptions(note=print)  # Says why, where the light cannot be estimated.
+    asset = pcore.train(views, config, folder=run, listener=watch, options=options)
     first, last = watch.losses[0][1], watch.losses[-1][1]
-    print(f"{len(trained.cloud)} points; loss {first:.4f} -> {last:.4f}; saved in {run}")
+    print(f"{len(asset)} points; loss {first:.4f} -> {last:.4f}; saved in {run}")
 
 
 if __name__ == "__main__":

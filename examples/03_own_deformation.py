@@ -15,10 +15,6 @@ from torch import Tensor
 
 import pcore
 from pcore.data.pictures import write_png
-from pcore.editing.apply import deformed_cloud
-from pcore.geometry.orbit import fitting_distance, orbit_cameras
-
-ANGLE_X = 0.7
 
 
 @dataclass(frozen=True)
@@ -41,17 +37,12 @@ class Wave(pcore.Deformation):
 
 def compare(run: Path, wave: Wave, size: int) -> Tensor:
     """Canonical and deformed rendering of a run side by side, (size, 2 size, 3)."""
-    model = pcore.load_model(run)
-    papr, cloud = model.papr(), model.cloud
-    determinant = torch.linalg.det(wave.jacobian(cloud.positions))
+    asset = pcore.load(run)
+    determinant = torch.linalg.det(wave.jacobian(asset.points))
     print(f"{run}: det J from {float(determinant.min()):.3f} to {float(determinant.max()):.3f}")
-    moved = deformed_cloud(cloud, wave)  # Raises EditError where the wave folds space.
-    center = moved.positions.mean(dim=0)
-    distance = fitting_distance(moved.positions, center, ANGLE_X)
-    camera = orbit_cameras(
-        center, distance, 1, elevation=0.4, width=size, height=size, angle_x=ANGLE_X
-    )[0]
-    return torch.cat([pcore.render(papr, points, camera).rgb for points in (cloud, moved)], dim=1)
+    bent = asset.pose(wave)  # Raises EditError where the wave folds space.
+    camera = pcore.orbit_around(bent.points, size=(size, size))[0]
+    return torch.cat([asset.render(posed, camera).rgb for posed in (asset.pose(), bent)], dim=1)
 
 
 def main(picture: Path, run: Path, others: tuple[Path, ...] = (), /, size: int = 300) -> None:

@@ -20,7 +20,7 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
-EDIT = '{"version": 1, "edits": [{"type": "scale", "factor": 0.5}]}'
+EDIT = '{"version": 2, "edits": [{"type": "scale", "factor": 0.5}]}'
 SIZE = 32
 
 
@@ -94,7 +94,7 @@ def test_session(model: Path, tmp_path: Path) -> None:
     assert 30 < still < 150  # A quarter of 300.
     assert len(load_edit(edit).edits) == kept
     with Image.open(picture) as shown:
-        assert shown.size == (SIZE, SIZE)
+        assert shown.size == (2 * SIZE, SIZE)
 
 
 def test_examples_are_short() -> None:

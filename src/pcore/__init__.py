@@ -11,63 +11,108 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pcore.data.load import load_scene
+    from pcore.asset.asset import Asset, Posed
+    from pcore.asset.content import MovedPoints
+    from pcore.asset.importing import import_papr
+    from pcore.asset.saving import asset_of, load
+    from pcore.asset.training import RunOptions, estimate_light, finetune, train
+    from pcore.data.load import load_cameras, load_scene
     from pcore.data.scene import Scene
     from pcore.deform.base import Deformation
-    from pcore.editing.script import load_edit
+    from pcore.editing.animation import load_animation
+    from pcore.editing.diagnosis import diagnose
+    from pcore.editing.script import EditScript, load_edit, parse_edit
     from pcore.editing.session import EditSession
     from pcore.errors import PcoreError
-    from pcore.files.model_file import load_model
     from pcore.geometry.camera import Camera
+    from pcore.geometry.orbit import orbit_around
     from pcore.geometry.point_cloud import PointCloud
+    from pcore.geometry.posed import PosedCloud
     from pcore.geometry.rays import RayBundle
-    from pcore.model.papr import Papr, Rendering
-    from pcore.model.render import render
-    from pcore.training.finetune import finetune
+    from pcore.model.papr import Papr
+    from pcore.render.image import Image
+    from pcore.render.picture import render, render_rays
+    from pcore.training.config import FinetuneConfig, PretrainConfig
     from pcore.training.presets import finetune_preset, preset
     from pcore.training.pretrain import pretrain
 
     __version__: str
 
 __all__ = [
+    "Asset",
     "Camera",
     "Deformation",
+    "EditScript",
     "EditSession",
+    "FinetuneConfig",
+    "Image",
+    "MovedPoints",
     "Papr",
     "PcoreError",
     "PointCloud",
+    "Posed",
+    "PosedCloud",
+    "PretrainConfig",
     "RayBundle",
-    "Rendering",
+    "RunOptions",
     "Scene",
     "__version__",
+    "asset_of",
+    "diagnose",
+    "estimate_light",
     "finetune",
     "finetune_preset",
+    "import_papr",
+    "load",
+    "load_animation",
+    "load_cameras",
     "load_edit",
-    "load_model",
     "load_scene",
+    "orbit_around",
+    "parse_edit",
     "preset",
     "pretrain",
     "render",
+    "render_rays",
+    "train",
 ]
 
 _HOMES = {
+    "Asset": "pcore.asset.asset",
     "Camera": "pcore.geometry.camera",
     "Deformation": "pcore.deform.base",
+    "EditScript": "pcore.editing.script",
     "EditSession": "pcore.editing.session",
+    "FinetuneConfig": "pcore.training.config",
+    "Image": "pcore.render.image",
+    "MovedPoints": "pcore.asset.content",
     "Papr": "pcore.model.papr",
     "PcoreError": "pcore.errors",
     "PointCloud": "pcore.geometry.point_cloud",
+    "Posed": "pcore.asset.asset",
+    "PosedCloud": "pcore.geometry.posed",
+    "PretrainConfig": "pcore.training.config",
     "RayBundle": "pcore.geometry.rays",
-    "Rendering": "pcore.model.papr",
+    "RunOptions": "pcore.asset.training",
     "Scene": "pcore.data.scene",
-    "finetune": "pcore.training.finetune",
+    "asset_of": "pcore.asset.saving",
+    "diagnose": "pcore.editing.diagnosis",
+    "estimate_light": "pcore.asset.training",
+    "finetune": "pcore.asset.training",
     "finetune_preset": "pcore.training.presets",
+    "import_papr": "pcore.asset.importing",
+    "load": "pcore.asset.saving",
+    "load_animation": "pcore.editing.animation",
+    "load_cameras": "pcore.data.load",
     "load_edit": "pcore.editing.script",
-    "load_model": "pcore.files.model_file",
     "load_scene": "pcore.data.load",
+    "orbit_around": "pcore.geometry.orbit",
+    "parse_edit": "pcore.editing.script",
     "preset": "pcore.training.presets",
     "pretrain": "pcore.training.pretrain",
-    "render": "pcore.model.render",
+    "render": "pcore.render.picture",
+    "render_rays": "pcore.render.picture",
+    "train": "pcore.asset.training",
 }
 
 

@@ -28,26 +28,85 @@ def first_names(names: Iterable[str]) -> str:
 
 
 def read_json(path: Path, *, what: str, error: type[PcoreError]) -> Any:
-    """Parse a JSON file that a user gave.
+    """Parse a JSON file that a user gave, in UTF-8, UTF-16 or UTF-32, with or without a mark.
 
     Args:
         path: the file.
         what: what the file is to the user, for the message ("scene file", "edit file").
         error: the class to raise when the file is missing, unreadable or not JSON.
     """
+    where = f"{what} {path}"
+    return parse_json(read_text(path, where=where, error=error), where=where, error=error)
+
+
+def read_text(path: Path, *, where: str, error: type[PcoreError]) -> str:
+    """Read a text file that a user gave; its encoding is told by its first bytes, as in RFC 4627.
+
+    Editors and tools of Windows write a byte order mark, or UTF-16.
+
+    Args:
+        path: the file.
+        where: what the file is, with its path; starts the message.
+        error: the class to raise when it is missing, unreadable or no text.
+    """
     try:
-        text = path.read_text(encoding="utf-8")
+        content = path.read_bytes()
     except FileNotFoundError:
-        raise error(f"{what} {path}: no such file; check the path") from None
-    except (OSError, UnicodeDecodeError) as problem:
-        raise error(f"{what} {path}: cannot be read as UTF-8 text ({problem})") from problem
+        raise error(f"{where}: no such file; check the path") from None
+    except OSError as problem:
+        raise error(f"{where}: cannot be read ({problem.strerror})") from problem
+    encoding = json.detect_encoding(content)
+    try:
+        return content.decode(encoding).removeprefix("\ufeff")
+    except UnicodeDecodeError as problem:
+        name = encoding.upper().removesuffix("-SIG")
+        raise error(
+            f"{where}: expected text in UTF-8, got bytes that are not {name} "
+            f"(from byte {problem.start:,}); save it as UTF-8"
+        ) from problem
+
+
+def parse_json(text: str, *, where: str, error: type[PcoreError]) -> Any:
+    """Parse JSON text that a user gave.
+
+    Args:
+        text: the text.
+        where: what the text is, with its file; starts the message.
+        error: the class to raise when it is not JSON.
+    """
+    if not text.strip():
+        raise error(f"{where}: expected JSON, got an empty file; was it copied whole?")
     try:
         return json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as problem:
+    except json.JSONDecodeError as problem:
         raise error(
-            f"{what} {path}: expected JSON, got text that does not parse ({problem}); "
-            "was the file cut off?"
+            f"{where}: expected JSON, got text that does not parse {_broken(problem)}"
         ) from problem
+    except (RecursionError, ValueError) as problem:
+        raise error(
+            f"{where}: expected JSON, got text that does not parse: lists in lists too deep, or a "
+            "number of thousands of digits"
+        ) from problem
+
+
+def _broken(problem: json.JSONDecodeError) -> str:
+    """Where text stops being JSON, and why where that is known."""
+    text, at = problem.doc, problem.pos
+    rest = text[at:].lstrip()
+    # Whether the parser stops at a comma too many or behind it depends on the version of Python.
+    behind = rest.removeprefix(",").lstrip()
+    before = text[:at].rstrip().endswith(",") or rest.startswith(",")
+    if not rest:
+        reason = "where the text ends; was the file cut off?"
+    elif rest.startswith(("//", "/*", "#")):
+        reason = "where a comment begins, which JSON does not have; delete it"
+    elif before and behind.startswith(("]", "}")):
+        reason = f"where a comma stands before {behind[0]!r}; delete the comma"
+    elif rest.startswith("'"):
+        reason = "where a single quote stands; JSON has double quotes"
+    else:
+        reason = f"from {rest[:20].splitlines()[0]!r} on; was the file cut off or edited by hand?"
+    return f"at line {problem.lineno}, column {problem.colno}, {reason}"
 
 
 def parse(model: type[Model], data: object, *, where: str, error: type[PcoreError]) -> Model:
@@ -76,8 +135,10 @@ def describe_problem(problem: ValidationError) -> str:
     if first["type"] == "extra_forbidden":
         return f"'{field}' is not a known key{more}; remove it or mend its spelling"
     wanted = _KINDS.get(first["type"])
+    if first["type"] == "too_short":
+        wanted = f"a list of at least {first.get('ctx', {}).get('min_length', 1)}"
     message = f"expected {wanted}" if wanted else first["msg"]
-    got = repr(first["input"])
+    got = _JSON_NAMES.get(repr(first["input"]), repr(first["input"]))
     short = got if len(got) <= 60 else got[:57] + "..."
     return f"'{field}': {message}, got {short}{more}"
 
@@ -88,4 +149,14 @@ _KINDS = {
     "model_attributes_type": "a JSON object { ... }",
     "tuple_type": "a list [ ... ]",
     "list_type": "a list [ ... ]",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
 }
+_JSON_NAMES = {"None": "null", "True": "true", "False": "false"}

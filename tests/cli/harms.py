@@ -75,7 +75,7 @@ def frame(**changes: Any) -> Harm:
 
 def edit(content: object) -> Harm:
     """Replace the list of edits; other values than lists replace the file."""
-    whole = {"version": 1, "edits": content} if isinstance(content, list) else content
+    whole = {"version": 2, "edits": content} if isinstance(content, list) else content
     return lambda world: (world / "edit.json").write_text(json.dumps(whole))
 
 

@@ -24,7 +24,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def write_edit(folder: Path, *edits: dict) -> None:
-    (folder / "edit.json").write_text(json.dumps({"version": 1, "edits": edits}))
+    (folder / "edit.json").write_text(json.dumps({"version": 2, "edits": edits}))
 
 
 def run(folder: Path, source: str = "in.npy", output: str = "out.npy", **options) -> Path:
@@ -140,3 +140,97 @@ def test_bad_inputs(folder: Path):
     with pytest.raises(EditError, match=r"edit\.json: expected an edit file in JSON"):
         run(folder)
     assert not (folder / "out.npy").exists()
+
+
+# --- places far from the origin -----------------------------------------------------------------
+
+UTM = torch.tensor([512_345.0, 5_412_345.0, 432.0], dtype=torch.float64)
+AT_UTM = UTM.tolist()
+
+
+def write_far(folder: Path, name: str, offset: torch.Tensor, dtype: torch.dtype) -> torch.Tensor:
+    points = np.load(folder / "in.npy").astype(np.float64)
+    save_points(folder / name, (torch.from_numpy(points) + offset).to(dtype))
+    return torch.from_numpy(points)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1000.0])
+@pytest.mark.parametrize(
+    "edit",
+    [
+        {"type": "twist", "axis": "z", "angle_deg": 60},
+        {"type": "twist", "axis": [1, 2, 3], "angle_deg": 60},
+        {"type": "bend", "axis": "z", "angle_deg": 60},
+        {"type": "taper", "axis": "z", "factor": 0.5},
+        {"type": "stretch", "axis": "z", "factor": 0.5, "profile": "volume"},
+        {"type": "scale", "factor": 0.5},
+        {"type": "rigid", "axis": "y", "angle_deg": 20, "translation": [1, 0, 0]},
+    ],
+    ids=lambda edit: f"{edit['type']}-{edit.get('axis', '')}",
+)
+def test_far_off_points_move_as_they_do_at_the_origin(
+    folder: Path, capsys: pytest.CaptureFixture[str], edit: dict, scale: float
+):
+    offset = scale * UTM
+    write_far(folder, "far.npy", offset, torch.float64)
+    write_edit(folder, edit)
+    near = read_point_file(run(folder, output="near.npy")).positions
+    write_edit(folder, {**edit, "origin": offset.tolist()})
+    far = read_point_file(run(folder, "far.npy", "moved.npy")).positions
+    assert far.dtype == torch.float64
+    # The origin's own numbers have steps of 1e-9 and, a thousand times farther off, of 1e-6.
+    np.testing.assert_allclose(far - offset, near, atol=2e-7 + 4e-9 * scale)
+    assert "turns it inside out" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("axis", ["z", [1, 2, 3]])
+def test_turning_about_a_far_origin_is_a_shear_and_no_fold(
+    folder: Path, capsys: pytest.CaptureFixture[str], axis: object
+):
+    write_far(folder, "far.npy", UTM, torch.float64)
+    write_edit(folder, {**TWIST, "axis": axis})
+    run(folder, "far.npy")
+    shown = capsys.readouterr().out
+    assert "shears space more than a run can render at 100 of 100 points" in shown
+    assert 'is its "origin" far from them?' in shown
+    assert "turns it inside out" not in shown
+    assert np.load(folder / "out.npy").dtype == np.float64
+
+
+@pytest.mark.parametrize("matters", [{"type": "taper", "axis": "z", "factor": -2.5}])
+def test_folds_are_still_folds(folder: Path, capsys: pytest.CaptureFixture[str], matters: dict):
+    write_edit(folder, matters)
+    run(folder)
+    shown = capsys.readouterr().out
+    assert "flattens space or turns it inside out at" in shown
+    assert "shears" not in shown
+
+
+def test_maps_that_flatten_everything_are_refused_wherever_the_points_are(folder: Path):
+    write_far(folder, "far.npy", UTM, torch.float64)
+    write_edit(folder, {"type": "bend", "axis": "z", "angle_deg": 60})  # About the far origin.
+    with pytest.raises(EditError, match="turned inside out"):
+        run(folder, "far.npy")
+
+
+def test_coordinates_are_shown_with_the_digits_of_the_object(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+):
+    points = write_far(folder, "far.npy", UTM, torch.float64) + UTM
+    write_edit(folder, {**TWIST, "origin": AT_UTM})
+    run(folder, "far.npy")
+    shown = capsys.readouterr().out
+    number = float(shown.split("before: x ")[1].split(" ")[0])
+    assert number == pytest.approx(float(points[:, 0].min()), abs=1e-3)
+    assert "precision" not in shown
+
+
+def test_files_too_coarse_for_their_coordinates_are_told_of(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+):
+    write_far(folder, "far.npy", UTM, torch.float32)
+    write_edit(folder, {**TWIST, "origin": AT_UTM})
+    run(folder, "far.npy")
+    shown = capsys.readouterr().out
+    assert "numbers of the file's precision are 0.65 apart at these coordinates" in shown
+    assert "write it in double precision or near the origin" in shown

@@ -8,10 +8,12 @@ import pytest
 from rich.console import Console
 
 import tiny_scene
-from pcore.cli import demo
-from pcore.cli.demo import DemoSettings, make_demo
-from pcore.cli.demo_folder import DemoFolder, peak_memory, stamp_of
+from pcore.cli.demo import make_demo
 from pcore.cli.main import main
+from pcore.demo import demo_settings
+from pcore.demo.demo_folder import DemoFolder, stamp_of
+from pcore.demo.demo_settings import DemoSettings
+from pcore.demo.machine import peak_memory
 from pcore.errors import DependencyError, InputError
 from pcore.evaluation import report
 from pcore.sample import sample
@@ -49,7 +51,7 @@ def _box_for_sample(monkeypatch: pytest.MonkeyPatch) -> None:
         return root
 
     monkeypatch.setattr(sample, "make_sample", make_box)
-    monkeypatch.setattr(demo, "default_settings", lambda: SETTINGS)
+    monkeypatch.setattr(demo_settings, "default_settings", lambda: SETTINGS)
 
 
 def test_the_whole_story(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

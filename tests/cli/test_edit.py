@@ -1,4 +1,4 @@
-"""`pcore edit apply | list | validate | upgrade`."""
+"""`pcore edit apply | list | validate`."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,6 @@ from toys import write_run, write_scene
 
 from pcore.cli.main import main
 from pcore.data.points import read_point_file
-from pcore.editing.script import load_edit
 
 SHIFT = {"type": "rigid", "translation": [0, 0, 0.2]}
 LOW = {"shape": "half_space", "normal": [0, 0, -1], "origin": [0, 0, -0.3], "falloff": 1.2}
@@ -134,7 +133,7 @@ def test_apply_at_a_time(folder: Path, capsys: pytest.CaptureFixture[str]):
     words = [folder / "points.npy", "--edit", edit, "-o", output]
     code, shown = call(capsys, "apply", *words)
     assert code == 2
-    assert "expected --time between 0 and 2, because it has keyframes, got none" in shown
+    assert "expected --time between 0 and 2 (time= in Python), because it has keyframes" in shown
     assert not output.exists()
     assert call(capsys, "apply", *words, "--time", 1)[0] == 0
     np.testing.assert_allclose(np.load(output), 2 * np.load(folder / "points.npy"), rtol=1e-6)
@@ -187,30 +186,6 @@ def test_validating(folder: Path, capsys: pytest.CaptureFixture[str]):
     assert "expected numbers from 0 to 39" in shown
     write_edit(folder, {"type": "shear"})
     assert call(capsys, "validate", edit)[0] == 2
-
-
-def test_upgrading(folder: Path, capsys: pytest.CaptureFixture[str]):
-    old = folder / "old.json"
-    old.write_text(json.dumps({"version": 1, "edits": [SHIFT]}))
-    before = load_edit(old)
-    code, shown = call(capsys, "upgrade", old, "-o", folder / "new.json")
-    assert code == 0
-    assert "version 1 -> 2" in shown
-    assert json.loads((folder / "new.json").read_text())["version"] == 2
-    assert load_edit(folder / "new.json") == before
-    assert json.loads(old.read_text())["version"] == 1
-    call(capsys, "upgrade", old)
-    assert load_edit(old) == before
-    assert json.loads(old.read_text())["version"] == 2
-
-
-def test_upgrading_keeps_keyframes(folder: Path, capsys: pytest.CaptureFixture[str]):
-    track = {"keyframes": [[0, 1], [2, 3]], "easing": "in"}
-    edit = write_edit(folder, {"type": "scale", "factor": track})
-    code, shown = call(capsys, "upgrade", edit, "-o", folder / "new.json")
-    assert code == 0
-    assert "version 2 -> 2" in shown
-    assert json.loads((folder / "new.json").read_text())["edits"][0]["factor"] == track
 
 
 def test_validating_looks_at_all_keys_and_between(folder: Path, capsys: pytest.CaptureFixture[str]):

@@ -126,7 +126,7 @@ def test_the_preset_of_a_run_without_one_is_the_papers(
     def note(*args: object, **options: object) -> None:
         seen.append(args)
 
-    monkeypatch.setattr("pcore.cli.sessions.run_session", note)
+    monkeypatch.setattr("pcore.asset.training.finetune", note)
     monkeypatch.setattr("pcore.cli.sessions.show_result", note)
     monkeypatch.setattr("pcore.cli.finetune.check_weights", note)
     monkeypatch.setattr("pcore.cli.light.try_light", note)

@@ -13,10 +13,12 @@ from pcore.files.official import to_official_state
 from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels import backends
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
+from pcore.render.trace import trace
 
 CONFIG = PaprConfig(
     neighbours=3,
@@ -44,7 +46,7 @@ def test_info_tells_stage_points_settings_and_scores(
         came = provenance_of(cloud, CONFIG, scene="lego", stage="finetune", step=500)
         run.save_model(Papr(CONFIG).state_dict(), cloud, CONFIG, came)
         run.update(status="finished", scores={"psnr": 25.5})
-    assert main(["info", str(path)]) == 0
+    assert main(["info", str(path), "--settings"]) == 0
     rows = {line.split(maxsplit=1)[0]: line for line in capsys.readouterr().out.splitlines()}
     assert rows["stage"].split() == ["stage", "finetune"]
     assert rows["status"].split() == ["status", "finished"]
@@ -92,14 +94,19 @@ def test_doctor_reports_everything(
     ):
         assert name in shown
     assert torch.__version__ in shown
+    assert "LPIPS      no weights of alex, squeeze, vgg" in shown
+    assert "`pcore doctor --weights` says which files go where" in shown
+    assert main(["doctor", "--weights"]) == 0
+    shown = capsys.readouterr().out
     assert "LPIPS vgg      missing" in shown
     assert "PCORE_LPIPS_DIR" in shown
 
 
 def test_doctor_finds_weights(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PCORE_LPIPS_DIR", str(shared_data / "lpips"))
-    found = {item.name: item for item in doctor.examine() if item.name.startswith("LPIPS")}
-    assert any(item.good and str(shared_data) in item.value for item in found.values())
+    assert any(item.good and str(shared_data) in item.value for item in doctor.weight_files())
+    (found,) = [item for item in doctor.examine() if item.name == "LPIPS"]
+    assert "no weights" not in found.value.split(", ")[0]
 
 
 def test_doctor_names_the_extra_of_a_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,7 +158,7 @@ def test_doctor_reports_a_backend_that_cannot_work(
         assert said in shown
         assert "none for cpu" in shown
         assert not kernels()["search"].good
-        assert "LPIPS alex" in shown, "the report goes on"
+        assert "LPIPS" in shown, "the report goes on"
 
 
 def kernels() -> dict[str, doctor.Finding]:
@@ -216,9 +223,11 @@ def test_an_import_may_slide_all_origins(tmp_path: Path, cloud: PointCloud) -> N
     for run, same in (("slid", True), ("run", False)):
         saved = load_model(tmp_path / run)
         near, away = (
-            saved.papr()
-            .attend(saved.cloud, RayBundle(origins=-distance * ray, directions=ray))[0]
-            .features.detach()
+            trace(
+                saved.papr(),
+                PosedCloud.at_rest(saved.cloud),
+                RayBundle(origins=-distance * ray, directions=ray),
+            ).features
             for distance in (3.0, 6.0)
         )
         assert torch.allclose(near, away, atol=1e-4) == same
@@ -234,3 +243,18 @@ def test_a_reference_center_needs_its_distance(
     assert main(["import", "papr", *words, "-o", str(tmp_path / "run")]) != 0
     assert "positive distance of the reference origin" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_doctor_says_what_draws_gaussians(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pcore.cli import doctor_gaussians
+
+    found = doctor._gaussians()
+    assert found.good
+    assert found.value.startswith("cpu (numba")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(doctor_gaussians, "find_spec", lambda name: None)
+    assert "pcore-edit[gsplat]" in doctor._gaussians().advice
+    monkeypatch.setattr(doctor_gaussians, "find_spec", lambda name: name)
+    monkeypatch.setattr(doctor_gaussians, "_built", lambda: False)
+    monkeypatch.setattr(doctor_gaussians.shutil, "which", lambda name: None)
+    assert "nvcc is not found" in doctor_gaussians.gaussian_report(lambda name: "1")[1]

@@ -26,6 +26,7 @@ def fields(count: int = 12) -> list:
     return [sample_deformation(generator, lower, upper, POINTS, ranges) for _ in range(count)]
 
 
+@pytest.mark.learned
 def test_it_gets_better_on_deformations_it_has_not_seen() -> None:
     start = untrained_skinning(DISTANCE, CONFIG)
     losses: list[float] = []
@@ -33,6 +34,7 @@ def test_it_gets_better_on_deformations_it_has_not_seen() -> None:
     before, after = (
         skinning_error(POINTS, one(POINTS), DISTANCE.anchors, fields()) for one in (start, fitted)
     )
+    # Over 6 seeds 0.61 to 0.70.
     assert after < 0.85 * before
     assert len(losses) == 80
     # What was handed in stays as it was.

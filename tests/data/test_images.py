@@ -7,14 +7,8 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from pcore.data.images import (
-    ImageCache,
-    area_downscale,
-    background_color,
-    composite,
-    read_header,
-    read_rgba,
-)
+from pcore.data.image_files import read_header, read_rgba
+from pcore.data.images import ImageCache, area_downscale, background_color, composite
 from pcore.errors import InputError, SceneError
 
 

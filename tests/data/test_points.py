@@ -167,9 +167,12 @@ def test_damaged_arrays(tmp_path: Path):
     path = tmp_path / "a.npy"
     save_points(path, POINTS)
     whole = path.read_bytes()
-    for content in (whole[:-5], whole[:20], b"", b"not numpy"):
+    for content in (whole[:-5], whole[:20], b"not numpy"):
         path.write_bytes(content)
-        assert "damaged or holds something else" in refusal(path)
+        assert "damaged or holds something else; write it again" in refusal(path)
+    for content, known in ((b"", "an empty file"), (b"ply\n", "a PLY file"), (b"{}", "JSON text")):
+        path.write_bytes(content)
+        assert f"(pickles are never read), got {known}; write it" in refusal(path)
     np.savez(tmp_path / "b.npz", points=POINTS.numpy())
     (tmp_path / "b.npz").rename(path)
     assert "expected one NumPy array (N, 3), got an archive (.npz) of them" in refusal(path)
@@ -179,15 +182,24 @@ def test_damaged_plys(tmp_path: Path):
     path = tmp_path / "a.ply"
     save_points(path, POINTS, COLORS, FACES)
     whole = path.read_bytes()
-    for content in (whole[:-5], whole[: len(whole) // 2], b"", b"ply", b"not a ply"):
+    for content, said in (
+        (whole[:-5], "expected 2 of the PLY element 'face' as its header says, got 1"),
+        (whole[: len(whole) // 2], "whose header has no end; the file is cut short"),
+        (b"", "expected a PLY with vertices x, y, z, got an empty file"),
+        (b"ply", "expected a PLY with vertices x, y, z"),
+        (b"not a ply", "got a file that does not begin with a line 'ply'"),
+    ):
         path.write_bytes(content)
-        assert "expected a PLY with vertices x, y, z" in refusal(path)
+        assert said in refusal(path)
 
 
 @pytest.mark.parametrize(
     ("body", "expected"),
     [
-        ("end_header\n0 0 0\n1 0 0\n", "expected 4 vertices as its header says, got 2"),
+        (
+            "end_header\n0 0 0\n1 0 0\n",
+            "expected 4 of the PLY element 'vertex' as its header says, got 2",
+        ),
         ("end_header\n0 0 0\n1 0 0\n1 0 nan\n1 2 3\n", "NaN or infinity in 1 of 4 points"),
         (
             "element face 1\nproperty list uchar int vertex_indices\nend_header\n"

@@ -33,6 +33,6 @@ def test_edit_files_move_every_vertex_as_blender_did(shared_data: Path, name: st
         canonical = torch.from_numpy(meshes["canonical"])
         expected = torch.from_numpy(meshes[state])
     # Strict: these must also be maps that a run may render.
-    deformation = parse_edit({"version": 1, "edits": [edit_of(settings)]}).bind(canonical)
+    deformation = parse_edit({"version": 2, "edits": [edit_of(settings)]}).bind(canonical)
     error = (deformation(canonical) - expected).abs().max()
     assert float(error) < 1e-5 * float(expected.amax() - expected.amin())

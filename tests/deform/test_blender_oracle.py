@@ -106,7 +106,7 @@ def test_the_edit_file_agrees_with_blender(shared_data: Path, case: str):
         edit["angle_deg"] = float(np.rad2deg(settings["value"]))
     else:
         edit["factor"] = settings["value"]
-    script = parse_edit({"version": 1, "edits": [edit]})
+    script = parse_edit({"version": 2, "edits": [edit]})
     # Several of these cases fold the cube on purpose; Blender does not mind.
     deformation = script.bind(arrays["vertices"], allow_folds=True)
     assert relative_error(deformation(arrays["vertices"]), arrays["deformed"]) < 1e-5

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from pcore.deform.base import Compose
-from pcore.deform.checks import count_folded
+from pcore.deform.checks import count_folds
 from pcore.deform.jacobian import fitted_maps
 from pcore.deform.scattered import PointMotion, Scattered, scalar_slopes
 from pcore.deform.simple import rigid, uniform_scale
@@ -105,7 +105,7 @@ def test_maps_that_were_given_are_replaced_where_they_fold_and_only_there():
     slopes[5] *= 2.0
     motion = PointMotion(points, MOTION(points), slopes)
     assert motion.mended(points).nonzero().squeeze(-1).tolist() == [3, 40, 77]
-    assert count_folded(motion, points) == 0
+    assert count_folds(motion, points).folded == 0
     found = motion.jacobian(points)
     torch.testing.assert_close(found[[3, 40, 77]], MOTION.jacobian(points[:3]), rtol=0, atol=1e-6)
     torch.testing.assert_close(found[5], slopes[5])
@@ -135,7 +135,7 @@ def test_a_half_turn_half_way_has_maps_that_can_be_undone():
     turn = rigid((0, 0, 1), torch.pi)
     halved = PointMotion(points, turn(points), turn.jacobian(points)).eased(0.5)
     assert bool(halved.mended(points).all())
-    assert count_folded(halved, points) == 0
+    assert count_folds(halved, points).folded == 0
 
 
 def test_points_that_all_went_to_one_place_are_folded():
@@ -143,13 +143,13 @@ def test_points_that_all_went_to_one_place_are_folded():
     assert not bool(linear.any())
     assert not bool(mended.any())
     motion = PointMotion(filled(), torch.ones(600, 3).double())
-    assert count_folded(motion, filled()) == 600
+    assert count_folds(motion, filled()).folded == 600
 
 
 def test_a_mirrored_motion_is_folded_everywhere():
     points = filled()
     mirrored = PointMotion(points, points * torch.tensor([1.0, 1.0, -1.0]).double())
-    assert count_folded(mirrored, points) == 600
+    assert count_folds(mirrored, points).folded == 600
 
 
 def test_slopes_of_a_value():

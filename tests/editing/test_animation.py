@@ -62,7 +62,7 @@ def test_a_still_edit_is_an_animation_too():
     assert (made.start, made.end) == (0, 0)
     assert made.times(3) == [0, 0, 0]
     assert made.at(7) == parse_edit(
-        {"version": 1, "edits": [{"type": "twist", "axis": "z", "angle_deg": 40}]}
+        {"version": 2, "edits": [{"type": "twist", "axis": "z", "angle_deg": 40}]}
     )
 
 
@@ -125,10 +125,7 @@ def test_a_value_that_only_some_frames_have_is_checked_at_the_keys():
         parse_animation(data)
 
 
-def test_version_1_has_no_keyframes():
-    data = {"version": 1, "edits": [{"type": "scale", "factor": track([0, 1], [1, 2])}]}
-    with pytest.raises(EditError, match='keyframes need "version": 2, got 1'):
-        parse_animation(data)
+def test_a_film_has_a_frame():
     with pytest.raises(InputError, match="frames: expected a whole number of at least 1, got 0"):
         animation(3).times(0)
 

@@ -10,9 +10,9 @@ import torch
 import trimesh
 from tests.cli.toys import write_run
 
+import pcore
 from pcore.editing.animation import parse_animation
 from pcore.editing.session import EditSession
-from pcore.files.model_file import load_model
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide"
 
@@ -65,7 +65,7 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> torch.Tensor:
     for name in ("toy-pcore", "knight"):
         write_run(tmp_path / "runs" / name, points=400)
     trimesh.creation.icosphere(subdivisions=2).export("cage.ply")
-    return load_model("runs/toy-pcore").cloud.positions
+    return pcore.load("runs/toy-pcore").points
 
 
 def test_the_session_of_the_guide_runs(runs: torch.Tensor):
@@ -86,6 +86,6 @@ def test_the_drag_of_the_guide_runs(runs: torch.Tensor):
     names: dict[str, object] = {}
     exec(compile(python_of("anchors.md")[0], "anchors.md", "exec"), names)
     moved = names["moved"]
-    rest = load_model("runs/knight").cloud.positions
+    rest = pcore.load("runs/knight").points
     assert isinstance(moved, torch.Tensor)
     assert float((moved - rest).norm(dim=-1).max()) > 0.3

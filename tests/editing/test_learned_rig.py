@@ -9,6 +9,7 @@ import pytest
 import torch
 from tests.cli.toys import write_run
 
+import pcore
 from pcore.cli.main import main
 from pcore.contrib.learned_skinning import SkinningConfig, untrained_skinning
 from pcore.data.points import load_points
@@ -16,7 +17,6 @@ from pcore.deform.anchor_distance import path_distance
 from pcore.editing.anchors import AnchorRig, rig_with
 from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.regions import Setting
-from pcore.editing.runs import learned_rig
 from pcore.editing.script import EditScript, parse_edit
 from pcore.editing.session import EditSession
 from pcore.errors import EditError
@@ -112,7 +112,8 @@ def test_points_of_another_run(points: torch.Tensor) -> None:
 
 
 def test_a_run_without_skinning_has_none(tmp_path: Path) -> None:
-    assert learned_rig(tmp_path, BAR) is None
+    write_run(tmp_path / "run")
+    assert pcore.load(tmp_path / "run").rig is None
 
 
 def test_a_session_of_a_run_gives_the_points_of_the_commands(tmp_path: Path) -> None:
@@ -126,7 +127,7 @@ def test_a_session_of_a_run_gives_the_points_of_the_commands(tmp_path: Path) -> 
     place = points[points[:, 0].argmax()]
     drag = {"near": place.tolist(), "to": (place + torch.tensor([0, 0, 0.3])).tolist()}
     edit = {"type": "anchors", "count": 30, "handles": [drag]}
-    found = EditSession.of_run(str(run)).do(edit).points
+    found = pcore.load(run).session().do(edit).points
     file, out = tmp_path / "edit.json", tmp_path / "moved.npy"
     script(edit).save(file)
     assert main(["edit", "apply", str(run), "--edit", str(file), "-o", str(out)]) == 0

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from pcore.deform.base import Compose
 from pcore.deform.weighted import Held
 from pcore.editing.reading import parse_region
 from pcore.editing.regions import Setting, bind_region
@@ -178,33 +177,6 @@ def test_round_trip_with_files_named_from_the_edit_file(tmp_path: Path):
 def test_scripts_differ_by_what_they_freeze():
     assert script(SHIFT) != script(SHIFT, freeze=[SPHERE])
     assert script(SHIFT) == script({**SHIFT, "freeze": []}, freeze=[])
-
-
-def test_version_1_means_what_it_meant():
-    points = cloud()
-    content = {"version": 1, "edits": [SHIFT, {"type": "scale", "factor": 2}]}
-    old = parse_edit(content)
-    assert isinstance(old.bind(points), Compose)
-    assert json.loads(old.to_json())["version"] == 1
-    assert old.upgraded() == old
-    assert json.loads(old.upgraded().to_json())["version"] == 2
-    assert torch.equal(old.upgraded().bind(points)(points), old.bind(points)(points))
-
-
-@pytest.mark.parametrize(
-    ("content", "expected"),
-    [
-        ({"edits": [{**SHIFT, "region": SPHERE}]}, 'unknown key "region" for a rigid, expected'),
-        ({"edits": [{**SHIFT, "region": SPHERE}]}, 'regions need "version": 2'),
-        ({"edits": [], "freeze": []}, 'unknown key "freeze", expected only "version" and "edits"'),
-        ({"edits": [], "freeze": []}, '(they need "version": 2)'),
-        ({"edits": [{"type": "part"}]}, 'got "part"; it needs "version": 2'),
-    ],
-)
-def test_version_1_has_no_regions(content: dict, expected: str):
-    with pytest.raises(EditError) as caught:
-        parse_edit({"version": 1, **content}, source="edit.json")
-    assert expected in str(caught.value)
 
 
 @pytest.mark.parametrize(

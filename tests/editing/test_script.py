@@ -15,7 +15,7 @@ from pcore.editing.script import EditScript, check_invertible, load_edit, parse_
 from pcore.errors import EditError
 
 FULL = {
-    "version": 1,
+    "version": 2,
     "edits": [
         {"type": "twist", "axis": "x", "angle_deg": 60, "origin": [0, 0.1, 0], "lock": ["y"]},
         {"type": "bend", "axis": [1, 2, 3], "angle_deg": -20.5, "limits": [0.2, 0.8]},
@@ -33,7 +33,7 @@ def cloud() -> torch.Tensor:
 
 
 def one(**edit) -> EditScript:
-    return parse_edit({"version": 1, "edits": [edit]})
+    return parse_edit({"version": 2, "edits": [edit]})
 
 
 def message(content: object) -> str:
@@ -43,7 +43,7 @@ def message(content: object) -> str:
 
 
 def edit_message(**edit) -> str:
-    return message({"version": 1, "edits": [{"type": "scale", "factor": 2}, edit]})
+    return message({"version": 2, "edits": [{"type": "scale", "factor": 2}, edit]})
 
 
 def test_a_twist_takes_its_extent_from_the_points():
@@ -117,14 +117,14 @@ def test_scale_and_rigid():
 
 
 def test_no_edits_is_the_identity():
-    assert parse_edit({"version": 1, "edits": []}).bind(cloud()) == Identity()
+    assert parse_edit({"version": 2, "edits": []}).bind(cloud()) == Identity()
 
 
 def test_edits_act_in_order_and_each_measures_what_arrives():
     points = cloud()
     bound = parse_edit(
         {
-            "version": 1,
+            "version": 2,
             "edits": [
                 {"type": "scale", "factor": 2},
                 {"type": "twist", "axis": "z", "angle_deg": 60},
@@ -149,7 +149,7 @@ def test_binding_freezes_the_map():
 
 @pytest.mark.parametrize("single", [None, *range(7)])
 def test_round_trip(tmp_path: Path, single: int | None):
-    content = FULL if single is None else {"version": 1, "edits": [FULL["edits"][single]]}
+    content = FULL if single is None else {"version": 2, "edits": [FULL["edits"][single]]}
     script = parse_edit(content)
     script.save(tmp_path / "edit.json")
     again = load_edit(tmp_path / "edit.json")
@@ -165,7 +165,7 @@ def test_round_trip(tmp_path: Path, single: int | None):
 
 def test_json_says_all_that_was_given():
     saved = json.loads(parse_edit(FULL).to_json())
-    assert saved["version"] == 1
+    assert saved["version"] == 2
     for given, kept in zip(FULL["edits"], saved["edits"], strict=True):
         assert given.items() <= kept.items()
         assert None not in kept.values()
@@ -194,18 +194,20 @@ def test_a_byte_order_mark_is_fine(tmp_path: Path):
     [
         ([], 'edit.json: expected an object {"version": 2, "edits": [...]}, got []'),
         (None, "got null"),
-        ({"edits": []}, 'expected "version": 1 or 2, got no such key'),
-        ({"version": 3, "edits": []}, 'expected "version": 1 or 2, got 3; this pcore reads no'),
-        ({"version": [2], "edits": []}, 'expected "version": 1 or 2, got [2]'),
-        ({"version": "1", "edits": []}, 'expected "version": 1 or 2, got "1"'),
-        ({"version": True, "edits": []}, 'expected "version": 1 or 2, got true'),
-        ({"version": 1}, 'expected "edits": a list of edits, got no such key'),
-        ({"version": 1, "edits": {}}, 'expected "edits": a list of edits, got {}'),
+        ({"edits": []}, 'expected "version": 2, got no such key'),
+        ({"version": 3, "edits": []}, 'expected "version": 2, got 3; this pcore reads no'),
+        ({"version": 1, "edits": []}, 'expected "version": 2, got 1; this pcore reads no'),
+        ({"version": 2.0, "edits": []}, 'expected "version": 2, got 2.0'),
+        ({"version": [2], "edits": []}, 'expected "version": 2, got [2]'),
+        ({"version": "1", "edits": []}, 'expected "version": 2, got "1"'),
+        ({"version": True, "edits": []}, 'expected "version": 2, got true'),
+        ({"version": 2}, 'expected "edits": a list of edits, got no such key'),
+        ({"version": 2, "edits": {}}, 'expected "edits": a list of edits, got {}'),
         (
-            {"version": 1, "edits": [], "edit": []},
-            'unknown key "edit", expected only "version" and "edits"',
+            {"version": 2, "edits": [], "edit": []},
+            'unknown key "edit", expected only "version", "edits" and "freeze"',
         ),
-        ({"version": 1, "edits": [7]}, "edit 1: expected an object, got 7"),
+        ({"version": 2, "edits": [7]}, "edit 1: expected an object, got 7"),
     ],
 )
 def test_bad_scripts(content: object, expected: str):
@@ -223,7 +225,7 @@ def test_bad_scripts(content: object, expected: str):
         ({"type": "taper", "axis": "x"}, '(taper): key "factor": expected a finite number, got no'),
         (
             {"type": "twist", "axis": "x", "factor": 2, "angle_deg": 3},
-            'unknown key "factor" for a twist, expected only "origin", "axis", "limits"',
+            'unknown key "factor" for a twist, expected only "region", "freeze", "origin", "axis"',
         ),
         (
             {"type": "bend", "axis": "x", "angle_deg": 3, "profile": "axial"},
@@ -308,12 +310,12 @@ def test_a_tilted_axis_has_nothing_to_lock():
     [
         (b"{", "expected an edit file in JSON, got invalid JSON"),
         (b"", "expected an edit file in JSON, got invalid JSON"),
-        (b"\xff\xfe\x00", "cannot read the edit file, expected JSON text"),
+        (b"\xff\xfe\x00", "expected text in UTF-8, got bytes that are not UTF-16"),
         (b"[" * 200_000, "got invalid JSON"),
         (b'{"version": ' + b"9" * 5000 + b"}", "got invalid JSON"),
-        (b'{"version": 1, "version": 1, "edits": []}', 'got "version" twice in one object'),
+        (b'{"version": 1, "version": 2, "edits": []}', 'got "version" twice in one object'),
         (
-            b'{"version": 1, "edits": [{"type": "scale", "factor": NaN}]}',
+            b'{"version": 2, "edits": [{"type": "scale", "factor": NaN}]}',
             'edit 1 (scale): key "factor": expected a finite number above 0',
         ),
     ],
@@ -330,7 +332,7 @@ def test_bad_files(tmp_path: Path, content: bytes, expected: str):
 def test_missing_files_and_folders(tmp_path: Path):
     with pytest.raises(EditError, match=r"none\.json: edit file not found; expected a JSON file"):
         load_edit(tmp_path / "none.json")
-    with pytest.raises(EditError, match="cannot read the edit file"):
+    with pytest.raises(EditError, match=r": cannot be read"):
         load_edit(tmp_path)
     script = one(type="scale", factor=2)
     with pytest.raises(EditError, match="expected an existing folder to write to"):
@@ -340,7 +342,7 @@ def test_missing_files_and_folders(tmp_path: Path):
 
 
 def bind_message(points: torch.Tensor, edit: dict, **options) -> str:
-    content = {"version": 1, "edits": [{"type": "scale", "factor": 2}, edit]}
+    content = {"version": 2, "edits": [{"type": "scale", "factor": 2}, edit]}
     with pytest.raises(EditError) as caught:
         parse_edit(content, source="edit.json").bind(points, **options)
     return str(caught.value)

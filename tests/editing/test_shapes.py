@@ -1,5 +1,6 @@
 """Edits that come from files: cage, mesh, displacement."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -138,7 +139,7 @@ def test_pairs_that_do_not_fit(kind: str, before: str, after: str, expected: str
     trimesh.Trimesh(mesh.vertices, np.roll(mesh.faces, 1, axis=0), process=False).export(
         "order.ply"
     )
-    text = Path("before.obj").read_text().replace("v 0.", "v nan ", 1)
+    text = re.sub(r"v \S+", "v nan", Path("before.obj").read_text(), count=1)
     Path("nan.obj").write_text(text)
     trimesh.PointCloud(mesh.vertices).export("bare.ply")
     Path("text.obj").write_text("hello")
@@ -419,3 +420,11 @@ def test_a_mesh_that_was_written_anew_is_read_anew():
     mesh.export("after.ply")
     again = session.preview(KINDS[0]).points
     torch.testing.assert_close(again, first + torch.tensor([0, 0, 1.0]))
+
+
+@pytest.mark.parametrize("kind", ["cage", "mesh"])
+@pytest.mark.parametrize("path", ["a\0.ply", ""])
+def test_texts_that_are_no_paths(kind: str, path: str):
+    for key, pair in (("before", (path, "after.ply")), ("after", ("before.ply", path))):
+        with pytest.raises(EditError, match=f'key "{key}": expected the path of a mesh'):
+            script(type=kind, before=pair[0], after=pair[1])

@@ -27,7 +27,6 @@ def small_presets() -> dict[str, Callable[[str], Any]]:
     """What takes the place of functions in `pcore.training.presets`.
 
     Pre-training has everything that a state must remember: random draws, points that come and go.
-    Fine-tuning keeps an average of weights.
     """
     training = replace(
         presets.TINY,
@@ -42,7 +41,6 @@ def small_presets() -> dict[str, Callable[[str], Any]]:
     tuning = replace(
         presets.finetune_preset("tiny"),
         patch=PatchConfig(side=12),
-        average=0.9,
         validate_every=40,
         save_every=4,
     )

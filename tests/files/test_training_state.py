@@ -33,9 +33,13 @@ def make_state(step: int = 3, **changes: object) -> TrainingState:
         "cloud": {"positions": torch.randn(4, 3)},
         "optimisers": {"networks": adam.state_dict()},
         "generators": generator_states({"patches": torch.Generator().manual_seed(5)}),
-        "average": {"weight": torch.randn(2, 3)},
-        "best": {"psnr": 21.5, "step": 2, "weights": {"w": torch.zeros(2)}},
-        "counters": {"numpy": np.random.default_rng(0).bit_generator.state, "order": [2, 0, 1]},
+        "best": {
+            "psnr": 21.5,
+            "step": 2,
+            "weights": {"w": torch.zeros(2)},
+            "numpy": np.random.default_rng(0).bit_generator.state,
+            "order": [2, 0, 1],
+        },
         "skinning": {"layers.0.weight": torch.randn(2, 2)},
     }
     return TrainingState(**{**values, **changes})
@@ -66,21 +70,17 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     state, path = make_state(), tmp_path / "state.pt"
     save_state(path, state)
     loaded = load_state(path)
-    for name in ("stage", "step", "cloud", "generators", "average", "best", "counters", "skinning"):
+    for name in ("stage", "step", "cloud", "generators", "best", "skinning"):
         assert_same(getattr(state, name), getattr(loaded, name))
     assert_same(dict(state.papr), loaded.papr)
     assert_same(state.optimisers, loaded.optimisers)
 
 
-def test_states_of_version_1_have_no_skinning(tmp_path: Path) -> None:
-    state, path = make_state(), tmp_path / "state.pt"
-    save_state(path, state)
+def test_a_state_without_an_entry(tmp_path: Path) -> None:
+    path = tmp_path / "state.pt"
+    save_state(path, make_state())
     content = torch.load(path, weights_only=True)
     del content["state"]["skinning"]
-    torch.save({**content, "version": 1}, path)
-    loaded = load_state(path)
-    assert_same(dict(state.papr), loaded.papr)
-    assert loaded.skinning == {}
     torch.save(content, path)
     assert "missing, unknown or ill-typed entries skinning" in error_of(path)
 
@@ -122,14 +122,14 @@ def test_an_optimiser_goes_on_bitwise_as_if_never_stopped(tmp_path: Path) -> Non
 
 def test_views_do_not_drag_their_storage_into_the_file(tmp_path: Path) -> None:
     path = tmp_path / "state.pt"
-    save_state(path, make_state(average={"w": torch.randn(1_000_000)[:10]}))
+    save_state(path, make_state(best={"w": torch.randn(1_000_000)[:10]}))
     assert path.stat().st_size < 100_000
-    assert load_state(path).average["w"].shape == (10,)
+    assert load_state(path).best["w"].shape == (10,)
 
 
 def test_objects_are_refused_when_saving_and_named(tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match=r"state\.counters\.mean is a float64"):
-        save_state(tmp_path / "state.pt", make_state(counters={"mean": np.float64(1.0)}))
+    with pytest.raises(TypeError, match=r"state\.best\.mean is a float64"):
+        save_state(tmp_path / "state.pt", make_state(best={"mean": np.float64(1.0)}))
     assert not (tmp_path / "state.pt").exists()
 
 
@@ -148,7 +148,7 @@ def test_truncated(tmp_path: Path, share: float) -> None:
 
 def test_a_flipped_bit_is_found(tmp_path: Path) -> None:
     path, weights = tmp_path / "state.pt", torch.randn(1000)
-    save_state(path, make_state(average={"w": weights}))
+    save_state(path, make_state(best={"w": weights}))
     content = bytearray(path.read_bytes())
     content[content.index(weights.numpy().tobytes()) + 400] ^= 1
     path.write_bytes(content)
@@ -175,8 +175,8 @@ def test_a_pickle_that_is_no_state_is_not_executed(tmp_path: Path) -> None:
     [
         ({"weights": 1}, "is not a training state of pcore"),
         (torch.zeros(2), "is not a training state of pcore"),
-        ({"format": "pcore-state", "version": 3}, "has version 3 of the state format"),
-        ({"format": "pcore-state", "version": 1, "state": {"step": 1.5}}, "entries average"),
+        ({"format": "pcore-state", "version": 2}, "has version 2 of the state format"),
+        ({"format": "pcore-state", "version": 3, "state": {"step": 1.5}}, "entries best"),
     ],
 )
 def test_not_ours_or_of_another_version(tmp_path: Path, content: object, message: str) -> None:

@@ -1,6 +1,7 @@
 """Cameras along a path."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -37,3 +38,17 @@ def test_one_camera_stands():
     assert path_through([camera], 3) == [camera] * 3
     with pytest.raises(InputError, match="expected at least one camera and one frame, got 0"):
         path_through([], 3)
+
+
+def test_a_zoom_changes_evenly():
+    (camera, _) = orbit(2)
+    near = replace(camera, fx=2 * camera.fx, fy=2 * camera.fy, cx=camera.cx + 1)
+    path = path_through([camera, near], 3)
+    assert [one.fx for one in path] == pytest.approx([camera.fx, 1.5 * camera.fx, 2 * camera.fx])
+    assert [one.cx for one in path] == pytest.approx([4.0, 4.5, 5.0])
+
+
+def test_pictures_of_several_sizes_are_no_path():
+    (camera, other) = orbit(2)
+    with pytest.raises(InputError, match="pictures of one size, got 8 x 6 and 16 x 12; give a s"):
+        path_through([camera, other.resized(16, 12)], 3)

@@ -18,7 +18,7 @@ from pcore.files.model_file import load_model
 from pcore.files.run_folder import RunFolder
 from pcore.model.papr import Papr
 from pcore.training import finetune as module
-from pcore.training import loop, objective
+from pcore.training import loop, objective, trainable
 from pcore.training.config import FinetuneConfig, PatchConfig, Rates
 from pcore.training.events import BudgetReport, StepReport, Stopped, ValidationReport
 from pcore.training.finetune import finetune
@@ -46,11 +46,10 @@ def every_step(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- what it does -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("train_points", [False, True])
-def test_the_base_is_left_as_it_is(box: Scene, train_points: bool) -> None:
+def test_the_base_is_left_as_it_is(box: Scene) -> None:
     base = box_model()
     before = copied(weights_of(base))
-    tuned = finetune(box, base, finetune_config(train_points=train_points))
+    tuned = finetune(box, base, finetune_config())
     assert_same(weights_of(base), before)
     assert not any(parameter.requires_grad for parameter in base.papr.parameters())
     after = weights_of(tuned)
@@ -60,12 +59,10 @@ def test_the_base_is_left_as_it_is(box: Scene, train_points: bool) -> None:
     assert tuned.step == 6
 
 
-@pytest.mark.parametrize("train_points", [False, True])
-def test_points_move_only_when_asked_to(box: Scene, train_points: bool) -> None:
+def test_points_stay_where_they_are(box: Scene) -> None:
     base = box_model()
-    tuned = finetune(box, base, finetune_config(train_points=train_points))
-    stayed = torch.equal(tuned.cloud.positions, base.cloud.positions)
-    assert stayed is not train_points
+    tuned = finetune(box, base, finetune_config())
+    assert torch.equal(tuned.cloud.positions, base.cloud.positions)
 
 
 def opaque_model() -> Trained:
@@ -76,6 +73,7 @@ def opaque_model() -> Trained:
     return replace(base, papr=papr.requires_grad_(False))
 
 
+@pytest.mark.learned
 def test_the_surface_learns_to_follow(box: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """L_geo over the same draws, before and after fine-tuning with others."""
     every_step(monkeypatch)
@@ -98,6 +96,7 @@ def test_the_surface_learns_to_follow(box: Scene, monkeypatch: pytest.MonkeyPatc
 
     before = measure(opaque_model())
     after = measure(finetune(box, opaque_model(), settings))
+    # Over 6 seeds 0.58 to 0.59.
     assert 0 < after < 0.8 * before
 
 
@@ -214,20 +213,6 @@ def test_the_texture_target(box: Scene, target: str, monkeypatch: pytest.MonkeyP
     assert found["tex_rays"] == pytest.approx(expected, rel=1e-3, abs=1e-9)
 
 
-@pytest.mark.parametrize("anchor", [True, False])
-def test_the_anchor_is_the_network_before_fine_tuning(
-    box: Scene, anchor: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Under the identity only the anchor notices that the network has changed."""
-    from pcore.deform.base import Identity
-
-    monkeypatch.setattr(objective, "sample_deformation", lambda *args: Identity())
-    config = finetune_config(steps=3, anchor=anchor, rays_and_points=False)
-    found = [one["tex_points"] for one in terms(box, config, monkeypatch)]
-    assert found[0] < 1e-9
-    assert (found[-1] > 1e-6) is anchor
-
-
 def test_one_mode_at_least() -> None:
     with pytest.raises(InputError, match="at least one of points_only and rays_and_points"):
         finetune_config(points_only=False, rays_and_points=False)
@@ -254,7 +239,7 @@ def falling(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Trained]]:
             return {"psnr": rest.pop(0)}
 
         monkeypatch.setattr(module, "validate", validate)
-        monkeypatch.setattr(loop, "validate", validate)
+        monkeypatch.setattr(trainable, "validate", validate)
         return seen
 
     return script
@@ -273,16 +258,15 @@ def learned(box_folder: Path) -> Trained:
 
 def psnr_of(model: Trained, scene: Scene) -> float:
     _, views = hold_out(scene.split("train"), every=10)
-    return loop.validate(model, views, "white")["psnr"]
+    return trainable.validate(model, views, "white")["psnr"]
 
 
 @pytest.mark.parametrize("largest_loss", [0.0, 0.02])
-@pytest.mark.parametrize("average", [0.0, 0.5])
 def test_the_result_meets_the_budget_with_a_part_of_the_change(
-    box: Scene, learned: Trained, largest_loss: float, average: float
+    box: Scene, learned: Trained, largest_loss: float
 ) -> None:
     heard = Heard()
-    config = finetune_config(largest_loss=largest_loss, average=average, **HARD)
+    config = finetune_config(largest_loss=largest_loss, **HARD)
     tuned = finetune(box, learned, config, listener=heard)
     (told,) = heard.of(BudgetReport)
     assert 0.1 < told.share < 1
@@ -386,8 +370,7 @@ def in_folder(
 @pytest.mark.parametrize(
     "changes",
     [
-        {"alternate": True, "train_points": True, "background": "random"},
-        {"average": 0.9},
+        {"alternate": True, "background": "random"},
         {"largest_loss": 50.0},
     ],
 )

@@ -19,7 +19,7 @@ from pcore.files.records import from_dict, to_dict
 from pcore.files.run_folder import RunFolder
 from pcore.files.skinning_file import load_skinning
 from pcore.training import finetune as module
-from pcore.training import loop
+from pcore.training import trainable
 from pcore.training.config import FinetuneConfig, Rates, SkinningTrainConfig
 from pcore.training.events import Listener, Saved, StepReport, silent
 from pcore.training.finetune import finetune
@@ -112,6 +112,7 @@ def unseen(model: Trained) -> Sequence[Deformation]:
     return [sample_deformation(generator, lower, upper, points, ranges) for _ in range(10)]
 
 
+@pytest.mark.learned
 def test_it_gets_better_on_deformations_it_has_not_seen(box: Scene) -> None:
     equal = replace(SKINNING, network=replace(SKINNING.network, start_sigma=None))
     config = finetune_config(
@@ -124,7 +125,8 @@ def test_it_gets_better_on_deformations_it_has_not_seen(box: Scene) -> None:
         skinning_error(points, one(points), one.anchors, fields)
         for one in (start(equal), learned(tuned))
     )
-    assert after < 0.85 * before
+    # Over 6 seeds 0.67 to 0.82.
+    assert after < 0.93 * before
 
 
 def test_a_budget_that_binds_leaves_the_skinning_whole(
@@ -139,7 +141,7 @@ def test_a_budget_that_binds_leaves_the_skinning_whole(
         return {"psnr": psnrs.pop(0)}
 
     monkeypatch.setattr(module, "validate", validate)
-    monkeypatch.setattr(loop, "validate", validate)
+    monkeypatch.setattr(trainable, "validate", validate)
     config = finetune_config(skinning=SKINNING, largest_loss=0.5)
     tuned = finetune(box, box_model(), config)
     last = seen[2]
@@ -161,7 +163,7 @@ def in_folder(
 
 
 @pytest.mark.parametrize(
-    "changes", [{"alternate": True, "background": "random"}, {"average": 0.9, "largest_loss": 50.0}]
+    "changes", [{"alternate": True, "background": "random"}, {"largest_loss": 50.0}]
 )
 @pytest.mark.parametrize("step", [1, 5])
 def test_resuming_is_bitwise(
@@ -220,8 +222,6 @@ def test_the_papers_recipe() -> None:
 
 
 def test_bad_settings() -> None:
-    with pytest.raises(InputError, match="leave out one of the two"):
-        finetune_config(skinning=SKINNING, train_points=True)
     with pytest.raises(InputError, match="at least 2 anchors"):
         SkinningTrainConfig(anchors=1)
     with pytest.raises(InputError, match="learning rate of 0 or more, got 128 and -1"):

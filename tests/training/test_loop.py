@@ -9,12 +9,11 @@ from typing import Any
 
 import pytest
 import torch
-from torch import Tensor
 
 from pcore.errors import CheckpointError, TrainingError
 from pcore.files.model_file import load_model
 from pcore.files.run_folder import RunFolder
-from pcore.training import loop
+from pcore.training import trainable
 from pcore.training.budget import Budget
 from pcore.training.config import Rates
 from pcore.training.events import Saved, StepReport, Stopped, ValidationReport
@@ -32,7 +31,6 @@ def plan(**changes: Any) -> Plan:
         "rates": RATES.named(),
         "validate_every": 2,
         "save_every": 3,
-        "average": 0.0,
         "validation": (),
         "background": "white",
         "scene": "box",
@@ -75,7 +73,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Callable[[Sequence[float]], lis
             seen.append(model)
             return {"psnr": rest.pop(0)}
 
-        monkeypatch.setattr(loop, "validate", validate)
+        monkeypatch.setattr(trainable, "validate", validate)
         return seen
 
     return script
@@ -119,24 +117,6 @@ def test_every_group_holds_its_own_parameters() -> None:
         for key in before:
             # A target of no parameter is exactly where it started: all others move.
             assert torch.equal(before[key], after[key]) == key.startswith(group[name]), (name, key)
-
-
-def test_the_running_average_is_the_result() -> None:
-    work = box_work()
-    average: dict[str, Tensor] = {}
-
-    def follow(listener: object) -> None:
-        weights = copied(work.weights())
-        for name, tensor in weights.items():
-            old = average.get(name, tensor)
-            average[name] = 0.8 * old + 0.2 * tensor
-
-    result = run_loop(work, plan(average=0.8), pull(work), after_step=follow, listener=Heard())
-    found = weights_of(result)
-    for name, tensor in average.items():
-        assert torch.allclose(found[name.split(".", 1)[1]], tensor, atol=1e-6), name
-    last = work.weights()["cloud.features"]
-    assert not torch.allclose(found["features"], last, atol=1e-4)
 
 
 # --- events -----------------------------------------------------------------------------------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 import torch
-from small_training import FakeView
 from torch import Tensor
 
 from pcore.geometry.camera import Camera
@@ -13,6 +12,7 @@ from pcore.geometry.pixel_samples import drawn_places
 from pcore.training import patches
 from pcore.training.config import PatchConfig
 from pcore.training.patches import Patch, draw_patch
+from small_training import FakeView
 
 CPU = torch.device("cpu")
 

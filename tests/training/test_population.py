@@ -6,7 +6,6 @@ import math
 
 import pytest
 import torch
-from small_training import FakeView
 from torch import Tensor, nn
 
 from pcore.errors import InputError, TrainingError
@@ -20,6 +19,7 @@ from pcore.training.population import (
     hull_points,
     replace_rows,
 )
+from small_training import FakeView
 
 # --- grid -------------------------------------------------------------------------------------
 

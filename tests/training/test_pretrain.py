@@ -35,7 +35,7 @@ LEARNER = PaprConfig(
     query=MlpConfig(layers=2, width=16, size=16),
     value=MlpConfig(layers=2, width=16, size=8),
     unet_channels=(8, 12, 16),
-    background_score=2.0,
+    background_score=-2.0,
     cutoff=0.3,
 )
 QUICK = Rates(
@@ -47,6 +47,7 @@ QUICK = Rates(
 )
 
 
+@pytest.mark.learned
 def test_the_loss_decreases(box: Scene) -> None:
     heard = Heard()
     config = pretrain_config(
@@ -61,9 +62,10 @@ def test_the_loss_decreases(box: Scene) -> None:
     )
     model = pretrain(box, config, listener=heard)
     losses = [event.loss for event in heard.of(StepReport)]
-    assert sum(losses[-3:]) < 0.6 * sum(losses[:3])
+    # Over 8 seeds 0.16 to 0.42, and 1.2 to 9.9 dB.
+    assert sum(losses[-3:]) < 0.7 * sum(losses[:3])
     validations = heard.of(ValidationReport)
-    assert validations[-1].psnr > validations[0].psnr + 1.5
+    assert validations[-1].psnr > validations[0].psnr + 0.3
     assert validations[-1].views == 1
     assert (model.step, len(model.cloud)) == (250, 300)
     assert not any(parameter.requires_grad for parameter in model.papr.parameters())
@@ -223,14 +225,15 @@ def test_pruning_everything_is_an_error(box: Scene) -> None:
 
 
 def test_only_points_of_little_influence_go(box: Scene) -> None:
-    config = pretrain_config(
-        steps=4, prune=PruneConfig(every=1, first=4, last=4, threshold=1.0), points=100
-    )
-    kept = pretrain(box, replace(config, prune=None)).cloud
+    config = pretrain_config(steps=4, points=100)
+    kept = pretrain(box, config).cloud
+    # Half of them, whatever was learned.
+    threshold = float(kept.influence.median())
+    prune = PruneConfig(every=1, first=4, last=4, threshold=threshold)
     heard = Heard()
-    cloud = pretrain(box, config, listener=heard).cloud
-    assert torch.equal(cloud.influence, kept.influence[kept.influence > 1.0])
-    assert torch.equal(cloud.positions, kept.positions[kept.influence > 1.0])
+    cloud = pretrain(box, replace(config, prune=prune), listener=heard).cloud
+    assert torch.equal(cloud.influence, kept.influence[kept.influence > threshold])
+    assert torch.equal(cloud.positions, kept.positions[kept.influence > threshold])
     (report,) = heard.of(PopulationReport)
     assert (report.step, report.grown, report.points) == (4, 0, len(cloud))
     assert report.pruned == 100 - len(cloud) > 0
@@ -263,8 +266,9 @@ def test_new_points_are_mixtures(box: Scene) -> None:
     for name in ("positions", "features", "influence"):
         before, after = getattr(old, name), getattr(new, name)
         assert torch.equal(after[:60], before), name
-        assert bool((after[60:].amax(dim=0) <= before.amax(dim=0)).all()), name
-        assert bool((after[60:].amin(dim=0) >= before.amin(dim=0)).all()), name
+        # Weights add up to one but for rounding.
+        assert bool((after[60:].amax(dim=0) <= before.amax(dim=0) + 1e-5).all()), name
+        assert bool((after[60:].amin(dim=0) >= before.amin(dim=0) - 1e-5).all()), name
 
 
 def test_grown_points_are_trained(box: Scene) -> None:

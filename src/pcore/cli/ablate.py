@@ -14,7 +14,7 @@ from pcore.cli.options import Count, Folder, Output, PresetName, optional
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
-    from pcore.cli.models import Run
+    from pcore.asset.asset import Asset
     from pcore.evaluation.ablation import AblationFigure
     from pcore.evaluation.runner import Method
     from pcore.evaluation.states import SceneStates
@@ -76,10 +76,11 @@ def ablate(command: AblateCommand, console: Console) -> None:
         TrainingError: a training diverged or cannot write.
         WeightsError: the preset asks for LPIPS and its weights are missing.
     """
+    from pcore.asset.saving import load
+    from pcore.cli.diagnosing import note
     from pcore.cli.losses import check_weights
-    from pcore.cli.models import open_run
     from pcore.cli.output import results_folder
-    from pcore.cli.runtime import pick_device, prepare_torch, scene_of
+    from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.data.scene import check_images
     from pcore.errors import InputError
     from pcore.evaluation.ablation import VARIANTS, AblationFigure
@@ -87,15 +88,17 @@ def ablate(command: AblateCommand, console: Console) -> None:
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
-    run = open_run(command.run_folder, device=device)
-    if run.base is not None:
+    asset = load(command.run_folder, device=device)
+    record = asset.record
+    if record.base is not None:
         raise InputError(
-            f"{run.path} is fine-tuned already: expected a pre-trained run, whose variants are "
-            f"compared with it; ablate the run that it was tuned from, {run.base}"
+            f"{asset.path} is fine-tuned already: expected a pre-trained run, whose variants are "
+            f"compared with it; ablate the run that it was tuned from, {record.base}"
         )
-    factor = run.factor if command.factor is None else command.factor
-    places = open_states(scene_of(run.manifest, command.scene), factor=factor)
+    factor = record.factor if command.factor is None else command.factor
+    places = open_states(record.scene_or(command.scene), factor=factor)
     states = places.select(command.state)
+    note(console, places.scene.notes)
     check_images(shot.view for state in states for shot in state.shots)
     if len(states) < 2:
         raise InputError(f"{places.path}: no deformed state to score; give --state scale:2")
@@ -105,113 +108,87 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"{states[1].name}, got {command.view}"
         )
     output = command.output or command.run_folder / "ablation"
-    full = _full_config(run, command)
+    full = _full_config(asset, command)
     check_weights(full.lpips_weight, full.lpips_trunk)
-    results_folder(output, about=run.path)
+    results_folder(output, about=asset.path)
     for variant in VARIANTS:
         path, config = output / variant.folder, variant.config(full)
-        _train(console, (run, places), path, config, device)
-    methods = _methods(run, output, places, device)
+        _train(console, (asset, places), path, config, device)
+    methods = _methods(asset, output, places, device)
     figure = AblationFigure(states[1].name, command.view)
-    _score(command, console, (run, places), methods, figure)
+    _score(command, console, (asset, places), methods, figure)
 
 
-def _full_config(run: Run, command: AblateCommand) -> FinetuneConfig:
+def _full_config(asset: Asset, command: AblateCommand) -> FinetuneConfig:
     """Settings of the whole method for this run."""
-    from pcore.cli.models import finetune_config
+    from pcore.asset.training import finetune_settings
 
-    _, config = finetune_config(run.manifest, run.saved, command.preset)
+    _, config = finetune_settings(asset, command.preset)
     return config if command.steps is None else replace(config, steps=command.steps)
 
 
 def _train(
     console: Console,
-    source: tuple[Run, SceneStates],
+    source: tuple[Asset, SceneStates],
     path: Path,
     config: FinetuneConfig,
     device: str,
 ) -> None:
-    from pcore.cli.sessions import Session, disk_space, run_session
-    from pcore.cli.stages import begun, relative
-    from pcore.files.records import to_dict
-    from pcore.training.finetune import finetune
-    from pcore.training.trained import Trained
+    from pcore.asset.training import RunOptions, finetune
+    from pcore.cli.sessions import shown_training
+    from pcore.files.run_record import begun
 
-    run, places = source
-    saved = run.saved
-    base = Trained(papr=saved.papr(), cloud=saved.cloud, step=saved.provenance.step)
+    asset, places = source
     console.print(Text(f"{path.name}: {config.steps:,} steps"))
-    session = Session(
-        path=path,
-        stage="finetune",
-        scene=places.path,
-        config={
-            "base": relative(run.path, path),
-            "factor": places.factor,
-            "finetune": to_dict(config),
-        },
-        resume=begun(path),
-        tensorboard=False,
-        needed=disk_space(saved.config, len(saved.cloud)),
-    )
-    run_session(
-        session,
-        lambda folder, tell: finetune(
-            places.scene, base, config, folder=folder, listener=tell, device=device
-        ),
-        console,
-    )
-
-
-def _methods(run: Run, output: Path, places: SceneStates, device: str) -> list[Method]:
-    from pcore.cli.models import never_seen, open_run
-    from pcore.evaluation.ablation import VANILLA, VARIANTS
-    from pcore.evaluation.runner import Method
-
-    tuned = [(v.title, open_run(output / v.folder, device=device)) for v in VARIANTS]
-    pairs = [(VANILLA, run), *tuned]
-    # The paper's question is what its losses do; aware rays would answer for them.
-    return [
-        Method(
-            name=name,
-            papr=one.papr,
-            cloud=one.cloud,
-            aware=False,
-            unseen=never_seen(one.cloud, places.scene),
+    with shown_training(console) as (listener, note):
+        finetune(
+            asset,
+            places.scene,
+            config,
+            folder=path,
+            listener=listener,
+            device=device,
+            options=RunOptions(light=False, resume=begun(path), note=note),
         )
-        for name, one in pairs
-    ]
+
+
+def _methods(asset: Asset, output: Path, places: SceneStates, device: str) -> list[Method]:
+    from pcore.asset.saving import load
+    from pcore.evaluation.ablation import VANILLA, VARIANTS
+    from pcore.evaluation.methods import plain_method
+
+    tuned = [(v.title, load(output / v.folder, device=device)) for v in VARIANTS]
+    # The paper's question is what its losses do; aware rays would answer for them.
+    return [plain_method(name, one, places.scene) for name, one in [(VANILLA, asset), *tuned]]
 
 
 def _score(
     command: AblateCommand,
     console: Console,
-    source: tuple[Run, SceneStates],
+    source: tuple[Asset, SceneStates],
     methods: list[Method],
     figure: AblationFigure,
 ) -> None:
     from pcore.cli.eval import finish
     from pcore.cli.results import counting
-    from pcore.cli.stages import relative
     from pcore.evaluation.figures import png_bytes
     from pcore.evaluation.protocol import load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.files.atomic import write_atomically
-    from pcore.model.render import render
+    from pcore.files.run_record import relative
 
-    run, places = source
+    asset, places = source
     output, perceptual = command.output or command.run_folder / "ablation", load_perceptual()
     with counting(console, "pictures") as tell:
         rows = evaluate(
             methods,
             places.select(command.state),
-            draw=render,
             perceptual=perceptual,
             progress=tell,
             show=figure,
         )
     about = {
-        "run": relative(run.path, output),
+        "run": relative(asset.path, output),
         "scene": relative(places.path, output),
         "factor": places.factor,
     }

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,17 +12,16 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from pcore.cli.light import LightChoice, shading_of
+from pcore.cli.light import LightChoice
 from pcore.cli.options import Count, Folder, Number, Samples, check_given_samples, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
+    from pcore.asset.asset import Asset, Posed
     from pcore.editing.animation import Animation
-    from pcore.files.run_folder import RunFolder
     from pcore.geometry.camera import Camera
-    from pcore.geometry.point_cloud import PointCloud
-    from pcore.model.render import Picture
+    from pcore.render.image import Image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,31 +100,26 @@ def animate(command: AnimateCommand, console: Console) -> None:
         InputError: contradicting options, or an output folder in use.
         DependencyError: a video is asked for and its package is missing.
     """
+    from pcore.asset.saving import load
     from pcore.cli.output import pictures_folder
-    from pcore.cli.runtime import open_model, pick_device, prepare_torch
+    from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.data.video import require_video
     from pcore.editing.animation import load_animation
-    from pcore.model.raster import film_detail
-    from pcore.model.render import render
 
     _check(command)
     if command.output is not None:
         require_video()
     prepare_torch(command.threads)
     device = pick_device(command.device)
-    saved, run = open_model(command.run_or_file)
-    animation = load_animation(command.edit)
-    moved = _frames(animation, saved.cloud, command, console)
+    asset = load(command.run_or_file, device=device)
+    moved = _frames(load_animation(command.edit), asset, command, console)
     if command.points is not None:
         pictures_folder(command.points, overwrite=command.overwrite)
         _write_points(command.points, moved, command.points_format)
         console.print(Text(f"{len(moved)} files of points in {command.points}"), soft_wrap=True)
     if command.output is not None:
-        cameras = _cameras(command, run, saved.cloud, moved)
-        papr = saved.papr().to(device)
-        detail = film_detail(papr.config, moved, cameras)
-        take = partial(render, papr, samples=command.samples, detail=detail)
-        _film(command.output, command.fps, take, moved, cameras, console)
+        film = asset.film(moved, _cameras(command, asset, moved, console), samples=command.samples)
+        _film(command.output, command.fps, film, len(moved), console)
         console.print(Text(f"{len(moved)} frames in {command.output}"), soft_wrap=True)
 
 
@@ -146,85 +139,75 @@ def _check(command: AnimateCommand) -> None:
 
 
 def _frames(
-    animation: Animation, cloud: PointCloud, command: AnimateCommand, console: Console
-) -> list[PointCloud]:
-    """The cloud in every frame; equal times are computed once."""
+    animation: Animation, asset: Asset, command: AnimateCommand, console: Console
+) -> list[Posed]:
+    """The object in every frame; equal times are computed once."""
     from pcore.cli.diagnosing import note
     from pcore.cli.results import counting
-    from pcore.editing.apply import deformed_cloud
-    from pcore.editing.runs import learned_rig
 
-    notes: list[str] = []
-    rig = learned_rig(command.run_or_file, cloud.positions)
-    aware = command.rays == "aware"
-    shading = shading_of(command.run_or_file, cloud, command.light, aware=aware)
-    check = aware or shading is not None
-    known: dict[float, PointCloud] = {}
+    known: dict[float, Posed] = {}
     times = animation.times(command.frames)
     with counting(console, "edits") as tell:
         for number, time in enumerate(times, start=1):
             if time not in known:
-                bound = animation.at(time).bound(cloud.positions, rig=rig, check=check)
-                notes += bound.notes
-                known[time] = deformed_cloud(cloud, bound.deformation, aware=aware, shading=shading)
+                known[time] = asset.pose(
+                    animation, time=time, rays=command.rays, light=command.light
+                )
             tell(number, len(times))
-    note(console, notes)
+    note(console, [line for posed in known.values() for line in posed.notes])
     return [known[time] for time in times]
 
 
-def _write_points(folder: Path, moved: list[PointCloud], suffix: str) -> None:
+def _write_points(folder: Path, moved: list[Posed], suffix: str) -> None:
     from pcore.data.points import save_point_glb, save_points
 
     save = save_points if suffix == "ply" else save_point_glb
     digits = max(3, len(str(len(moved) - 1)))
-    for number, cloud in enumerate(moved):
-        save(folder / f"frame_{number:0{digits}}.{suffix}", cloud.positions)
+    for number, posed in enumerate(moved):
+        save(folder / f"frame_{number:0{digits}}.{suffix}", posed.points)
 
 
 def _cameras(
-    command: AnimateCommand, run: RunFolder | None, cloud: PointCloud, moved: list[PointCloud]
+    command: AnimateCommand, asset: Asset, moved: list[Posed], console: Console
 ) -> list[Camera]:
     import torch
 
     from pcore.cli import cameras
-    from pcore.cli.runtime import recorded_factor, recorded_scene
-    from pcore.data.load import load_scene
+    from pcore.cli.diagnosing import note
+    from pcore.data.load import camera_notes, load_scene
     from pcore.geometry.camera_path import path_through
     from pcore.geometry.orbit import growth
 
     if command.cameras is not None:
         given = cameras.cameras_of_file(command.cameras, command.size)
+        note(console, camera_notes(command.cameras))
+        everywhere = torch.cat([one.points for one in moved])
+        cameras.that_see(given, everywhere, str(command.cameras))
         return path_through([camera for _, camera in given], len(moved))
     wish = cameras.OrbitWish(
         count=len(moved) if command.orbit else 1,
         size=command.size,
         elevation_degrees=command.elevation,
     )
-    folder = command.scene or recorded_scene(run)
+    folder = command.scene or asset.record.scene_folder
     if folder is None:
-        views = cameras.orbit_of_cloud(torch.cat([one.positions for one in moved]), wish)
+        views = cameras.orbit_of_cloud(torch.cat([one.points for one in moved]), wish)
     else:
-        scene = load_scene(folder, factor=recorded_factor(run))
+        scene = load_scene(folder, factor=asset.record.factor)
+        note(console, scene.notes)
         # One distance for all frames: the farthest that any of them needs.
-        reach = max(growth(cloud.positions, one.positions, scene.center) for one in moved)
+        reach = max(growth(asset.points, one.points, scene.center) for one in moved)
         views = cameras.orbit_of_scene(scene, wish, scale=reach)
     return path_through([camera for _, camera in views], len(moved))
 
 
-def _film(
-    output: Path,
-    fps: int,
-    take: Callable[[PointCloud, Camera], Picture],
-    moved: list[PointCloud],
-    cameras: list[Camera],
-    console: Console,
-) -> None:
+def _film(output: Path, fps: int, film: Iterator[Image], count: int, console: Console) -> None:
     from pcore.cli.results import counting
     from pcore.data.video import VideoWriter
 
     with ExitStack() as stack:
         video = stack.enter_context(VideoWriter(output, fps=fps))
         tell = stack.enter_context(counting(console, "frames"))
-        for number, (cloud, camera) in enumerate(zip(moved, cameras, strict=True), start=1):
-            video.add(take(cloud, camera).rgb)
-            tell(number, len(moved))
+        for number, picture in enumerate(film, start=1):
+            video.add(picture.rgb)
+            tell(number, count)

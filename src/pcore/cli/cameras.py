@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pcore.errors import InputError, SceneError
 
@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 Size = tuple[int, int]
 Named = list[tuple[str, "Camera"]]
 
-_FOV_DEGREES = 40.0
-_ELEVATION_DEGREES = 25.0
-_SIZE = (400, 400)
 _SAME_SHAPE = 0.01
 
 
@@ -54,6 +51,29 @@ def cameras_of_file(path: Path, size: Size | None, fallback: Size | None = None)
         raise
 
 
+def that_see(views: Named, points: Tensor, what: str) -> Named:
+    """Return cameras; refuse them when none has a point in its picture, or close beside it.
+
+    Args:
+        views: cameras by name.
+        points: (N, 3) world units.
+        what: where the cameras come from.
+
+    Raises:
+        InputError: all pictures would be empty.
+    """
+    places = points.detach().cpu()
+    for _, camera in views:
+        column, row, depth = camera.project(places)
+        near = (depth > 0) & ((column / camera.width - 0.5).abs() < 1)
+        if bool((near & ((row / camera.height - 0.5).abs() < 1)).any()):
+            return views
+    raise InputError(
+        f"{what}: 0 of {len(points):,} points lie in what its {len(views)} camera(s) see; are they "
+        "in the coordinates of the scene, camera-to-world with OpenGL axes?"
+    )
+
+
 def cameras_of_split(scene: Scene, split: str, size: Size | None) -> Named:
     """Cameras of a split of a scene, named like its views.
 
@@ -82,25 +102,19 @@ def orbit_of_scene(scene: Scene, wish: OrbitWish, *, scale: float = 1.0) -> Name
 
 def orbit_of_cloud(points: Tensor, wish: OrbitWish) -> Named:
     """Orbit from which all of `points` (N, 3), world units, are in the picture."""
-    from pcore.geometry.orbit import fitting_distance, orbit_cameras
+    from pcore.geometry.orbit import orbit_around
 
-    center = 0.5 * (points.amin(dim=0) + points.amax(dim=0))
-    width, height = wish.size or _SIZE
-    fov = math.radians(_FOV_DEGREES if wish.fov_degrees is None else wish.fov_degrees)
-    if not 0 < fov < math.pi:
-        raise InputError(f"--fov: expected degrees between 0 and 180, got {wish.fov_degrees}")
-    smaller = 2 * math.atan(math.tan(0.5 * fov) * min(1.0, height / width))
+    asked: dict[str, Any] = {}
+    if wish.size is not None:
+        asked["size"] = wish.size
+    if wish.fov_degrees is not None:
+        asked["angle_x"] = math.radians(wish.fov_degrees)
+        if not 0 < asked["angle_x"] < math.pi:
+            raise InputError(f"--fov: expected degrees between 0 and 180, got {wish.fov_degrees}")
     elevation = _radians(wish.elevation_degrees)
-    cameras = orbit_cameras(
-        center,
-        fitting_distance(points, center, smaller),
-        wish.count,
-        elevation=math.radians(_ELEVATION_DEGREES) if elevation is None else elevation,
-        width=width,
-        height=height,
-        angle_x=fov,
-    )
-    return _numbered(cameras)
+    if elevation is not None:
+        asked["elevation"] = elevation
+    return _numbered(orbit_around(points, wish.count, **asked))
 
 
 def _numbered(cameras: list[Camera]) -> Named:

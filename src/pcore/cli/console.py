@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 from rich.text import Text
 
+from pcore.demo.machine import clock
 from pcore.errors import PcoreError
 
 if TYPE_CHECKING:
@@ -71,14 +72,6 @@ def _say(title: str, message: str) -> None:
     Console(stderr=True).print(text, soft_wrap=True)
 
 
-def clock(seconds: float) -> str:
-    """Seconds as 1:02:03 or 2:03."""
-    whole = max(0, round(seconds))
-    hours, minutes = whole // 3600, whole // 60 % 60
-    head = f"{hours}:{minutes:02}" if hours else f"{minutes}"
-    return f"{head}:{whole % 60:02}"
-
-
 class ProgressDisplay:
     """Listener that shows a training: a bar in a terminal, a line now and then elsewhere.
 
@@ -108,7 +101,13 @@ class ProgressDisplay:
 
     def __call__(self, event: Event) -> None:
         """Show one event."""
-        from pcore.training.events import BudgetReport, StepReport, Stopped, ValidationReport
+        from pcore.training.events import (
+            BudgetReport,
+            StepReport,
+            Stopped,
+            SurfaceReport,
+            ValidationReport,
+        )
 
         if isinstance(event, StepReport):
             self._step(event)
@@ -121,6 +120,8 @@ class ProgressDisplay:
             )
         elif isinstance(event, BudgetReport):
             self._print(f"{event.stage} {event.step}: {_trade(event)}")
+        elif isinstance(event, SurfaceReport):
+            self._print(f"{event.stage}: surface and light from {event.views} views")
         elif isinstance(event, Stopped):
             message = f": {event.message}" if event.message else ""
             self._print(f"{event.stage} {event.reason} at step {event.step}{message}")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
 from rich.text import Text
@@ -15,10 +15,9 @@ from pcore.cli.options import Count
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
-    from pcore.cli.demo_folder import DemoFolder
-    from pcore.cli.sessions import Session
-    from pcore.files.provenance import Stage
-    from pcore.training.config import FinetuneConfig, PretrainConfig
+    from pcore.asset.training import RunOptions
+    from pcore.demo.demo_folder import DemoFolder
+    from pcore.demo.demo_settings import DemoSettings
 
 STAGES = ("sample", "pre-training", "fine-tuning", "evaluation", "videos", "report")
 
@@ -43,32 +42,15 @@ class DemoCommand:
     def run(self) -> None:
         """Do it; raises PcoreError subclasses for what the user can mend."""
         from pcore.cli.runtime import pick_device, prepare_torch
+        from pcore.demo import demo_settings
 
         prepare_torch(self.threads)
-        make_demo(self.output, default_settings(), Console(), device=pick_device(self.device))
-
-
-@dataclass(frozen=True, kw_only=True)
-class DemoSettings:
-    """How large a demo is."""
-
-    pretrain: PretrainConfig
-    finetune: FinetuneConfig
-    resolution: int = 100
-    """Pixels along each side of the sample's images."""
-    train_views: int = 60
-    test_views: int = 10
-    frames: int = 48
-    """Pictures of each video."""
-    shown: tuple[int, ...] = field(default=(2, 6))
-    """Numbers of the test views in the report."""
-
-
-def default_settings() -> DemoSettings:
-    """Settings of `pcore demo`."""
-    from pcore.training.presets import demo_finetune, demo_pretrain
-
-    return DemoSettings(pretrain=demo_pretrain(), finetune=demo_finetune())
+        make_demo(
+            self.output,
+            demo_settings.default_settings(),
+            Console(),
+            device=pick_device(self.device),
+        )
 
 
 def make_demo(path: Path, settings: DemoSettings, console: Console, *, device: str) -> Path:
@@ -80,9 +62,10 @@ def make_demo(path: Path, settings: DemoSettings, console: Console, *, device: s
         TrainingError: a training diverged or cannot write.
         KeyboardInterrupt: Ctrl-C; what is done is kept.
     """
-    from pcore.cli.demo_folder import DemoFolder
-    from pcore.cli.demo_story import evaluate_demo, film_demo, models_of
+    from pcore.cli.results import counting
     from pcore.data.video import require_video
+    from pcore.demo.demo_folder import DemoFolder
+    from pcore.demo.demo_story import evaluate_demo, film_demo, models_of
     from pcore.evaluation.report import require_jinja
     from pcore.sample.sample_render import ray_caster_class
 
@@ -97,9 +80,11 @@ def make_demo(path: Path, settings: DemoSettings, console: Console, *, device: s
     _finetune(folder, settings, console, device)
     models = models_of(folder, device)
     _say(console, 4, "both on test views, canonical and deformed")
-    evaluate_demo(folder, settings, models, console)
+    with counting(console, "pictures") as tell:
+        evaluate_demo(folder, settings, models, tell)
     _say(console, 5, "once around the object")
-    film_demo(folder, settings, models, console)
+    with counting(console, "frames") as tell:
+        film_demo(folder, settings, models, tell)
     return _report(folder, settings, console)
 
 
@@ -109,8 +94,8 @@ def _say(console: Console, number: int, what: str) -> None:
 
 
 def _sample(folder: DemoFolder, settings: DemoSettings, console: Console) -> None:
-    from pcore.cli.demo_folder import stamp_of
     from pcore.cli.results import counting
+    from pcore.demo.demo_folder import stamp_of
     from pcore.sample.sample import make_sample
 
     size = {
@@ -126,75 +111,64 @@ def _sample(folder: DemoFolder, settings: DemoSettings, console: Console) -> Non
 
 
 def _pretrain(folder: DemoFolder, settings: DemoSettings, console: Console, device: str) -> None:
-    from pcore.cli.demo_folder import stamp_of
-    from pcore.cli.sessions import disk_space, run_session
+    from pcore.asset.training import train
+    from pcore.cli.sessions import shown_training
     from pcore.data.load import load_scene
+    from pcore.demo.demo_folder import stamp_of
     from pcore.files.records import to_dict
-    from pcore.training.pretrain import pretrain
 
-    wanted = settings.pretrain
-    config = {"preset": "tiny", "factor": 1, "pretrain": to_dict(wanted)}
-    stamp, path = stamp_of(config), folder.path / "papr"
+    stamp, path = stamp_of(to_dict(settings.pretrain)), folder.path / "papr"
     if folder.done("pre-training", stamp) and path.is_dir():
         return
     scene = load_scene(folder.path / "sample")
-    session = _session(folder, path, "pretrain", config, disk_space(wanted.model, wanted.points))
-    with folder.timed("pre-training", stamp):
-        run_session(
-            session,
-            lambda run, tell: pretrain(scene, wanted, folder=run, listener=tell, device=device),
-            console,
+    with folder.timed("pre-training", stamp), shown_training(console) as (listener, note):
+        train(
+            scene,
+            settings.pretrain,
+            folder=path,
+            listener=listener,
+            device=device,
+            options=_options(path, note),
         )
 
 
 def _finetune(folder: DemoFolder, settings: DemoSettings, console: Console, device: str) -> None:
-    from pcore.cli.demo_folder import stamp_of
-    from pcore.cli.sessions import disk_space, run_session
+    from pcore.asset.saving import load
+    from pcore.asset.training import finetune
+    from pcore.cli.sessions import shown_training
     from pcore.data.load import load_scene
-    from pcore.files.model_file import MODEL_FILE, load_model
+    from pcore.demo.demo_folder import stamp_of
+    from pcore.files.model_file import MODEL_FILE
     from pcore.files.records import to_dict
-    from pcore.training.finetune import finetune
-    from pcore.training.trained import Trained
 
-    wanted, path = settings.finetune, folder.path / "pcore"
-    config = {"base": "../papr", "preset": "tiny", "factor": 1, "finetune": to_dict(wanted)}
-    stamp = stamp_of(config, folder.path / "papr" / MODEL_FILE)
+    base, path = folder.path / "papr", folder.path / "pcore"
+    stamp = stamp_of(to_dict(settings.finetune), base / MODEL_FILE)
     if folder.done("fine-tuning", stamp) and path.is_dir():
         return
-    saved = load_model(folder.path / "papr")
-    base = Trained(papr=saved.papr(), cloud=saved.cloud, step=saved.provenance.step)
     scene = load_scene(folder.path / "sample")
-    needed = disk_space(saved.config, len(saved.cloud))
-    with folder.timed("fine-tuning", stamp):
-        run_session(
-            _session(folder, path, "finetune", config, needed),
-            lambda run, tell: finetune(
-                scene, base, wanted, folder=run, listener=tell, device=device
-            ),
-            console,
+    with folder.timed("fine-tuning", stamp), shown_training(console) as (listener, note):
+        finetune(
+            load(base),
+            scene,
+            settings.finetune,
+            folder=path,
+            listener=listener,
+            device=device,
+            options=_options(path, note),
         )
 
 
-def _session(
-    folder: DemoFolder, path: Path, stage: Stage, config: Mapping[str, Any], needed: int
-) -> Session:
-    from pcore.cli.sessions import Session
-    from pcore.cli.stages import begun
+def _options(path: Path, note: Callable[[str], None]) -> RunOptions:
+    from pcore.asset.training import RunOptions
+    from pcore.files.run_record import begun
 
-    return Session(
-        path=path,
-        stage=stage,
-        scene=folder.path / "sample",
-        config=config,
-        resume=begun(path),
-        tensorboard=False,
-        needed=needed,
-    )
+    # The story is that of the paper, whose pictures have their light baked in.
+    return RunOptions(light=False, resume=begun(path), preset="tiny", note=note)
 
 
 def _report(folder: DemoFolder, settings: DemoSettings, console: Console) -> Path:
     """Write the page; made anew every time, from the files of the other stages."""
-    from pcore.cli.demo_report import build_report, summary_lines
+    from pcore.demo.demo_report import build_report, summary_lines
     from pcore.evaluation.report import render_report
     from pcore.files.atomic import write_atomically
 

@@ -3,62 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.text import Text
-
-from pcore.errors import EditError
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from pcore.editing.diagnosis import Diagnosis
     from pcore.editing.handles import HandleDiagnosis
-    from pcore.editing.script import EditScript
-    from pcore.geometry.camera import Camera
-
-
-def training_cameras(source: Path, scene: Path | None) -> tuple[list[Camera], str]:
-    """Cameras of the training views of a run, or none and why they are not known.
-
-    Args:
-        source: folder of a run, a model file or a file of points.
-        scene: folder of the scene; None takes the one that the run was trained on.
-
-    Raises:
-        SceneError: the scene is damaged.
-        CheckpointError: the run is damaged.
-    """
-    from pcore.cli.runtime import recorded_factor, recorded_scene
-    from pcore.data.load import load_scene
-    from pcore.files.run_folder import RunFolder
-
-    run = RunFolder.open(source) if source.is_dir() else None
-    folder = scene or recorded_scene(run)
-    if folder is None:
-        why = "the scene of the run is not here" if run else "points alone have no scene"
-        return [], f"{why}; give it with --scene"
-    found = load_scene(folder, factor=recorded_factor(run))
-    return [view.camera for view in found.split("train")], ""
-
-
-def script_at(path: Path, time: float | None) -> EditScript:
-    """Read an edit file, at a time where it has keyframes.
-
-    Raises:
-        EditError: it is not valid, or has keyframes and no time is given.
-    """
-    from pcore.editing.animation import load_animation
-
-    animation = load_animation(path)
-    if time is None and animation.end > animation.start:
-        raise EditError(
-            f"{path}: expected --time between {animation.start:g} and {animation.end:g}, because "
-            "it has keyframes, got none; or use `pcore animate`"
-        )
-    return animation.at(animation.start if time is None else time)
 
 
 def note(console: Console, notes: Iterable[str]) -> None:

@@ -13,6 +13,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from pcore.demo.machine import usable_cores
+
 _OPTIONAL = (
     ("embreex", "sample", "no embedded sample (`pcore demo`), no true depth of meshes"),
     ("imageio", "video", "no orbit videos"),
@@ -21,6 +23,7 @@ _OPTIONAL = (
     ("jinja2", "report", "no HTML report"),
     ("matplotlib", "report", "no figures"),
     ("skimage", "metrics", "no SSIM"),
+    ("gaussforge", "splats", "compressed files of Gaussians (.spz, .sog) are not read"),
 )
 _MEMORY_WANTED = 4e9
 _DISK_WANTED = 1e9
@@ -41,9 +44,13 @@ class Finding:
 class DoctorCommand:
     """Check this machine: packages, device, memory, weights, and what would be slow."""
 
+    weights: bool = False
+    """Only list the files of LPIPS: which are there, which are missing, where they go."""
+
     def run(self) -> None:
         """Print the report."""
-        console, findings = Console(), examine()
+        console = Console()
+        findings = weight_files() if self.weights else examine()
         width = max(len(finding.name) for finding in findings)
         for finding in findings:
             mark = ("ok", "green") if finding.good else ("--", "yellow")
@@ -63,8 +70,9 @@ def examine() -> list[Finding]:
         _memory(),
         _disk(Path.cwd()),
         *_kernels(),
+        _gaussians(),
         *_packages(),
-        *_lpips(),
+        _lpips(),
     ]
 
 
@@ -112,12 +120,6 @@ def _threads() -> Finding:
             advice="training is slower than it could be: OMP_NUM_THREADS or torch limits it",
         )
     return Finding(name="threads", value=value)
-
-
-def usable_cores() -> int:
-    """Cores that this process may run on."""
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
 
 
 def memory_bytes(limit_file: Path = Path("/sys/fs/cgroup/memory.max")) -> int | None:
@@ -197,18 +199,38 @@ def _kernels() -> list[Finding]:
     ]
 
 
+def _gaussians() -> Finding:
+    from pcore.cli.doctor_gaussians import gaussian_report
+
+    value, advice = gaussian_report(installed)
+    return Finding(name="Gaussians", value=value, good=not advice, advice=advice)
+
+
 def _packages() -> list[Finding]:
-    findings: list[Finding] = []
+    """One line for all that is there, one for each that is missing."""
+    there = [name for name, _, _ in _OPTIONAL if find_spec(name) is not None]
+    findings = [Finding(name="packages", value=", ".join(there) or "no optional one")]
     for name, extra, loss in _OPTIONAL:
-        if find_spec(name) is None:
+        if name not in there:
             mend = f"{loss}; `pip install 'pcore-edit[{extra}]'` brings it"
             findings.append(Finding(name=name, value="not installed", good=False, advice=mend))
-        else:
-            findings.append(Finding(name=name, value=f"installed (extra {extra})"))
     return findings
 
 
-def _lpips() -> list[Finding]:
+def _lpips() -> Finding:
+    """Say in one line which weights are there."""
+    from pcore.metrics.perceptual import find_weights
+    from pcore.metrics.trunks import TRUNKS
+
+    missing = [trunk for trunk in TRUNKS if find_weights(trunk) is None]
+    there = [trunk for trunk in TRUNKS if trunk not in missing]
+    value = ", ".join([*there, *([f"no weights of {', '.join(missing)}"] if missing else [])])
+    advice = "`pcore doctor --weights` says which files go where" if missing else ""
+    return Finding(name="LPIPS", value=value, good=not missing, advice=advice)
+
+
+def weight_files() -> list[Finding]:
+    """For each trunk of LPIPS its files, or what is missing and how to get it."""
     from pcore.metrics.perceptual import find_weights, missing_weights
     from pcore.metrics.trunks import TRUNKS
 

@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from pcore.cli.cameras import Named
     from pcore.data.video import VideoWriter
     from pcore.geometry.camera import Camera
-    from pcore.geometry.point_cloud import PointCloud
-    from pcore.model.render import Picture
+    from pcore.render.image import Image
 
 FPS = 30
+_FAINT = 0.02
+"""A picture without a pixel that is more opaque shows nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,18 +42,18 @@ class Wanted:
 
 
 def draw(
-    take: Callable[..., Picture],
-    cloud: PointCloud,
+    take: Callable[..., Image],
+    points: Tensor,
     views: Named,
     output: Path,
     wanted: Wanted,
     console: Console,
 ) -> list[Path]:
-    """Render views of a cloud and write them into the folder `output`.
+    """Render views of an object and write them into the folder `output`.
 
     Args:
-        take: makes the picture of a camera and tells `progress`, as `render` does.
-        cloud: what is rendered; its extent sets the shades of depth.
+        take: makes the picture of a camera and tells `progress`, as `Asset.render` does.
+        points: (N, 3) of what is rendered, world units; their extent sets the shades of depth.
         views: cameras by name.
         output: folder that is there.
         wanted: which files.
@@ -62,18 +63,22 @@ def draw(
         The files, videos first.
 
     Raises:
+        InputError: nothing is to be seen in any of the pictures.
         KeyboardInterrupt: Ctrl-C; its message says what is complete.
     """
     from pcore.data.pictures import depth_range
 
-    shades = depth_range(cloud.positions, [camera for _, camera in views])
+    shades = depth_range(points, [camera for _, camera in views])
     files: list[Path] = []
+    empty: list[str] = []
     try:
         with ExitStack() as stack:
             films = _Films(output, stack)
             tell = stack.enter_context(_bar(console, len(views)))
             for index, (name, camera) in enumerate(views):
-                picture = take(camera, progress=partial(_told, tell, index))
+                picture = take(camera, progress=partial(_told, tell, index)).cpu()
+                if not bool((picture.alpha > _FAINT).any()):
+                    empty.append(name)
                 layers = _layers(picture, camera, wanted, shades)
                 if wanted.video:
                     films.add(layers)
@@ -83,7 +88,24 @@ def draw(
             f"complete files: {len(files)}, in {output}; no video was written. The same command "
             "with --overwrite begins again"
         ) from None
+    _tell_empty(empty, len(views), output, console)
     return [*films.paths, *files]
+
+
+def _tell_empty(empty: list[str], count: int, output: Path, console: Console) -> None:
+    """Say which pictures show nothing; InputError when all of them do."""
+    from pcore.cli.diagnosing import note
+    from pcore.errors import InputError
+
+    if empty and len(empty) == count:
+        raise InputError(
+            f"{output}: nothing is to be seen in any of the {count} picture(s) written; do the "
+            "cameras look at the object, in the coordinates of the scene, and was the run trained "
+            "to its end?"
+        )
+    if empty:
+        some = f"{', '.join(empty[:5])}{', ...' * (len(empty) > 5)}"
+        note(console, [f"nothing is to be seen in {len(empty)} of {count} pictures: {some}"])
 
 
 def _told(tell: Callable[[float], None], done: int, share: float) -> None:
@@ -91,11 +113,11 @@ def _told(tell: Callable[[float], None], done: int, share: float) -> None:
 
 
 def _layers(
-    picture: Picture, camera: Camera, wanted: Wanted, shades: tuple[float, float]
+    picture: Image, camera: Camera, wanted: Wanted, shades: tuple[float, float]
 ) -> dict[str, Tensor]:
     """Colours (H, W, 3) by the ending of their file's name."""
     from pcore.data.pictures import depth_picture, normal_picture
-    from pcore.model.render import normals
+    from pcore.render.image import normals
 
     layers = {"": picture.rgb}
     if wanted.depth:
@@ -109,13 +131,13 @@ def _layers(
 def _write(
     output: Path,
     name: str,
-    picture: Picture,
+    picture: Image,
     camera: Camera,
     layers: dict[str, Tensor],
     wanted: Wanted,
 ) -> list[Path]:
     from pcore.data.pictures import write_png, write_raw
-    from pcore.model.render import normals
+    from pcore.render.image import normals
 
     files: list[Path] = []
     if wanted.png:

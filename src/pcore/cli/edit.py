@@ -1,4 +1,4 @@
-"""`pcore edit ...`: apply, list, check and upgrade edit files."""
+"""`pcore edit ...`: apply, list and check edit files."""
 
 from __future__ import annotations
 
@@ -17,9 +17,13 @@ from pcore.errors import InputError
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from pcore.asset.asset import Asset
+    from pcore.data.points import PointFile
+    from pcore.editing.anchors import AnchorRig
     from pcore.editing.diagnosis import Diagnosis
     from pcore.editing.handles import HandleDiagnosis
     from pcore.editing.script import EditScript
+    from pcore.geometry.camera import Camera
 
 _DETAILS = ("region", "freeze")
 
@@ -101,28 +105,6 @@ class ValidateCommand:
         validate_edit(self, Console())
 
 
-@dataclass(frozen=True, kw_only=True)
-class UpgradeCommand:
-    """Write an edit file in the newest version, which means the same."""
-
-    edit: Annotated[Positional[Path], arg(metavar="FILE")]
-    """Edit file (JSON); keyframes are kept."""
-
-    output: Annotated[Path | None, optional("FILE", "-o")] = None
-    """Where to write; default: the file itself."""
-
-    def run(self) -> None:
-        """Do it; raises EditError when the file is not valid or cannot be written."""
-        from pcore.editing.animation import load_animation
-        from pcore.editing.script import VERSION
-
-        animation = load_animation(self.edit)
-        output = self.output or self.edit
-        animation.save(output)
-        what = f"{output}: version {animation.version} -> {VERSION}"
-        Console().print(Text(what), soft_wrap=True)
-
-
 def validate_edit(command: ValidateCommand, console: Console) -> None:
     """Check an edit file, bind it at every time that matters, and say what is odd.
 
@@ -134,7 +116,6 @@ def validate_edit(command: ValidateCommand, console: Console) -> None:
     from pcore.cli.diagnosing import note
     from pcore.cli.results import counting
     from pcore.editing.animation import load_animation
-    from pcore.editing.runs import learned_rig
 
     animation = load_animation(command.edit)
     count = len(animation.at(animation.start).edits)
@@ -142,8 +123,8 @@ def validate_edit(command: ValidateCommand, console: Console) -> None:
     if command.run_or_file is None:
         console.print(Text(what), soft_wrap=True)
         return
-    points = read_source(command.run_or_file)
-    rig = learned_rig(command.run_or_file, points)
+    subject = read_subject(command.run_or_file)
+    points, rig = subject.points, subject.rig
     times = animation.times_to_check(command.frames)
     notes: list[str] = []
     with counting(console, "times checked") as tell:
@@ -165,21 +146,21 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         SceneError: the scene is damaged.
         InputError: points or pictures that cannot be read or written.
     """
-    from pcore.cli.diagnosing import note, report, script_at, training_cameras
+    from pcore.asset.posing import script_of
+    from pcore.cli.diagnosing import note, report
     from pcore.cli.edit_picture import write_picture
-    from pcore.data.points import save_points
+    from pcore.data.points import save_moved, save_points
     from pcore.editing.diagnosis import diagnose, with_exposed
     from pcore.editing.handles import handles_of
-    from pcore.editing.runs import learned_rig
 
     _check_outputs(command)
-    script = script_at(command.edit, command.time)
-    points = read_source(command.source)
-    rig = learned_rig(command.source, points)
+    script = script_of(command.edit, command.time)
+    subject = read_subject(command.source)
+    source, points, rig = subject.file, subject.points, subject.rig
     bound = script.bound(points, rig=rig)
     moved = bound.setting.points.to(points.dtype)
     found = diagnose(points, moved)
-    cameras, why_not = training_cameras(command.source, command.scene)
+    cameras, why_not = subject.training_cameras(command.scene)
     if cameras:
         found = with_exposed(found, points, moved, cameras)
     handles = handles_of(script, points, rig)
@@ -188,10 +169,16 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         raise InputError(
             f"--colors {command.colors}: expected an edit by anchors in {command.edit}, got none"
         )
-    save_points(command.output, moved, colors.get(command.colors))
+    left: tuple[str, ...] = ()
+    if command.colors == "none":
+        maps = bound.deformation.jacobian(points) if source.has_normals else None
+        left = save_moved(command.output, source, moved, maps)
+    else:
+        save_points(command.output, moved, colors[command.colors], source.faces)
+        left = source.not_written()
     for line in [*lines_of(script), *report(points, moved, found, handles, why_not)]:
         console.print(Text(line), soft_wrap=True)
-    note(console, bound.notes)
+    note(console, [*bound.notes, *source.notes, *left])
     if command.picture is not None:
         write_picture(command.picture, moved, colors)
     console.print(Text(f"written to {command.output}"), soft_wrap=True)
@@ -217,20 +204,58 @@ def _colors(found: Diagnosis, handles: dict[int, HandleDiagnosis]) -> dict[str, 
     return colors
 
 
-def read_source(path: Path) -> Tensor:
-    """Canonical points (N, 3) of a run or model, or the points of a file.
+def read_subject(path: Path) -> Subject:
+    """What an edit is of: a run, a model, or the points of a file.
 
     Raises:
         CheckpointError: no model there.
         InputError: a file of points that cannot be read.
     """
-    from pcore.data.points import POINT_SUFFIXES, read_point_file
+    from pcore.asset.saving import load
+    from pcore.data.points import POINT_SUFFIXES, PointFile, read_point_file
 
     if path.suffix.lower() in POINT_SUFFIXES:
-        return read_point_file(path).positions
-    from pcore.cli.runtime import open_model
+        return Subject(file=read_point_file(path))
+    asset = load(path)
+    return Subject(file=PointFile(positions=asset.points), asset=asset)
 
-    return open_model(path)[0].cloud.positions
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Subject:
+    """A file of points to edit, or the points of an asset; None for bare points."""
+
+    file: PointFile
+    asset: Asset | None = None
+
+    @property
+    def points(self) -> Tensor:
+        """(N, 3) what is edited, world units."""
+        return self.file.positions
+
+    @property
+    def rig(self) -> AnchorRig | None:
+        """Anchors with learned weights."""
+        return None if self.asset is None else self.asset.rig
+
+    def training_cameras(self, scene: Path | None) -> tuple[list[Camera], str]:
+        """Cameras of the training views, or none and why they are not known.
+
+        Args:
+            scene: folder of the scene; None takes the one that the run was trained on.
+
+        Raises:
+            SceneError: the scene is damaged.
+        """
+        from pcore.data.load import load_scene
+
+        record = None if self.asset is None else self.asset.record
+        folder = scene or (None if record is None else record.scene_folder)
+        if folder is None:
+            run = record is not None and record.path is not None
+            why = "the scene of the run is not here" if run else "points alone have no scene"
+            return [], f"{why}; give it with --scene"
+        found = load_scene(folder, factor=1 if record is None else record.factor)
+        return [view.camera for view in found.split("train")], ""
 
 
 def lines_of(script: EditScript) -> list[str]:

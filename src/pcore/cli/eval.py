@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,19 +11,17 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from pcore.cli.light import LightChoice, LightName
+from pcore.cli.light import LightChoice
 from pcore.cli.options import Count, Folder, Number, Output, Samples, check_given_samples
 from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
-    from pcore.cli.models import Run
-    from pcore.data.scene import Scene
+    from pcore.asset.asset import Asset
     from pcore.evaluation.protocol import Perceptual
     from pcore.evaluation.runner import ImageRow, Method, Taken
     from pcore.evaluation.states import SceneStates, State
 
 PICTURES = "pictures"
-_LISTED = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,65 +96,75 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         EditError: an edit file is not valid or does not fit the points.
         InputError: an unknown state, a factor that does not fit, or an output folder in use.
     """
-    from pcore.cli.models import baseline_of, open_run
+    from pcore.cli.diagnosing import note
     from pcore.cli.output import results_folder
     from pcore.cli.results import counting
-    from pcore.cli.runtime import pick_device, prepare_torch, scene_of
-    from pcore.cli.stages import relative
+    from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.data.scene import check_images
+    from pcore.evaluation.mended import mended_notes
+    from pcore.evaluation.methods import baseline_of, methods_of, open_subject
     from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states
-    from pcore.model.render import render
 
     check_given_samples(command.samples)
     prepare_torch(command.threads)
     device = pick_device(command.device)
-    run = open_run(command.run_folder, device=device)
+    run = open_subject(command.run_folder, device=device)
     base = baseline_of(run, command.baseline, device=device)
     runs = [run] if base is None else [base, run]
-    factor = run.factor if command.factor is None else command.factor
-    places = open_states(scene_of(run.manifest, command.scene), factor=factor)
+    factor = run.record.factor if command.factor is None else command.factor
+    places = open_states(run.record.scene_or(command.scene), factor=factor)
     states = places.select(command.state or (() if command.edit else ("all",)))
     edited, odd = _edited(command, places, runs)
     states += edited
+    note(console, places.scene.notes)
     check_images(shot.view for state in states for shot in state.shots)
     output = command.output or command.run_folder / "eval"
     results_folder(output, about=run.path)
-    methods = _methods(run, base, command.rays, command.light, places.scene)
+    methods = methods_of(runs, places.scene, rays=command.rays, light=command.light)
     chosen = PROTOCOLS.values() if command.protocol == "both" else [PROTOCOLS[command.protocol]]
     perceptual = load_perceptual()
     with counting(console, "pictures") as tell:
         rows = evaluate(
             methods,
             states,
-            draw=partial(render, samples=command.samples),
+            draw=lambda asset, posed, camera: asset.render(posed, camera, samples=command.samples),
             protocols=list(chosen),
             perceptual=perceptual,
             progress=tell,
             show=_sheet_writer(output / PICTURES, methods) if command.pictures else None,
         )
-    about = {
-        "run": relative(run.path, output),
-        "baseline": None if base is None else relative(base.path, output),
-        "scene": relative(places.path, output),
-        "factor": places.factor,
-        "samples": {one.path.name: command.samples or one.papr.config.samples for one in runs},
-    }
-    left_out = [places.left_out] if places.left_out else []
-    counts = {one.papr.config.samples for one in runs}
-    if command.samples is None and len(counts) > 1:
+    counts = [one.content.samples for one in runs]
+    if command.samples is None and len({*counts}) > 1:
         odd.append("the runs send another number of rays per pixel each; give --samples for one")
-    notes = [*left_out, *odd, *_mended(rows, methods, states)]
+    left_out = [places.left_out] if places.left_out else []
+    notes = [*left_out, *odd, *mended_notes(rows, methods, states)]
+    about = _about(command, runs, places, output)
     finish(console, output, rows, about=about, perceptual=perceptual, notes=notes)
 
 
+def _about(
+    command: EvalCommand, runs: Sequence[Asset], places: SceneStates, output: Path
+) -> dict[str, Any]:
+    """What the results are of, for their file; the baseline comes before the run."""
+    from pcore.files.run_record import relative
+
+    base = None if len(runs) == 1 else relative(runs[0].path, output)
+    return {
+        "run": relative(runs[-1].path, output),
+        "baseline": base,
+        "scene": relative(places.path, output),
+        "factor": places.factor,
+        "samples": {one.path.name: command.samples or one.content.samples for one in runs},
+    }
+
+
 def _edited(
-    command: EvalCommand, places: SceneStates, runs: Sequence[Run]
+    command: EvalCommand, places: SceneStates, runs: Sequence[Asset]
 ) -> tuple[list[State], list[str]]:
     """States of the edit files, and what is odd about them."""
-    from pcore.cli.diagnosing import script_at
-    from pcore.editing.runs import learned_rig
+    from pcore.asset.posing import script_of
     from pcore.errors import InputError
     from pcore.evaluation.edited import EditedShape
     from pcore.evaluation.states import CANONICAL
@@ -167,13 +174,12 @@ def _edited(
         raise InputError(
             f"--edit: expected files of different names, got {', '.join(map(str, command.edit))}"
         )
-    clouds = [one.cloud.positions.detach().cpu() for one in runs]
-    subjects = [(c, learned_rig(one.path, c)) for c, one in zip(clouds, runs, strict=True)]
+    subjects = [(one.points, one.rig) for one in runs]
     shots = places.select([CANONICAL])[0].shots
     states: list[State] = []
     odd: list[str] = []
     for name, file in zip(names, command.edit, strict=True):
-        shape = EditedShape(script_at(file, command.time), subjects)
+        shape = EditedShape(script_of(file, command.time), subjects)
         states.append(shape.state(name, shots, places.scene.center))
         odd += [f"{file}: {line}" for line in shape.notes]
     return states, odd
@@ -203,78 +209,6 @@ def finish(
     write_tables(output, rows, record)
     show_results(console, means, found, perceptual=perceptual, notes=notes)
     console.print(Text(f"written to {output}"), soft_wrap=True)
-
-
-def _mended(
-    rows: Sequence[ImageRow], methods: Sequence[Method], states: Sequence[State]
-) -> list[str]:
-    """Say at which points estimated frames had to be replaced, once per state and cloud."""
-    from pcore.evaluation.runner import carry
-
-    named = {method.name: method for method in methods}
-    places = {state.name: state for state in states}
-    found: dict[tuple[str, int], dict[str, None]] = {}
-    for row in rows:
-        if row.scores["mended_frames"]:
-            # Methods of one run share their frames.
-            found.setdefault((row.state, id(named[row.method].cloud)), {})[row.method] = None
-    notes: list[str] = []
-    for (state, _), names in found.items():
-        # Moved once more: the rows hold numbers only, and few states come here.
-        one = named[next(iter(names))]
-        frames = carry([one], places[state])[one.name].frames
-        numbers = [] if frames is None else frames.mended.tolist()
-        notes.append(
-            f"state {state}, {', '.join(names)}: {len(numbers)} of {len(one.cloud):,} local frames "
-            "were estimated inside out and replaced by a similarity, at points number "
-            f"{', '.join(map(str, numbers[:_LISTED]))}{', ...' * (len(numbers) > _LISTED)}"
-        )
-    return notes
-
-
-def _methods(
-    run: Run, base: Run | None, rays: str, light: LightName | None, scene: Scene
-) -> list[Method]:
-    """Baseline first; two methods of one name are told apart by the folders of their runs.
-
-    Where a run has a light, aware rays come with it as well, unless the light is to be baked.
-    """
-    from pcore.cli.light import shading_of
-    from pcore.cli.models import never_seen
-    from pcore.evaluation.runner import Method
-
-    runs = [run] if base is None else [base, run]
-    alike = base is not None and base.label == run.label
-    found: list[Method] = []
-    for one in runs:
-        unseen = never_seen(one.cloud, scene)
-        wanted = rays != "plain"
-        shading = shading_of(one.path, one.cloud, light, aware=True) if wanted else None
-        ways = [(False, None), (True, None), (True, shading)][: 2 if shading is None else 3]
-        found += [
-            Method(
-                name=_name(one, aware=aware, lit=lamp is not None)
-                + (f" ({one.path.resolve().name})" if alike else ""),
-                papr=one.papr,
-                cloud=one.cloud,
-                aware=aware,
-                unseen=unseen,
-                shading=lamp,
-            )
-            for aware, lamp in ways
-            if rays in ("both", "aware" if aware else "plain")
-        ]
-    # Plain rays of all runs, then aware ones, then those with a light: of the baseline first.
-    return sorted(found, key=lambda method: (method.aware, method.shading is not None))
-
-
-def _name(run: Run, *, aware: bool, lit: bool) -> str:
-    if not aware:
-        return run.label
-    from pcore.cli.models import UNTUNED
-
-    name = "aware" if run.label == UNTUNED else f"aware + {run.label}"
-    return f"{name} + light" if lit else name
 
 
 def _sheet_writer(folder: Path, methods: Sequence[Method]) -> Callable[[Taken], None]:

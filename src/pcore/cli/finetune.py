@@ -15,8 +15,7 @@ from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
-    from pcore.files.model_file import SavedModel
-    from pcore.files.run_folder import RunFolder
+    from pcore.asset.asset import Asset
     from pcore.training.config import FinetuneConfig
 
 
@@ -92,60 +91,43 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         TrainingError: training diverged or cannot write.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
-    from pcore.cli.light import try_light
-    from pcore.cli.runtime import pick_device, prepare_torch, recorded_factor, scene_of
-    from pcore.cli.sessions import Session, disk_space, run_session, show_result
-    from pcore.cli.stages import relative
+    from pcore.asset.saving import load
+    from pcore.asset.training import RunOptions, finetune
+    from pcore.cli.light import show_light
+    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.sessions import show_result, shown_training
     from pcore.cli.train import announce
-    from pcore.data.load import load_scene
-    from pcore.files.model_file import load_model
-    from pcore.files.records import to_dict
-    from pcore.files.run_folder import RunFolder
-    from pcore.training.finetune import finetune
-    from pcore.training.trained import Trained
+    from pcore.files.run_record import finished
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
-    run, saved = RunFolder.open(command.run_folder), load_model(command.run_folder)
-    folder, output = scene_of(run, command.scene), _output(command)
-    factor = recorded_factor(run) if command.factor is None else command.factor
-    scene = load_scene(folder, factor=factor)
-    name, config = _config(command, run, saved)
+    asset, output = load(command.run_folder), _output(command)
+    scene = asset.scene(command.scene, factor=command.factor)
+    name, config = _config(command, asset)
     command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{name}, {config.steps:,} steps on {device}")
-    base = Trained(papr=saved.papr(), cloud=saved.cloud, step=saved.provenance.step)
-    record = {
-        "base": relative(command.run_folder, output),
-        "preset": name,
-        "factor": factor,
-        "finetune": to_dict(config),
-    }
-    session = Session(
-        path=output,
-        stage="finetune",
-        scene=folder,
-        config=record,
-        resume=command.resume,
-        tensorboard=not command.no_tensorboard,
-        needed=disk_space(saved.config, len(saved.cloud)),
-    )
-    trained = run_session(
-        session,
-        lambda out, tell: finetune(
-            scene,
-            base,
-            config,
-            folder=out,
-            listener=tell,
-            device=device,
+    done = command.resume and finished(output)
+    with shown_training(console) as (listener, note):
+        options = RunOptions(
+            resume=command.resume,
+            tensorboard=not command.no_tensorboard,
             compiled=not command.no_compile,
-        ),
-        console,
-    )
-    if trained:
-        try_light(output, scene, device, console)
-    show_result(console, output, next_command=f"pcore render {output} --edit edit.json")
+            preset=name,
+            note=note,
+        )
+        tuned = finetune(
+            asset,
+            scene,
+            config,
+            folder=output,
+            listener=listener,
+            device=device,
+            options=options,
+        )
+    if not done:
+        show_light(tuned, console)
+    show_result(console, tuned)
 
 
 def _output(command: FinetuneCommand) -> Path:
@@ -163,14 +145,12 @@ def _output(command: FinetuneCommand) -> Path:
     return command.output
 
 
-def _config(
-    command: FinetuneCommand, run: RunFolder, saved: SavedModel
-) -> tuple[PresetName, FinetuneConfig]:
+def _config(command: FinetuneCommand, asset: Asset) -> tuple[PresetName, FinetuneConfig]:
     """Name of the preset and its settings with what the command changes."""
-    from pcore.cli.models import finetune_config
+    from pcore.asset.training import finetune_settings
     from pcore.training.presets import skinning_preset
 
-    name, config = finetune_config(run, saved, command.preset)
+    name, config = finetune_settings(asset, command.preset)
     changes: dict[str, Any] = {
         "seed": command.seed,
         "aware": command.rays == "aware",

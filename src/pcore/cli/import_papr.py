@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -41,31 +41,11 @@ class ImportPaprCommand:
 
     def run(self) -> None:
         """Import; raises CheckpointError, InputError or TrainingError and then leaves no run."""
-        from pcore.files.official import load_official
-        from pcore.files.provenance import provenance_of
-        from pcore.files.records import to_dict
-        from pcore.files.run_folder import RunFolder, bytes_needed
+        from pcore.asset.importing import import_papr
 
-        reference = self._reference()
-        official = load_official(self.model, self.config)
-        config = replace(official.config, reference=reference)
-        scene, step = str(official.provenance["scene"]), int(official.provenance["step"] or 0)
-        numbers = sum(value.numel() for value in official.state.values())
-        with RunFolder.create(
-            self.output,
-            stage="import",
-            scene=scene,
-            config={"papr": to_dict(config), "source": official.provenance},
-            needed=bytes_needed(numbers + official.cloud.features.numel()),
-        ) as run:
-            run.save_model(
-                official.state,
-                official.cloud,
-                config,
-                provenance_of(official.cloud, config, scene=scene, stage="import", step=step),
-            )
-            run.update(status="finished", step=step)
-        text = f"{self.output}: {scene}, {len(official.cloud):,} points, {step:,} steps"
+        asset = import_papr(self.model, self.config, self.output, reference=self._reference())
+        came = asset.provenance
+        text = f"{self.output}: {came.scene}, {len(asset):,} points, {came.step:,} steps"
         Console().print(Text(text), soft_wrap=True)
 
     def _reference(self) -> ReferenceOrigin | None:

@@ -6,31 +6,44 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.layout import pair_lines, print_lines, room
+
+if TYPE_CHECKING:
+    from pcore.files.gaussian_file import GaussianSummary
+    from pcore.files.model_file import ModelSummary
+    from pcore.files.run_record import RunRecord
+    from pcore.files.skinning_file import SkinningSummary
+
 Rows = list[tuple[str, str]]
+
+_SETTINGS = ("papr.", "config.", "skinning.")
+"""How names of settings begin."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class InfoCommand:
-    """Say what a run is: stage, steps, points, configuration, scores."""
+    """Say what a run is: stage, steps, points, scores; its settings on demand."""
 
     run_or_file: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a run, or a model.safetensors."""
 
+    settings: bool = False
+    """Also print every setting of the network and of the training."""
+
     def run(self) -> None:
         """Print the table; raises CheckpointError when it is neither."""
-        table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-        table.add_column(no_wrap=True)
-        table.add_column(overflow="fold")
-        for name, value in describe(self.run_or_file):
-            table.add_row(Text(name, "bold"), Text(value))
-        Console().print(table)
+        rows, console = describe(self.run_or_file), Console()
+        if not self.settings:
+            short = [row for row in rows if not row[0].startswith(_SETTINGS)]
+            if len(short) < len(rows):
+                short.append(("settings", f"{len(rows) - len(short)}, listed with --settings"))
+            rows = short
+        print_lines(console, pair_lines(rows, room(console)))
 
 
 def describe(path: Path) -> Rows:
@@ -39,20 +52,30 @@ def describe(path: Path) -> Rows:
     Raises:
         CheckpointError: there is neither, or what is there is damaged.
     """
-    from pcore.files.run_folder import RunFolder
+    from pcore.asset.summary import summarize
 
-    if not path.is_dir():
-        return _model_rows(path)
-    run = RunFolder.open(path)
-    rows: Rows = [("run", str(path)), ("stage", run.stage), ("scene", run.scene)]
-    rows += _flat(run.notes)
-    if run.state.exists():
-        rows.append(("can resume from", f"step {run.saved_step()}"))
-    rows += _model_rows(run.model) if run.model.exists() else [("model", "none saved yet")]
-    rows += _skinning_rows(run.skinning) if run.skinning.exists() else []
-    rows += _light_rows(path) if run.model.exists() else []
-    rows += _score_rows(path / "eval")
-    return rows + _flat(run.config, "config.")
+    summary = summarize(path)
+    rows: Rows = [] if summary.record is None else _run_rows(path, summary.record)
+    if summary.saved_step is not None:
+        rows.append(("can resume from", f"step {summary.saved_step}"))
+    if summary.gaussians is not None:
+        rows += _gaussian_rows(summary.model_file, summary.gaussians)
+    elif summary.model is None:
+        rows.append(("model", "none saved yet"))
+    else:
+        rows += _model_rows(summary.model_file, summary.model)
+    if summary.skinning is not None:
+        rows += _skinning_rows(summary.skinning)
+    if summary.light is not None:
+        rows.append(("light", summary.light))
+    if summary.record is None:
+        return rows
+    return [*rows, *_score_rows(path / "eval"), *_flat(summary.record.config, "config.")]
+
+
+def _run_rows(path: Path, record: RunRecord) -> Rows:
+    rows = [("run", str(path)), ("stage", record.stage), ("scene", record.scene)]
+    return rows + _flat(record.notes)
 
 
 def _score_rows(folder: Path) -> Rows:
@@ -77,11 +100,9 @@ def _score_rows(folder: Path) -> Rows:
     ]
 
 
-def _model_rows(path: Path) -> Rows:
-    from pcore.files.model_file import describe_model
+def _model_rows(path: Path, summary: ModelSummary) -> Rows:
     from pcore.files.records import to_dict
 
-    summary = describe_model(path)
     came, size = summary.provenance, path.stat().st_size / 1e6
     lower, upper = (", ".join(f"{x:.3g}" for x in corner) for corner in came.extent)
     return [
@@ -94,30 +115,29 @@ def _model_rows(path: Path) -> Rows:
     ]
 
 
-def _skinning_rows(path: Path) -> Rows:
+def _gaussian_rows(path: Path, summary: GaussianSummary) -> Rows:
     from pcore.files.records import to_dict
-    from pcore.files.skinning_file import describe_skinning
 
-    summary = describe_skinning(path)
+    came = summary.provenance
+    lower, upper = (", ".join(f"{x:.3g}" for x in corner) for corner in came.extent)
+    return [
+        ("model", f"{path} ({path.stat().st_size / 1e6:.1f} MB)"),
+        ("made by", f"{came.stage}, {came.step} steps, pcore {came.pcore}"),
+        ("trained on", came.scene),
+        ("Gaussians", f"{summary.count:,}"),
+        ("degree of the harmonics", str(summary.degree)),
+        ("extent", f"({lower}) to ({upper}), world units"),
+        *_flat(to_dict(summary.footprint), "footprint."),
+    ]
+
+
+def _skinning_rows(summary: SkinningSummary) -> Rows:
+    from pcore.files.records import to_dict
+
     return [
         ("skinning", f"learned weights of {summary.anchors} anchors"),
         *_flat(to_dict(summary.config), "skinning."),
     ]
-
-
-def _light_rows(folder: Path) -> Rows:
-    from pcore.cli.light import description
-    from pcore.errors import CheckpointError
-    from pcore.files.model_file import load_model
-    from pcore.relight.light_file import LIGHT_FILE, load_shading
-
-    if not (folder / LIGHT_FILE).is_file():
-        return []
-    try:
-        shading = load_shading(folder, load_model(folder).cloud.positions)
-    except CheckpointError as error:
-        return [("light", f"cannot be used: {error}")]
-    return [("light", description(shading))]
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> Rows:

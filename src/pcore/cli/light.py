@@ -12,12 +12,10 @@ from tyro.conf import Positional, arg
 
 from pcore.cli.options import Count, Folder, optional
 from pcore.cli.runtime import DeviceName
-from pcore.errors import InputError
 
 if TYPE_CHECKING:
+    from pcore.asset.asset import Asset
     from pcore.data.scene import Scene
-    from pcore.geometry.point_cloud import PointCloud
-    from pcore.relight.shading import Shading
 
 LightName = Literal["still", "baked"]
 LightChoice = Annotated[LightName | None, optional("{still,baked}")]
@@ -28,9 +26,10 @@ LightChoice = Annotated[LightName | None, optional("{still,baked}")]
 class LightCommand:
     """Estimate the light of a run's training photos and write it beside the model.
 
-    From then on `pcore render`, `pcore animate` and `pcore eval` light deformed points anew, and
-    pictures of `render` are as deep as the surface, not as the points (`--light baked`: neither).
-    `pcore train` and `pcore finetune` do this at their end.
+    From then on `pcore render`, `pcore animate` and `pcore eval` light deformed points anew (not
+    with `--light baked`). Where the model does not know the surface over its points, as after
+    `pcore import papr`, that is estimated as well and kept in the model file. `pcore train` and
+    `pcore finetune` do all this at their end.
     """
 
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
@@ -50,100 +49,47 @@ class LightCommand:
 
     def run(self) -> None:
         """Estimate; raises PcoreError subclasses for what the user can mend."""
-        from pcore.cli.runtime import pick_device, prepare_torch, recorded_factor, scene_of
-        from pcore.data.load import load_scene
-        from pcore.files.run_folder import RunFolder
+        from pcore.asset.saving import load
+        from pcore.cli.diagnosing import note
+        from pcore.cli.runtime import pick_device, prepare_torch
 
         prepare_torch(self.threads)
-        device = pick_device(self.device)
-        run = RunFolder.open(self.run_folder)
-        factor = recorded_factor(run) if self.factor is None else self.factor
-        scene = load_scene(scene_of(run, self.scene), factor=factor)
-        estimate_light(self.run_folder, scene, device, Console())
+        asset = load(self.run_folder, device=pick_device(self.device))
+        scene, console = asset.scene(self.scene, factor=self.factor), Console()
+        note(console, scene.notes)
+        estimate(asset, scene, console)
 
 
-def estimate_light(path: Path, scene: Scene, device: str, console: Console) -> None:
+def estimate(asset: Asset, scene: Scene, console: Console) -> None:
     """Estimate the light of a run, write it into its folder and say what it is.
 
     Raises:
-        CheckpointError: the run's model is missing or damaged.
-        InputError: too few points have a normal that the views agree on.
+        InputError: too few points have a normal that the views agree on, or there is no folder.
         OSError: the file cannot be written.
     """
+    from pcore.asset.training import estimate_light
     from pcore.cli.results import counting
-    from pcore.data.scene import check_images
-    from pcore.files.model_file import load_model
-    from pcore.relight.estimate import fit_shading
-    from pcore.relight.light_file import LIGHT_FILE, save_shading
+    from pcore.files.model_file import MODEL_FILE, describe_model
 
-    saved, views = load_model(path), scene.split("train")
-    check_images(views)
-    with counting(console, "light: views") as tell:
-        shading = fit_shading(saved.papr().to(device), saved.cloud, views, progress=tell)
-    save_shading(path / LIGHT_FILE, shading)
-    console.print(Text(f"{path / LIGHT_FILE}: {description(shading)}"), soft_wrap=True)
-
-
-def try_light(path: Path, scene: Scene, device: str, console: Console) -> None:
-    """Estimate the light at the end of a training; say so where that is not possible.
-
-    Raises:
-        CheckpointError: the run's model is missing or damaged.
-    """
+    known = describe_model(asset.path).surfels
     try:
-        estimate_light(path, scene, device, console)
-    except (InputError, OSError) as error:
-        console.print(Text(f"note: {error}"), soft_wrap=True)
+        with counting(console, "light: views") as tell:
+            made = estimate_light(asset, scene, progress=tell)
+    finally:
+        if not known and describe_model(asset.path).surfels:
+            where = asset.path / MODEL_FILE
+            text = f"{where}: the surface over the points was not known; estimated now and kept"
+            console.print(Text(text), soft_wrap=True)
+    show_light(made, console)
 
 
-def description(shading: Shading) -> str:
-    """Say where the most light comes from and how far, how uneven it is, and who has a normal."""
-    import torch
+def show_light(asset: Asset, console: Console) -> None:
+    """Say what the light of a run is, where one was estimated."""
+    from pcore.asset.saving import neural_points_of
+    from pcore.relight.description import describe_light
+    from pcore.relight.light_file import LIGHT_FILE
 
-    light = shading.light
-    # Of all ways a surface can face: the best and the worst lit.
-    falling = light.irradiance(light.directions)
-    x, y, z = (float(one) for one in light.directions[int(falling.argmax())])
-    ratio = float(falling.max() / falling.min().clamp_min(1e-3 * falling.max()))
-    known = float(shading.known.to(torch.float32).mean())
-    shown = shading.positions[shading.known]
-    size = float((shown.amax(dim=0) - shown.amin(dim=0)).norm()) if len(shown) else 0.0
-    nearness = size * light.mean_nearness
-    # Beyond that the light on an object varies by a few percent.
-    distance = f"{1 / nearness:.1f} times the object's size" if nearness > 0.02 else "far"
-    return (
-        f"brightest on surfaces that face ({x:.2f}, {y:.2f}, {z:.2f}), {ratio:.1f} times the light "
-        f"of the darkest; lamps are {distance} away; "
-        f"{100 * known:.0f} % of the points have a normal, the surface lies {shading.lift:.2g} "
-        "above them"
-    )
-
-
-def shading_of(
-    path: Path, cloud: PointCloud, choice: LightName | None, *, aware: bool
-) -> Shading | None:
-    """Read the light that pictures of a run's deformed points should have; None: as photographed.
-
-    Args:
-        path: folder of the run, or a model file, which has no light beside it.
-        cloud: its canonical points.
-        choice: what was asked for; None takes a light that stands still where the run has one and
-            rays are aware of the deformation.
-        aware: whether they are.
-
-    Raises:
-        CheckpointError: the file is damaged or belongs to other points.
-        InputError: a light is asked for and there is none.
-    """
-    from pcore.relight.light_file import LIGHT_FILE, load_shading
-
-    if choice == "baked" or (choice is None and not aware):
-        return None
-    if not (path / LIGHT_FILE).is_file():
-        if choice is None:
-            return None
-        raise InputError(
-            f"--light still: expected a {LIGHT_FILE} in the folder of the run, found none in "
-            f"{path}; estimate it with `pcore light RUN`"
-        )
-    return load_shading(path, cloud.positions)
+    light, surfels = asset.light, neural_points_of(asset, "light").surfels
+    if light is not None and surfels is not None:
+        text = f"{asset.path / LIGHT_FILE}: {describe_light(light, surfels)}"
+        console.print(Text(text), soft_wrap=True)

@@ -19,7 +19,7 @@ class LossOptions:
     """Weights of the losses beside the squared error; what is not given stays as in the preset."""
 
     lpips_weight: Number = None
-    """Weight of LPIPS, whose files `pcore doctor` lists; 0 for none; default: the preset's."""
+    """Weight of LPIPS (files: `pcore doctor --weights`); 0 for none; default: the preset's."""
 
     lpips_trunk: Annotated[
         Literal["alex", "squeeze", "vgg"] | None, optional("{alex,squeeze,vgg}")

@@ -60,7 +60,6 @@ VERBS: tuple[Verb, ...] = (
     Verb("edit apply", "pcore.cli.edit", "ApplyCommand", "move points, say how the edit does"),
     Verb("edit list", "pcore.cli.edit", "ListCommand", "say what an edit file does"),
     Verb("edit validate", "pcore.cli.edit", "ValidateCommand", "check an edit file"),
-    Verb("edit upgrade", "pcore.cli.edit", "UpgradeCommand", "write the newest version of it"),
     Verb("deform", "pcore.cli.deform", "DeformCommand", "apply an edit file to any points"),
     Verb(
         "import papr",
@@ -68,6 +67,13 @@ VERBS: tuple[Verb, ...] = (
         "ImportPaprCommand",
         "make a run of an official PAPR checkpoint",
     ),
+    Verb(
+        "import gaussians",
+        "pcore.cli.import_gaussians",
+        "ImportGaussiansCommand",
+        "make a run of a 3DGS file",
+    ),
+    Verb("export", "pcore.cli.export", "ExportCommand", "write a run, also edited, as 3DGS files"),
     Verb("info", "pcore.cli.info", "InfoCommand", "say what a run or model file is"),
     Verb("doctor", "pcore.cli.doctor", "DoctorCommand", "check this machine"),
 )

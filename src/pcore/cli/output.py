@@ -42,9 +42,9 @@ def results_folder(folder: Path, *, about: Path) -> None:
         InputError: it is a file, a run, or holds other files or the results of another run.
         OSError: it cannot be made or written.
     """
-    from pcore.cli.stages import relative
     from pcore.errors import InputError
     from pcore.evaluation.tables import SUMMARY_FILE, write_json
+    from pcore.files.run_record import relative
 
     there, path = _content(folder, "results"), folder / SUMMARY_FILE
     if path.exists():

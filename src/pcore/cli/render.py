@@ -11,15 +11,14 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from pcore.cli.light import LightChoice, shading_of
+from pcore.cli.light import LightChoice
 from pcore.cli.options import Count, Folder, Number, Output, Samples, check_given_samples, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
+    from pcore.asset.asset import Asset, Posed
     from pcore.cli.cameras import Named
-    from pcore.files.run_folder import RunFolder
-    from pcore.geometry.point_cloud import PointCloud
 
 _FRAMES = 60
 
@@ -33,6 +32,9 @@ class RenderCommand:
 
     edit: Annotated[Path | None, optional("FILE")] = None
     """Edit file (JSON) to deform the points with; bound to the canonical cloud."""
+
+    time: Number = None
+    """For an edit file with keyframes: the time to show."""
 
     rays: Literal["aware", "plain"] = "aware"
     """How deformed points are seen: aware of the deformation, or plain as in the paper."""
@@ -114,19 +116,20 @@ def render_run(command: RenderCommand, console: Console) -> None:
         InputError: contradicting options, or an output folder in use.
         DependencyError: a video is asked for and its package is missing.
     """
+    from pcore.asset.saving import load
+    from pcore.cli.diagnosing import note
     from pcore.cli.draw import Wanted, draw
     from pcore.cli.output import pictures_folder
-    from pcore.cli.runtime import open_model, pick_device, prepare_torch
+    from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.data.video import require_video
-    from pcore.model.raster import film_detail
-    from pcore.model.render import FAST_THRESHOLD, render
 
     _check(command)
     prepare_torch(command.threads)
     device = pick_device(command.device)
-    saved, run = open_model(command.run_or_file)
-    cloud = _edited(saved.cloud, command, console)
-    views = _views(command, run, saved.cloud, cloud, console)
+    asset = load(command.run_or_file, device=device)
+    posed = asset.pose(command.edit, time=command.time, rays=command.rays, light=command.light)
+    note(console, posed.notes)
+    views = _views(command, asset, posed, console)
     if _films(command):
         require_video()
     output = command.output or _default_output(command)
@@ -138,14 +141,11 @@ def render_run(command: RenderCommand, console: Console) -> None:
         normals=command.normals,
         raw=command.raw,
     )
-    threshold = FAST_THRESHOLD if command.fast else 0.0
-    samples = 1 if command.fast and command.samples is None else command.samples
-    papr = saved.papr().to(device)
     detail = None
     if _films(command):
-        detail = film_detail(papr.config, [cloud] * len(views), [camera for _, camera in views])
-    how = partial(render, papr, cloud, threshold=threshold, samples=samples, detail=detail)
-    files = draw(how, cloud, views, output, wanted, console)
+        detail = asset.film_detail([posed] * len(views), [camera for _, camera in views])
+    how = partial(asset.render, posed, samples=command.samples, fast=command.fast, detail=detail)
+    files = draw(how, posed.points, views, output, wanted, console)
     _tell(console, views, output, files)
 
 
@@ -164,24 +164,6 @@ def _films(command: RenderCommand) -> bool:
     return command.cameras is None and command.split is None
 
 
-def _edited(cloud: PointCloud, command: RenderCommand, console: Console) -> PointCloud:
-    """Return the cloud deformed by the edit file, with its surface where the run knows it."""
-    aware = command.rays == "aware"
-    shading = shading_of(command.run_or_file, cloud, command.light, aware=aware)
-    if command.edit is None:
-        return cloud.covered(shading and shading.rest)
-    from pcore.cli.diagnosing import note
-    from pcore.editing.apply import deformed_cloud
-    from pcore.editing.runs import learned_rig
-    from pcore.editing.script import load_edit
-
-    rig = learned_rig(command.run_or_file, cloud.positions)
-    check = aware or shading is not None
-    bound = load_edit(command.edit).bound(cloud.positions, rig=rig, check=check)
-    note(console, bound.notes)
-    return deformed_cloud(cloud, bound.deformation, aware=aware, shading=shading)
-
-
 def _image_size(folder: Path, factor: int) -> tuple[int, int]:
     """Width and height of the images of a scene."""
     from pcore.data.load import load_scene
@@ -191,32 +173,31 @@ def _image_size(folder: Path, factor: int) -> tuple[int, int]:
     return camera.width, camera.height
 
 
-def _views(
-    command: RenderCommand,
-    run: RunFolder | None,
-    canonical: PointCloud,
-    cloud: PointCloud,
-    console: Console,
-) -> Named:
+def _views(command: RenderCommand, asset: Asset, posed: Posed, console: Console) -> Named:
     from pcore.cli import cameras
-    from pcore.cli.runtime import recorded_factor, recorded_scene
-    from pcore.data.load import load_scene
+    from pcore.cli.diagnosing import note
+    from pcore.data.load import camera_notes, load_scene
     from pcore.geometry.orbit import growth
 
-    folder = command.scene or recorded_scene(run)
-    factor = recorded_factor(run) if command.factor is None else command.factor
+    record = asset.record
+    folder = command.scene or record.scene_folder
+    factor = record.factor if command.factor is None else command.factor
     if command.cameras is not None:
         fallback = None if folder is None else _image_size(folder, factor)
-        return cameras.cameras_of_file(command.cameras, command.size, fallback)
+        found = cameras.cameras_of_file(command.cameras, command.size, fallback)
+        note(console, camera_notes(command.cameras))
+        return cameras.that_see(found, posed.points, str(command.cameras))
     if command.split is not None:
         if folder is None:
             raise InputError(
                 f"{command.run_or_file}: the scene it was trained on "
-                f"({'not recorded' if run is None else run.scene}) is not a folder here; give it "
+                f"({record.scene or 'not recorded'}) is not a folder here; give it "
                 "with --scene, or use --cameras or --orbit"
             )
         scene = load_scene(folder, factor=factor)
-        return cameras.cameras_of_split(scene, command.split, command.size)
+        found = cameras.cameras_of_split(scene, command.split, command.size)
+        note(console, scene.notes)
+        return cameras.that_see(found, posed.points, f"{folder}, {command.split}")
     wish = cameras.OrbitWish(
         count=_FRAMES if command.orbit is None else command.orbit,
         size=command.size,
@@ -226,10 +207,11 @@ def _views(
     if folder is None or command.fov is not None:
         if folder is None:
             console.print("no scene at hand: the orbit is fitted to the points")
-        return cameras.orbit_of_cloud(cloud.positions, wish)
+        return cameras.orbit_of_cloud(posed.points, wish)
     scene = load_scene(folder, factor=factor)
+    note(console, scene.notes)
     # An edit that makes the object larger moves the cameras back.
-    reach = growth(canonical.positions, cloud.positions, scene.center)
+    reach = growth(asset.points, posed.points, scene.center)
     return cameras.orbit_of_scene(scene, wish, scale=reach)
 
 
@@ -241,8 +223,8 @@ def _default_output(command: RenderCommand) -> Path:
 
 
 def _tell(console: Console, views: Named, output: Path, files: list[Path]) -> None:
-    camera = views[0][1]
+    sizes = dict.fromkeys(f"{camera.width} x {camera.height}" for _, camera in views)
     names = ", ".join(file.name for file in files[:3]) + ", ..." * (len(files) > 3)
     count = "1 view" if len(views) == 1 else f"{len(views)} views"
-    text = f"{count} of {camera.width} x {camera.height} pixels in {output}: {names}"
+    text = f"{count} of {' and '.join(sizes)} pixels in {output}: {names}"
     console.print(Text(text), soft_wrap=True)

@@ -7,9 +7,9 @@ from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 from rich.text import Text
 
+from pcore.cli.layout import Sheet, print_lines, room, sheet_lines
 from pcore.evaluation.protocol import PROTOCOLS, Perceptual
 from pcore.evaluation.summary import Gain, StateMean
 from pcore.evaluation.tables import shown
@@ -36,15 +36,12 @@ _HEALTH = (
     ("unseen", "\nunseen", 1, True),
 )
 
-# A table of its own, because terminals are narrow.
 _HOLES = (
     ("hole_score", "hole\nscore", 1, True),
     ("hole_score_plain", "the same,\nplain rays", 1, True),
     ("anchors_disagree", "anchors\ndisagree", 1, True),
     ("without_handle", "no handle\nnear", 1, True),
 )
-
-_WIDTH = 96
 
 
 @contextmanager
@@ -82,11 +79,10 @@ def show_results(
     """Print tables of every protocol and of the points, the gains, and why columns are missing."""
     for protocol in dict.fromkeys(one.protocol for one in means):
         chosen = [one for one in means if one.protocol == protocol]
-        # A table cut to a narrow terminal loses figures; one that is too wide is only ugly.
         # A state that an edit file makes has no true images.
         scored = [one for one in chosen if one.kind != "edited"]
-        table = _table(f"protocol {protocol}", scored, _COLUMNS)
-        console.print(table, width=max(console.width, _WIDTH), crop=False)
+        sheet = _sheet(f"protocol {protocol}", scored, _COLUMNS)
+        print_lines(console, sheet_lines(sheet, room(console)))
         console.print(Text(_caption(protocol, chosen), "dim"), soft_wrap=True)
         for gain in gains:
             if gain.protocol == protocol:
@@ -94,7 +90,7 @@ def show_results(
         console.print()
     _show_health(console, means)
     missing = ", ".join(perceptual.missing) if perceptual is not None else ""
-    why = f"no LPIPS with {missing}: weights are missing; `pcore doctor` says which files go where"
+    why = f"no LPIPS with {missing}: no weights; `pcore doctor --weights` says what goes where"
     for line in [*notes, *([why] if missing else [])]:
         console.print(Text(f"note: {line}"), soft_wrap=True)
 
@@ -120,28 +116,27 @@ def _show_health(console: Console, means: Sequence[StateMean]) -> None:
     chosen = [one for one in means if one.protocol == means[0].protocol]
     if any(one.scores.get("strain_99") is not None for one in chosen):
         for title, known in (("points", _HEALTH), ("points, holes and handles", _HOLES)):
-            table = _table(title, chosen, known)
-            console.print(table, width=max(console.width, _WIDTH), crop=False)
+            sheet = _sheet(title, chosen, known)
+            if sheet.columns:
+                print_lines(console, sheet_lines(sheet, room(console)))
         said = "unseen: share of the object's pixels that show what no training view saw"
         console.print(Text(said, "dim"), soft_wrap=True)
         console.print()
 
 
-def _table(
+def _sheet(
     title: str, means: Sequence[StateMean], known: Sequence[tuple[str, str, int, bool]]
-) -> Table:
+) -> Sheet:
     columns = [c for c in known if any(one.scores.get(c[0]) is not None for one in means)]
-    table = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))
-    table.add_column("state", no_wrap=True)
-    table.add_column("method", no_wrap=True)
-    for _, heading, _, _ in columns:
-        table.add_column(heading, justify="right", no_wrap=True)
-    before = ""
-    for one in means:
-        cells = [shown(one.scores.get(key), n, percent=p) for key, _, n, p in columns]
-        table.add_row(Text(one.state if one.state != before else ""), Text(one.method), *cells)
-        before = one.state
-    return table
+    rows = tuple(
+        (
+            (one.state, one.method),
+            tuple(shown(one.scores.get(key), n, percent=p) for key, _, n, p in columns),
+        )
+        for one in means
+    )
+    headings = tuple(heading for _, heading, _, _ in columns)
+    return Sheet(title=title, keys=("state", "method"), columns=headings, rows=rows)
 
 
 def _caption(protocol: str, means: Sequence[StateMean]) -> str:

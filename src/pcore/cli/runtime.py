@@ -1,13 +1,8 @@
-"""What the heavy verbs do before they begin: device, threads, memory, model and scene."""
+"""What the heavy verbs do before they begin: device, threads, memory."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    from pcore.files.model_file import SavedModel
-    from pcore.files.run_folder import RunFolder
+from typing import Literal
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 
@@ -56,50 +51,3 @@ def pick_device(name: DeviceName) -> str:
             f"{why}, or use --device cpu"
         )
     return name
-
-
-def open_model(path: Path) -> tuple[SavedModel, RunFolder | None]:
-    """Read a model from a run folder or a bare model file; the run is None for a bare file.
-
-    Raises:
-        CheckpointError: there is neither, or it is damaged.
-    """
-    from pcore.files.model_file import load_model
-    from pcore.files.run_folder import RunFolder
-
-    run = RunFolder.open(path) if path.is_dir() else None
-    return load_model(path), run
-
-
-def recorded_scene(run: RunFolder | None) -> Path | None:
-    """Folder of the scene that a run was trained on; None when it is not on this machine."""
-    if run is None or not run.scene:
-        return None
-    if run.stage == "import":
-        return None  # It records a name, and a folder of that name may be anything.
-    # Our own runs record it as seen from the run, so that both can move together.
-    candidates = (run.path / run.scene, Path(run.scene))
-    return next((folder for folder in candidates if folder.is_dir()), None)
-
-
-def scene_of(run: RunFolder, given: Path | None) -> Path:
-    """Folder of the scene to work on: the one given, else the one the run was trained on.
-
-    Raises:
-        InputError: none is given and that of the run is not there (any more).
-    """
-    from pcore.errors import InputError
-
-    folder = given or recorded_scene(run)
-    if folder is None:
-        raise InputError(
-            f"{run.path}: the scene it was trained on ({run.scene or 'not recorded'}) is not a "
-            "folder here; give the scene's folder with --scene"
-        )
-    return folder
-
-
-def recorded_factor(run: RunFolder | None) -> int:
-    """Down-scaling factor that a run was trained with; 1 when none is on record."""
-    found = None if run is None else run.config.get("factor")
-    return found if isinstance(found, int) and found > 0 else 1

@@ -1,4 +1,4 @@
-"""`pcore train SCENE -o RUN`: learn the points and networks of PAPR from photos."""
+"""`pcore train SCENE -o RUN`: learn the points and networks of PAPR, or Gaussians, from photos."""
 
 from __future__ import annotations
 
@@ -16,9 +16,14 @@ from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
+    from pcore.asset.asset import Asset
     from pcore.data.scene import Scene
     from pcore.training.config import PretrainConfig
 
+_LOOKS, _LOOK_SIDE, _LEAST_SIDE, _FAINT = 3, 64, 4, 0.02
+"""Views that are looked at in the end, sizes of these pictures, and what opacity is nothing."""
+_EARLY = 50
+"""Pictures of a training of fewer steps may still be empty."""
 _HAZE = 0.5
 """More faint pixels than that per solid one are no rims (clean masks: `faint_share`)."""
 
@@ -35,6 +40,9 @@ class TrainCommand:
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder to make; new or empty, unless --resume."""
+
+    model: Literal["papr", "gaussians"] = "papr"
+    """papr: points and networks, the paper's object; gaussians: 3D Gaussians, minutes."""
 
     preset: Literal["tiny", "fast", "paper", "paper-lego"] = "tiny"
     """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours;
@@ -56,9 +64,10 @@ class TrainCommand:
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of every random draw."""
 
-    init: Annotated[str | None, optional("hull|grid|FILE")] = None
-    """Where points start: hull (of the masks), grid (the original's), or a PLY or NPY file.
-    Default: hull, or grid when the images have no alpha."""
+    init: Annotated[str | None, optional("hull|grid|views|FILE")] = None
+    """Where points start: hull (of the masks), grid (the original's; papr), views (near and far
+    before the cameras; gaussians), or a PLY or NPY file. Default: hull, or grid or views when the
+    images have no alpha."""
 
     background: Annotated[
         Literal["white", "black", "random"] | None, optional("{white,black,random}")
@@ -85,7 +94,12 @@ class TrainCommand:
 
     def run(self) -> None:
         """Train; raises PcoreError subclasses for what the user can mend."""
-        train(self, Console())
+        if self.model == "gaussians":
+            from pcore.cli.train_gaussians import train_gaussians
+
+            train_gaussians(self, Console())
+        else:
+            train(self, Console())
 
 
 def train(command: TrainCommand, console: Console) -> None:
@@ -95,15 +109,16 @@ def train(command: TrainCommand, console: Console) -> None:
         SceneError: the scene cannot be read.
         InputError: options that do not fit the scene, or an output folder in use.
         WeightsError: the preset asks for LPIPS weights that are missing.
-        TrainingError: training diverged or cannot write.
+        TrainingError: training diverged or cannot write, or nothing is to be seen at its end.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
-    from pcore.cli.light import try_light
+    from pcore.asset.training import RunOptions
+    from pcore.asset.training import train as make
+    from pcore.cli.light import show_light
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.sessions import Session, disk_space, run_session, show_result
+    from pcore.cli.sessions import show_result, shown_training
     from pcore.data.load import load_scene
-    from pcore.files.records import to_dict
-    from pcore.training.pretrain import pretrain
+    from pcore.files.run_record import finished
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -112,35 +127,48 @@ def train(command: TrainCommand, console: Console) -> None:
     command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{command.preset}, {config.steps:,} steps on {device}")
-    limit = config.grow.limit if config.grow else config.points
-    session = Session(
-        path=command.output,
-        stage="pretrain",
-        scene=command.scene,
-        config={
-            "preset": command.preset,
-            "factor": command.factor,
-            "pretrain": to_dict(config),
-        },
-        resume=command.resume,
-        tensorboard=not command.no_tensorboard,
-        needed=disk_space(config.model, max(limit, config.points)),
-    )
-    trained = run_session(
-        session,
-        lambda run, tell: pretrain(
+    done = command.resume and finished(command.output)
+    with shown_training(console) as (listener, note):
+        options = RunOptions(
+            resume=command.resume,
+            tensorboard=not command.no_tensorboard,
+            compiled=not command.no_compile,
+            preset=command.preset,
+            note=note,
+        )
+        asset = make(
             scene,
             config,
-            folder=run,
-            listener=tell,
+            folder=command.output,
+            listener=listener,
             device=device,
-            compiled=not command.no_compile,
-        ),
-        console,
+            options=options,
+        )
+    if not done:
+        show_light(asset, console)
+    if config.steps >= _EARLY:
+        check_shows(asset, scene)
+    show_result(console, asset)
+
+
+def check_shows(asset: Asset, scene: Scene) -> None:
+    """Raise TrainingError when an object shows nothing in any of a few training views."""
+    from pcore.errors import TrainingError
+
+    views = scene.split("train")
+    for view in views[:: max(1, len(views) // _LOOKS)][:_LOOKS]:
+        scale = min(1.0, _LOOK_SIDE / max(view.camera.width, view.camera.height))
+        width, height = (
+            max(_LEAST_SIDE, round(scale * side))
+            for side in (view.camera.width, view.camera.height)
+        )
+        picture = asset.render(None, view.camera.resized(width, height), samples=1)
+        if bool((picture.alpha > _FAINT).any()):
+            return
+    raise TrainingError(
+        f"{asset.path}: the run is saved, but nothing is to be seen in its pictures: the points "
+        "are not where the photos show the object; check poses, masks and --init"
     )
-    if trained:
-        try_light(command.output, scene, device, console)
-    show_result(console, command.output, next_command=f"pcore finetune {command.output}")
 
 
 def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainConfig:
@@ -164,31 +192,42 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
         console.print("images without alpha have no visual hull: points start on a grid")
         changes["start"] = "grid"
     config = replace(preset(command.preset), **changes)
-    if config.start == "hull":
-        _check_masks(scene, console)
+    _check_start(scene, config.start, console)
     return config
 
 
-def _check_masks(scene: Scene, console: Console) -> None:
-    """Warn where masks would start points beside the object."""
-    from pcore.cli.diagnosing import note
-    from pcore.training.population import faint_share
+def _check_start(scene: Scene, start: str, console: Console) -> None:
+    """Warn where masks or a file would start points beside the object.
 
-    share = faint_share(scene.split("train"))
+    Raises:
+        SceneError: no mask holds anything.
+        InputError: no camera sees the points.
+    """
+    from pcore.cli.diagnosing import note
+    from pcore.data.masks import check_masks
+    from pcore.training.population import faint_share
+    from pcore.training.start_cloud import check_start, start_from_file
+
+    views = scene.split("train")
+    notes = [*check_masks(views)]
+    share = faint_share(views) if start == "hull" else 0.0
     if share > _HAZE:
-        note(
-            console,
-            [
-                f"the masks are hazy: for 100 pixels that show the object, {100 * share:.0f} are "
-                "5 to 50 % opaque, and points will start in all of that; clean the alpha channels, "
-                "or start without them: --init grid"
-            ],
+        notes.append(
+            f"the masks are hazy: for 100 pixels that show the object, {100 * share:.0f} are 5 to "
+            "50 % opaque, and points will start in all of that; clean the alpha channels, or start "
+            "without them: --init grid"
         )
+    if start not in ("hull", "grid"):
+        notes += check_start(start_from_file(Path(start)), views, start)
+    note(console, notes)
 
 
 def announce(console: Console, scene: Scene, plan: str) -> None:
     """Say in one line what is about to be trained."""
+    from pcore.cli.diagnosing import note
+
     views = scene.split("train")
+    note(console, scene.notes)
     camera = views[0].camera
     console.print(
         Text(

@@ -2,140 +2,27 @@
 
 from __future__ import annotations
 
-import re
-from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
-from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from pathlib import Path
 
 import torch
-from pydantic import Field
-from torch import Tensor
 
-from pcore.data.images import ImageCache, ImageHeader, ImageSource, check_factor, read_header
-from pcore.data.lens import Lens, LensEntry, Number, check_undistorted, lens_of
-from pcore.data.scene import SplitsOnDemand, View
-from pcore.errors import InputError, SceneError
-from pcore.geometry.camera import Camera
-from pcore.validation import parse, read_json
+from pcore.data.image_files import ImageHeader, read_header
+from pcore.data.image_paths import Finder, Wanted, is_file
+from pcore.data.images import AlphaOfSplit, ImageCache, ImageSource, check_factor
+from pcore.data.poses import check_poses
+from pcore.data.scene import Split, SplitsOnDemand, View
+from pcore.data.transforms import PosedFrame, Transforms, read_transforms
+from pcore.errors import SceneError
 
 SPLITS = ("train", "val", "test")
-_EXTENSIONS = ("", ".png", ".jpg", ".jpeg")
-
-_Row = tuple[Number, Number, Number, Number]
-
-
-class _FrameEntry(LensEntry):
-    """One entry of `frames`; keys that other tools add are ignored."""
-
-    transform_matrix: tuple[_Row, _Row, _Row, _Row]
-    file_path: str | None = None
-
-
-class _TransformsFile(LensEntry):
-    """The file; frames are checked one by one, so that a message can name the frame."""
-
-    camera_angle_x: Number | None = None
-    frames: list[Any] = Field(min_length=1)
-    w: Annotated[int, Field(ge=1)] | None = None
-    h: Annotated[int, Field(ge=1)] | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class PosedFrame:
-    """A checked entry of a transforms file.
-
-    Attributes:
-        where: file and frame, the start of every message about it.
-        name: unique in the file, safe as a file name.
-        file_path: as written in the file, or None.
-        world_from_camera: (4, 4) float32.
-        lens: the file's, with what the frame says itself.
-    """
-
-    where: str
-    name: str
-    file_path: str | None
-    world_from_camera: Tensor
-    lens: Lens
-
-
-@dataclass(frozen=True, kw_only=True)
-class Transforms:
-    """A checked transforms file.
-
-    Attributes:
-        path: the file.
-        size: (width, height) when the file states it.
-        frames: at least one.
-    """
-
-    path: Path
-    size: tuple[int, int] | None
-    frames: tuple[PosedFrame, ...]
-
-    def camera(
-        self, frame: PosedFrame, size: tuple[int, int], full: tuple[int, int] | None = None
-    ) -> Camera:
-        """Camera of one frame.
-
-        Args:
-            frame: one of `frames`.
-            size: width and height of the picture.
-            full: size of the image that intrinsics in pixels belong to; that of the file if None.
-
-        Raises:
-            SceneError: names file and frame: no such camera, or not known of which size.
-        """
-        full = full or self.size
-        if full is None and frame.lens.in_pixels:
-            raise SceneError(
-                f"scene file {self.path}: has intrinsics in pixels ('fl_x', 'fl_y', 'cx', 'cy') "
-                "of an image size that it does not say; add 'w' and 'h' to it"
-            )
-        try:
-            return frame.lens.camera(frame.world_from_camera, size, full or size, frame.where)
-        except InputError as problem:
-            raise SceneError(f"{frame.where}: {problem}") from problem
 
 
 def transforms_path(root: Path, split: str) -> Path:
     """Where the format keeps the cameras of a split."""
     return root / f"transforms_{split}.json"
-
-
-def read_transforms(path: Path) -> Transforms:
-    """Read and check a transforms file; images are not looked at."""
-    content = parse(
-        _TransformsFile,
-        read_json(path, what="scene file", error=SceneError),
-        where=f"scene file {path}",
-        error=SceneError,
-    )
-    if (content.w is None) != (content.h is None):
-        raise SceneError(f"scene file {path}: expected both 'w' and 'h' or neither, got one")
-    check_undistorted(content, f"scene file {path}")
-    lens = lens_of(content, content.camera_angle_x)
-    entries = [_entry(path, index, item) for index, item in enumerate(content.frames)]
-    if lens.angle_x is None and None in [lens.replaced(entry).fl_x for _, entry in entries]:
-        raise SceneError(
-            f"scene file {path}: 'camera_angle_x' is missing; add it, or 'fl_x', the focal length "
-            "in pixels"
-        )
-    names = _names([entry.file_path for _, entry in entries])
-    frames = tuple(
-        PosedFrame(
-            where=where,
-            name=name,
-            file_path=entry.file_path,
-            world_from_camera=_pose(where, entry),
-            lens=lens.replaced(entry),
-        )
-        for (where, entry), name in zip(entries, names, strict=True)
-    )
-    size = None if content.w is None or content.h is None else (content.w, content.h)
-    return Transforms(path=path, size=size, frames=frames)
 
 
 def load_splits(root: Path, *, factor: int, cache: ImageCache) -> SplitsOnDemand:
@@ -153,93 +40,156 @@ def load_splits(root: Path, *, factor: int, cache: ImageCache) -> SplitsOnDemand
     )
 
 
-def load_split(root: Path, split: str, *, factor: int, cache: ImageCache) -> tuple[View, ...]:
-    """Views of one split.
+def load_split(root: Path, split: str, *, factor: int, cache: ImageCache) -> Split:
+    """Views of one split, and what is odd about its files.
 
     Args:
         root: folder of the transforms file; images must lie inside it.
-        split: "train", "val" or "test".
+        split: "train", "val" or "test". The poses of training views must be those of one object.
         factor: whole number by which images are down-scaled.
         cache: keeps decoded images.
+
+    Raises:
+        SceneError: files missing, damaged or inconsistent.
+        InputError: a factor that does not divide the image size.
     """
     transforms = read_transforms(transforms_path(root, split))
-    expected = transforms.size
+    frames = transforms.frames
+    finder = Finder(root=root)
+    images = finder.find_all(_wanted(frames))
+    masks = _masks(frames, finder, transforms.path)
+    alpha = AlphaOfSplit()
     views: list[View] = []
-    for frame in transforms.frames:
-        path = _image_path(root, frame)
+    first: tuple[int, int] | None = None
+    turned = 0
+    for frame, path, mask in zip(frames, images, masks, strict=True):
         header = read_header(path)
-        full = (header.width, header.height)
-        expected = expected or full
-        _check_size(transforms, frame, header, expected)
-        check_factor(header.width, header.height, factor)
-        size = (header.width // factor, header.height // factor)
-        camera = transforms.camera(frame, size, full)
-        source = ImageSource(path=path, header=header, factor=factor, cache=cache)
+        upright = _is_upright(frame, header)
+        turned += upright
+        full = header.upright_size if upright else (header.width, header.height)
+        _check_size(frame, full, first)
+        first = first or full
+        check_factor(*full, factor)
+        source = ImageSource(
+            path=path,
+            header=header if mask is None else replace(header, has_alpha=True),
+            factor=factor,
+            cache=cache,
+            mask=mask,
+            upright=upright,
+            alpha=alpha,
+        )
+        camera = transforms.camera(frame, (full[0] // factor, full[1] // factor), full)
         views.append(View(name=frame.name, camera=camera, image=source))
-    return tuple(views)
+    alpha.sources = [view.image for view in views]
+    notes = [*transforms.notes, *finder.notes(transforms.path.name)]
+    notes += _notes(views, turned, root)
+    if split == "train":
+        notes.append(_check_poses(transforms, views))
+    return Split(views=tuple(views), notes=tuple(note for note in notes if note))
 
 
-def _entry(path: Path, index: int, item: object) -> tuple[str, _FrameEntry]:
-    label = item.get("file_path") if isinstance(item, dict) else None
-    where = f"scene file {path}, frame {index}" + (f" ({label})" if label else "")
-    entry = parse(_FrameEntry, item, where=where, error=SceneError)
-    check_undistorted(entry, where)
-    return where, entry
+def _wanted(frames: Sequence[PosedFrame]) -> list[Wanted]:
+    wanted: list[Wanted] = []
+    for frame in frames:
+        if not frame.file_path:
+            raise SceneError(f"{frame.where}: 'file_path' is missing; name the frame's image")
+        wanted.append(Wanted(where=frame.where, key="file_path", path=frame.file_path))
+    return wanted
 
 
-def _pose(where: str, entry: _FrameEntry) -> Tensor:
-    pose = torch.tensor(entry.transform_matrix, dtype=torch.float64)
-    if not bool(torch.isfinite(pose).all()):
-        raise SceneError(
-            f"{where}: expected finite numbers in 'transform_matrix', got NaN or infinity; "
-            "remove the frame or estimate its pose again"
-        )
-    if pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise SceneError(
-            f"{where}: expected the last row of 'transform_matrix' to be 0 0 0 1, "
-            f"got {pose[3].tolist()}; is the matrix transposed?"
-        )
-    return pose.float()
-
-
-def _names(file_paths: list[str | None]) -> list[str]:
-    """Stem of each path made safe as a file name; the index is added where stems repeat."""
-    stems = [
-        re.sub(r"[^\w.-]", "_", PurePosixPath(path or "").stem).lstrip(".") or "frame"
-        for path in file_paths
+def _masks(frames: Sequence[PosedFrame], finder: Finder, path: Path) -> Sequence[Path | None]:
+    """Files of the masks, all or none."""
+    wanted = [
+        Wanted(where=frame.where, key="mask_path", path=frame.mask_path)
+        for frame in frames
+        if frame.mask_path
     ]
-    counts = Counter(stems)
-    return [stem if counts[stem] == 1 else f"{stem}_{i:04d}" for i, stem in enumerate(stems)]
+    if not wanted:
+        return [None] * len(frames)
+    if len(wanted) < len(frames):
+        without = next(frame.where for frame in frames if not frame.mask_path)
+        raise SceneError(
+            f"scene file {path}: expected 'mask_path' in every frame or in none, got it in "
+            f"{len(wanted)} of {len(frames)}; the first without is {without.split(', ', 1)[-1]}"
+        )
+    return finder.find_all(wanted)
 
 
-def _image_path(root: Path, frame: PosedFrame) -> Path:
-    if not frame.file_path:
-        raise SceneError(f"{frame.where}: 'file_path' is missing; name the frame's image")
-    if "\0" in frame.file_path:
-        raise SceneError(f"{frame.where}: 'file_path' contains a zero byte; write a plain path")
-    home = root.resolve()
-    candidates = [Path(f"{root / frame.file_path}{end}") for end in _EXTENSIONS]
-    for candidate in candidates:
-        resolved = candidate.resolve()
-        if not resolved.is_relative_to(home):
-            raise SceneError(
-                f"{frame.where}: 'file_path' leaves the scene's folder {home} (it leads to "
-                f"{resolved}); scenes may only read their own files: copy the image into the folder"
-            )
-        if resolved.is_file():
-            return resolved
+def _is_upright(frame: PosedFrame, header: ImageHeader) -> bool:
+    """Whether cameras are for the image as viewers turn it, by its EXIF tag.
+
+    COLMAP takes pixels as they are stored, phones and most viewers turn them: only the size in
+    the scene file can tell which of them is meant.
+    """
+    if header.orientation == 1:
+        return False
+    stored, upright = (header.width, header.height), header.upright_size
+    said = frame.lens.full_size
+    if said in (stored, upright) and stored != upright:
+        return said == upright
+    means = (
+        f"{upright[0]} x {upright[1]} as viewers show it, {stored[0]} x {stored[1]} as it is stored"
+    )
+    how = (
+        f"add 'w' and 'h' of what the cameras are for to the scene file ({means}), or write"
+        if stored != upright and said is None
+        else "write"
+    )
     raise SceneError(
-        f"{frame.where}: no image at {candidates[0]} (nor with {', '.join(_EXTENSIONS[1:])} added);"
-        " put it there or remove the frame"
+        f"{frame.where}: the image is turned by its EXIF tag (orientation {header.orientation}), "
+        f"and the scene file does not tell whether its cameras are for the turned image; {how} the "
+        "images without the tag: `mogrify -auto-orient` turns the pixels, `exiftool -Orientation=` "
+        "leaves them as they are stored (as COLMAP takes them)"
     )
 
 
-def _check_size(
-    transforms: Transforms, frame: PosedFrame, header: ImageHeader, expected: tuple[int, int]
-) -> None:
-    if (header.width, header.height) != expected:
-        source = "'w' and 'h' of the file" if transforms.size else "the first image"
-        raise SceneError(
-            f"{frame.where}: expected an image of {expected[0]} x {expected[1]} pixels like "
-            f"{source}, got {header.width} x {header.height}; resize it or mend the scene file"
+def _check_size(frame: PosedFrame, size: tuple[int, int], first: tuple[int, int] | None) -> None:
+    said = frame.lens.full_size
+    for expected, source in ((said, "'w' and 'h' of the file"), (first, "the first image")):
+        if expected is not None and size != expected:
+            raise SceneError(
+                f"{frame.where}: expected an image of {expected[0]} x {expected[1]} pixels like "
+                f"{source}, got {size[0]} x {size[1]}; resize it or mend the scene file"
+            )
+
+
+def _notes(views: Sequence[View], turned: int, root: Path) -> list[str]:
+    """What is odd about the images, a sentence each."""
+    notes: list[str] = []
+    if turned:
+        notes.append(
+            f"{turned} of {len(views)} images are turned by their EXIF tag, as 'w' and 'h' say"
         )
+    if not any(view.image.header.has_alpha for view in views):
+        beside = _mask_beside(views[0].image.path, root)
+        if beside is not None:
+            notes.append(
+                f"{beside.relative_to(root.resolve()).as_posix()} looks like a mask and is not "
+                "used: name it by 'mask_path' in its frame (white is object)"
+            )
+    return notes
+
+
+def _mask_beside(image: Path, root: Path) -> Path | None:
+    """A mask of an image where instant-ngp, nerfstudio and COLMAP keep one; None if none is."""
+    name, stem, folder = image.name, image.stem, image.parent
+    home = root.resolve()
+    candidates = [
+        folder / f"dynamic_mask_{stem}.png",
+        folder / f"{name}.alpha{image.suffix}",
+        folder / f"{stem}.alpha{image.suffix}",
+        *(home / kind / f"{file}.png" for kind in ("masks", "mask") for file in (stem, name)),
+    ]
+    # An image's name may fit its system, and a longer one beside it not.
+    return next((path for path in candidates if is_file(path)), None)
+
+
+def _check_poses(transforms: Transforms, views: Sequence[View]) -> str:
+    poses = torch.stack([frame.world_from_camera for frame in transforms.frames])
+    return check_poses(
+        poses,
+        [view.camera for view in views],
+        [view.name for view in views],
+        f"scene file {transforms.path}",
+    )

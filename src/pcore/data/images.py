@@ -4,35 +4,20 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 import torch
-from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
-from pcore.errors import InputError, SceneError
+from pcore.data.image_files import ImageHeader, read_mask, read_rgba
+from pcore.errors import InputError
 from pcore.validation import check_count
 
 DEFAULT_MEMORY_BUDGET = 2 * 1024**3
-_EIGHT_BIT_MODES = {"1", "L", "LA", "P", "PA", "RGB", "RGBA"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImageHeader:
-    """What an image file says about itself before its pixels are decoded.
-
-    Attributes:
-        width: pixels.
-        height: pixels.
-        has_alpha: whether the file carries an alpha channel or a transparent colour.
-    """
-
-    width: int
-    height: int
-    has_alpha: bool
+_SOLID = 0.5
 
 
 class ImageCache:
@@ -44,7 +29,7 @@ class ImageCache:
 
     def __init__(self, memory_budget: int = DEFAULT_MEMORY_BUDGET) -> None:
         self.memory_budget = check_count("memory budget in bytes", memory_budget, minimum=0)
-        self._images: OrderedDict[tuple[Path, int], Tensor] = OrderedDict()
+        self._images: OrderedDict[Hashable, Tensor] = OrderedDict()
         self._bytes = 0
         self._lock = threading.Lock()
 
@@ -54,7 +39,7 @@ class ImageCache:
         with self._lock:
             return self._bytes
 
-    def get(self, key: tuple[Path, int], decode: Callable[[], Tensor]) -> Tensor:
+    def get(self, key: Hashable, decode: Callable[[], Tensor]) -> Tensor:
         """Return the image kept under `key`, or decode and keep it. Do not write to the result."""
         with self._lock:
             kept = self._images.get(key)
@@ -66,7 +51,7 @@ class ImageCache:
         self._keep(key, image)
         return image
 
-    def _keep(self, key: tuple[Path, int], image: Tensor) -> None:
+    def _keep(self, key: Hashable, image: Tensor) -> None:
         size = image.numel() * image.element_size()
         with self._lock:
             if key in self._images or size > self.memory_budget:
@@ -78,77 +63,67 @@ class ImageCache:
             self._bytes += size
 
 
+@dataclass(kw_only=True)
+class AlphaOfSplit:
+    """Whether the alpha channels of a split separate an object from a background.
+
+    Tools write an alpha of 255 everywhere into every image; that is no mask.
+
+    Attributes:
+        sources: of all images of the split.
+    """
+
+    sources: list[ImageSource] = field(default_factory=list["ImageSource"])
+
+    @cached_property
+    def separates(self) -> bool:
+        """Whether any pixel of any image is background. Decodes until one is found."""
+        return any(
+            float(source.rgba()[..., 3].min()) <= _SOLID
+            for source in self.sources
+            if source.header.has_alpha
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImageSource:
     """One image file of a scene, decoded on request.
 
     Attributes:
         path: the file.
-        header: the size it must have before down-scaling.
+        header: the size it must have before down-scaling; `has_alpha` counts a mask too.
         factor: whole number by which both sides are divided.
         cache: shared by all views of a scene.
+        mask: file of a mask that the alpha is multiplied by; None is none.
+        upright: turn the pixels as the EXIF tag says.
+        alpha: of the split that it belongs to; None takes any alpha channel for a mask.
     """
 
     path: Path
     header: ImageHeader
     factor: int
     cache: ImageCache
+    mask: Path | None = None
+    upright: bool = False
+    alpha: AlphaOfSplit | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def has_alpha(self) -> bool:
+        """Whether the file, or its mask, separates object from background."""
+        return self.header.has_alpha and (self.alpha is None or self.alpha.separates)
 
     def rgba(self) -> Tensor:
         """(H, W, 4) float32 straight alpha in [0, 1]. Shared with the cache: do not write to it."""
-        return self.cache.get((self.path, self.factor), self._decode)
+        key = (self.path, self.mask, self.upright, self.factor)
+        return self.cache.get(key, self._decode)
 
     def _decode(self) -> Tensor:
-        rgba = read_rgba(self.path, size=(self.header.width, self.header.height))
+        stored = (self.header.width, self.header.height)
+        rgba = read_rgba(self.path, size=stored, upright=self.upright)
+        if self.mask is not None:
+            mask = read_mask(self.mask, size=(rgba.shape[1], rgba.shape[0]))
+            rgba = torch.cat([rgba[..., :3], rgba[..., 3:] * mask[..., None]], dim=-1)
         return area_downscale(rgba, self.factor)
-
-
-def read_header(path: Path) -> ImageHeader:
-    """Size and channels of an image file without decoding it; SceneError when it has none."""
-    try:
-        with Image.open(path) as image:
-            _check_mode(path, image.mode)
-            return ImageHeader(
-                width=image.width, height=image.height, has_alpha=image.has_transparency_data
-            )
-    except FileNotFoundError:
-        raise SceneError(
-            f"image {path}: no such file; put it there or remove its frame from the scene file"
-        ) from None
-    except UnidentifiedImageError:
-        raise SceneError(
-            f"image {path}: expected an image such as PNG, got a file of another kind or a "
-            "damaged header; export it again"
-        ) from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as problem:
-        raise SceneError(f"image {path}: cannot be opened ({problem})") from problem
-
-
-def read_rgba(path: Path, *, size: tuple[int, int] | None = None) -> Tensor:
-    """Decode an 8-bit image file.
-
-    Args:
-        path: PNG or any other format that Pillow reads.
-        size: (width, height) that the image must have; None takes any.
-
-    Returns:
-        (H, W, 4) float32 straight alpha in [0, 1]; alpha is 1 where the file has none.
-    """
-    header = read_header(path)
-    if size is not None and (header.width, header.height) != size:
-        raise SceneError(
-            f"image {path}: expected {size[0]} x {size[1]} pixels, "
-            f"got {header.width} x {header.height}; all images of a scene must have one size"
-        )
-    try:
-        with Image.open(path) as image:
-            pixels = np.asarray(image.convert("RGBA"), dtype=np.float32)
-    except (OSError, SyntaxError, ValueError) as problem:
-        raise SceneError(
-            f"image {path}: expected {header.width} x {header.height} pixels, got a truncated or "
-            f"damaged file ({problem}); copy or export it again"
-        ) from problem
-    return torch.from_numpy(pixels / 255.0)
 
 
 def area_downscale(rgba: Tensor, factor: int) -> Tensor:
@@ -208,11 +183,3 @@ def background_color(kind: str, generator: torch.Generator | None = None) -> Ten
     if kind == "random":
         return torch.rand(3, generator=generator)
     raise InputError(f"background: expected white, black or random, got {kind!r}")
-
-
-def _check_mode(path: Path, mode: str) -> None:
-    if mode not in _EIGHT_BIT_MODES:
-        raise SceneError(
-            f"image {path}: expected 8 bits per channel (RGB or RGBA), got pixels of kind "
-            f"{mode!r}; convert it to 8-bit PNG"
-        )

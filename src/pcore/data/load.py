@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pcore.data.blender import load_splits, read_transforms, transforms_path
+from pcore.data.blender import load_splits, transforms_path
 from pcore.data.images import DEFAULT_MEMORY_BUDGET, ImageCache
 from pcore.data.scene import Scene
+from pcore.data.transforms import read_transforms
 from pcore.errors import InputError, SceneError
 from pcore.geometry.camera import Camera
 from pcore.validation import check_count
@@ -42,7 +43,14 @@ def load_scene(
     if not transforms_path(root, "train").is_file():
         raise SceneError(_unknown_format(folder))
     views = load_splits(root, factor=factor, cache=cache)
-    scene = Scene(name=folder.name, root=root, views=views, states=find_states(folder))
+    scene = Scene(
+        name=folder.name,
+        root=root,
+        views=views,
+        states=find_states(folder),
+        folder=folder,
+        factor=factor,
+    )
     scene.split("train")  # Read now: without training views there is no scene.
     return scene
 
@@ -107,15 +115,28 @@ def load_cameras(
             f"camera size: expected width and height or neither, got {width} x {height}"
         )
     transforms = read_transforms(Path(path))
+    given: tuple[int, int] | None = None
     if width is not None and height is not None:
-        size = (check_count("width", width), check_count("height", height))
-    elif transforms.size is not None:
-        size = transforms.size
-    else:
-        raise SceneError(
-            f"scene file {path}: says no image size; add 'w' and 'h' to it or give width and height"
-        )
-    return [(frame.name, transforms.camera(frame, size)) for frame in transforms.frames]
+        given = (check_count("width", width), check_count("height", height))
+    cameras: list[tuple[str, Camera]] = []
+    for frame in transforms.frames:
+        size = given or frame.lens.full_size
+        if size is None:
+            raise SceneError(
+                f"scene file {path}: says no image size; add 'w' and 'h' to it or give width and "
+                "height"
+            )
+        cameras.append((frame.name, transforms.camera(frame, size)))
+    return cameras
+
+
+def camera_notes(path: str | Path) -> tuple[str, ...]:
+    """What is odd about a file of cameras and was not refused, a sentence each.
+
+    Raises:
+        SceneError: as `load_cameras`.
+    """
+    return read_transforms(Path(path)).notes
 
 
 def _folder(path: str | Path) -> Path:

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
-import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pcore.data.gltf import read_glb
+from pcore.data.gltf_mesh import read_shape
+from pcore.data.obj import parse_obj
+from pcore.data.point_ply import read_point_ply
 from pcore.errors import InputError
 
 MESH_SUFFIXES = (".ply", ".obj", ".glb")
+_REMEDIES = {
+    ".gltf": "; export glTF Binary (.glb), which is one file",
+    ".stl": "; an STL repeats its corners in every triangle: export another of these",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,16 +41,18 @@ def read_mesh(path: Path | str, *, up: Literal["y", "z"] = "z") -> MeshFile:
     """Read a mesh with its vertices in the order of the file, none merged.
 
     Args:
-        path: a .ply, .obj or .glb; the parts of a .glb are joined, each where its node puts it.
+        path: a .ply, .obj or .glb; the parts of a .glb are joined, each where its node puts it,
+            with morph targets and skins as they stand in the file.
         up: the axis that points up in the file; y is turned to z as Blender's importers do,
             (x, y, z) to (x, -z, y).
 
     Raises:
-        InputError: missing file, another suffix, damaged, no triangles, NaN or infinity.
+        InputError: missing file, another suffix, damaged, compressed, no triangles, NaN or
+            infinity.
     """
     path = Path(path)
     vertices, faces = _parsed(path)
-    if faces.ndim != 2 or faces.shape[1:] != (3,) or len(faces) == 0:
+    if len(faces) == 0:
         raise InputError(f"{path}: expected a mesh with faces, got {len(vertices)} bare points")
     if not np.isfinite(vertices).all():
         raise InputError(
@@ -61,23 +70,25 @@ def read_mesh(path: Path | str, *, up: Literal["y", "z"] = "z") -> MeshFile:
 
 def _parsed(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Vertices and faces as they stand in the file."""
-    if path.suffix.lower() not in MESH_SUFFIXES:
+    suffix = path.suffix.lower()
+    if suffix not in MESH_SUFFIXES:
         raise InputError(
             f"{path}: expected a mesh that ends in .ply, .obj or .glb, got "
-            f"{path.suffix or 'no ending'!r}"
+            f"{path.suffix or 'no ending'!r}{_REMEDIES.get(suffix, '')}"
         )
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; expected a mesh (.ply, .obj or .glb)")
     try:
-        # Materials are skipped because they would be looked up as further files.
-        options: dict[str, Any] = {"process": False, "skip_materials": True}
-        if path.suffix.lower() == ".obj":
-            options["maintain_order"] = True
-        mesh: Any = trimesh.load_scene(path, **options).to_mesh()
-        vertices = np.array(mesh.vertices, dtype=np.float64)
-        faces = np.array(mesh.faces, dtype=np.int64)
-    except Exception as error:
-        raise InputError(
-            f"{path}: expected a mesh, got a file that is damaged or holds something else: {error}"
-        ) from error
-    return vertices, faces
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; expected a mesh (.ply, .obj or .glb)") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the mesh: {error.strerror}") from error
+    where = str(path)
+    if suffix == ".glb":
+        return read_shape(read_glb(content, where))
+    if suffix == ".obj":
+        return parse_obj(content, where)
+    points = read_point_ply(content, where)
+    faces = points.triangles()
+    if faces is None:
+        faces = np.zeros((0, 3), dtype=np.int64)
+    return points.positions().astype(np.float64), faces

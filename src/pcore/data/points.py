@@ -13,8 +13,10 @@ import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
 from trimesh.exchange.gltf import export_glb
-from trimesh.exchange.ply import export_ply, load_ply
 
+from pcore.data.file_kinds import kind_of
+from pcore.data.ply import plain_ply
+from pcore.data.point_ply import PointPly, read_point_ply
 from pcore.errors import InputError
 
 POINT_SUFFIXES = (".npy", ".ply")
@@ -26,13 +28,35 @@ class PointFile:
 
     Attributes:
         positions: (N, 3) world units, float32 or float64 as in the file.
-        colors: (N, 3) or (N, 4) uint8 of a PLY with vertex colours, else None.
-        faces: (F, 3) int64 of a PLY that is a mesh (quads are split), else None.
+        colors: (N, 3) or (N, 4) uint8 of a PLY with vertex colours, else None. Colours of 16 bits
+            or real numbers are brought to 8 bits.
+        faces: (F, 3) int64 of a PLY that is a mesh (polygons are split), else None.
+        ply: a PLY as it stands in the file, else None.
+        notes: what of the file could not be understood, for the user.
     """
 
     positions: Tensor
     colors: Tensor | None = None
     faces: Tensor | None = None
+    ply: PointPly | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def has_normals(self) -> bool:
+        """Whether `save_moved` wants Jacobians, to turn normals with."""
+        return self.ply is not None and self.ply.normals() is not None
+
+    def not_written(self, *, colors: bool = False, faces: bool = True) -> tuple[str, ...]:
+        """Name what a PLY holds besides places, colours and faces, for a file without it.
+
+        Args:
+            colors: whether the other file has its colours.
+            faces: whether it has its faces.
+        """
+        if self.ply is None:
+            return ()
+        lost = self.ply.beside(colors=colors, faces=faces)
+        return (f"not in the file that is written: {', '.join(lost)}",) if lost else ()
 
 
 def load_points(path: Path | str) -> Tensor:
@@ -79,7 +103,7 @@ def read_array(path: Path | str) -> NDArray[Any]:
 def save_points(
     path: Path | str, points: Tensor, colors: Tensor | None = None, faces: Tensor | None = None
 ) -> None:
-    """Write points (N, 3) to `.npy` (their dtype) or `.ply` (float32); replaces the file at once.
+    """Write points (N, 3) to `.npy` or `.ply` in their precision; replaces the file at once.
 
     Args:
         path: where to; the suffix decides the format, the folder must exist.
@@ -99,8 +123,42 @@ def save_points(
         np.save(buffer, array, allow_pickle=False)
         content = buffer.getvalue()
     else:
-        content = _ply_content(path, array, colors, faces)
+        triangles = None if faces is None else faces.detach().cpu().numpy()
+        content = plain_ply(_checked(path, array).numpy(), _paint(path, array, colors), triangles)
     _replace(path, content)
+
+
+def save_moved(
+    path: Path | str, source: PointFile, moved: Tensor, maps: Tensor | None = None
+) -> tuple[str, ...]:
+    """Write the points of a file at other places, with all else that the file holds.
+
+    From PLY to PLY everything is kept: properties with their types, faces, other elements,
+    comments. Normals are turned; what else would turn is kept as it is and named.
+
+    Args:
+        path: where to, .npy or .ply; the folder must exist.
+        source: what was read.
+        moved: (N, 3) world units, where its points went.
+        maps: (N, 3, 3) Jacobians of the motion, where the source `has_normals`.
+
+    Returns:
+        What is not in the written file, or not turned along; for the user.
+
+    Raises:
+        InputError: see `save_points`.
+    """
+    path = Path(path)
+    check_point_path(path)
+    array, ply = moved.detach().cpu().numpy(), source.ply
+    if path.suffix.lower() == ".ply" and ply is not None and ply.can_be_moved():
+        _checked(path, array)
+        jacobians = None if maps is None else maps.detach().cpu().numpy()
+        _replace(path, ply.moved(array, jacobians))
+        return ply.stays()
+    save_points(path, moved, source.colors, source.faces)
+    whole = path.suffix.lower() == ".ply"
+    return source.not_written(colors=whole and source.colors is not None, faces=whole)
 
 
 def save_point_glb(path: Path | str, points: Tensor, colors: Tensor | None = None) -> None:
@@ -163,10 +221,12 @@ def _parse_npy(path: Path, content: bytes) -> NDArray[Any]:
     try:
         # allow_pickle=False: an .npy can carry a pickle, and unpickling runs what is in it.
         array = np.load(io.BytesIO(content), allow_pickle=False)
-    except (ValueError, EOFError, OSError, SyntaxError) as error:
+    except Exception as error:  # a damaged header can make NumPy raise anything
+        known = None if content.startswith(b"\x93NUMPY") else kind_of(content)
         raise InputError(
-            f"{path}: expected a NumPy array of numbers (pickles are never read), got a file that "
-            f"is damaged or holds something else: {error}"
+            f"{path}: expected a NumPy array of numbers (pickles are never read), got "
+            f"{known or 'a file that is damaged or holds something else'}; write it again with "
+            "numpy.save"
         ) from error
     if not isinstance(array, np.ndarray):
         raise InputError(f"{path}: expected one NumPy array (N, 3), got an archive (.npz) of them")
@@ -174,52 +234,28 @@ def _parse_npy(path: Path, content: bytes) -> NDArray[Any]:
 
 
 def _parse_ply(path: Path, content: bytes) -> PointFile:
-    try:
-        # Materials are skipped because they would be looked up as further files.
-        parsed = load_ply(io.BytesIO(content), fix_texture=False, skip_materials=True)
-        declared = parsed["metadata"]["_ply_raw"]["vertex"]["length"] if "vertices" in parsed else 0
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError, EOFError) as error:
-        raise InputError(
-            f"{path}: expected a PLY with vertices x, y, z, got a file that is damaged or holds "
-            f"something else: {error}"
-        ) from error
-    vertices = np.asarray(parsed.get("vertices", np.zeros((0, 3), dtype=np.float32)))
-    if len(vertices) != declared:
-        raise InputError(
-            f"{path}: expected {declared} vertices as its header says, got {len(vertices)}; "
-            "the file is truncated"
-        )
-    colors, faces = parsed.get("vertex_colors"), parsed.get("faces")
+    found = read_point_ply(content, str(path))
+    positions = _checked(path, found.positions())
+    colors, why = found.colors()
+    faces = found.triangles()
+    if faces is not None:
+        check_corners(faces, len(positions), str(path))
     return PointFile(
-        positions=_checked(path, vertices),
-        colors=None if colors is None else torch.from_numpy(np.array(colors, dtype=np.uint8)),
-        faces=None if faces is None else _triangles(path, faces, len(vertices)),
+        positions=positions,
+        colors=None if colors is None else torch.from_numpy(colors),
+        faces=None if faces is None or not len(faces) else torch.from_numpy(faces),
+        ply=found,
+        notes=(why,) if why else (),
     )
 
 
-def _triangles(path: Path, faces: Any, vertices: int) -> Tensor | None:
-    triangles = np.asarray(trimesh.geometry.triangulate_quads(faces), dtype=np.int64)
-    if triangles.size == 0:
-        return None
-    if triangles.min() < 0 or triangles.max() >= vertices:
+def check_corners(faces: NDArray[np.int64], vertices: int, where: str) -> None:
+    """Raise InputError unless all corners (F, 3) are numbers of vertices."""
+    if faces.size and (faces.min() < 0 or faces.max() >= vertices):
         raise InputError(
-            f"{path}: expected faces that refer to vertices 0 to {vertices - 1}, "
-            f"got {triangles.min()} to {triangles.max()}"
+            f"{where}: expected faces that refer to vertices 0 to {vertices - 1}, "
+            f"got {faces.min()} to {faces.max()}"
         )
-    return torch.from_numpy(triangles)
-
-
-def _ply_content(
-    path: Path, array: NDArray[Any], colors: Tensor | None, faces: Tensor | None
-) -> bytes:
-    paint = _paint(path, array, colors)
-    if faces is None:
-        body: Any = trimesh.PointCloud(array, colors=paint)
-    else:
-        triangles = faces.detach().cpu().numpy()
-        # process=False: merging vertices would change their number and order.
-        body = trimesh.Trimesh(array, triangles, process=False, vertex_colors=paint)
-    return export_ply(body, vertex_normal=False)
 
 
 def _paint(path: Path, array: NDArray[Any], colors: Tensor | None) -> NDArray[np.uint8] | None:

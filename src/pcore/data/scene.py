@@ -11,12 +11,10 @@ import torch
 from torch import Tensor
 
 from pcore.data.images import ImageSource, composite
+from pcore.data.poses import closest_to_axes, seen_radius
 from pcore.errors import SceneError
 from pcore.geometry.camera import Camera
 from pcore.validation import check_count
-
-# Below this, the viewing axes are parallel for all that float32 poses can tell.
-_PARALLEL = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +33,8 @@ class View:
 
     @property
     def has_alpha(self) -> bool:
-        """Whether the file itself separates object from background."""
-        return self.image.header.has_alpha
+        """Whether the file, or its mask, separates object from background."""
+        return self.image.has_alpha
 
     def rgba(self) -> Tensor:
         """(H, W, 4) float32 straight alpha in [0, 1], the caller's own copy."""
@@ -51,18 +49,31 @@ class View:
         return self.image.rgba()[..., 3].clone()
 
 
+@dataclass(frozen=True, kw_only=True)
+class Split:
+    """The views of one split as a loader made them.
+
+    Attributes:
+        views: at least one.
+        notes: what is odd about the files and was not refused, a sentence each.
+    """
+
+    views: tuple[View, ...]
+    notes: tuple[str, ...] = ()
+
+
 class SplitsOnDemand(Mapping[str, tuple[View, ...]]):
     """Splits of a scene by name, each read once, when it is first asked for."""
 
-    def __init__(self, readers: Mapping[str, Callable[[], tuple[View, ...]]]) -> None:
+    def __init__(self, readers: Mapping[str, Callable[[], Split]]) -> None:
         """Remember how to read every split; reading raises SceneError for damaged files."""
         self._readers = dict(readers)
-        self._known: dict[str, tuple[View, ...]] = {}
+        self._known: dict[str, Split] = {}
 
     def __getitem__(self, name: str) -> tuple[View, ...]:
         if name not in self._known:
             self._known[name] = self._readers[name]()
-        return self._known[name]
+        return self._known[name].views
 
     def __contains__(self, name: object) -> bool:
         return name in self._readers  # The inherited answer would read the split.
@@ -72,6 +83,11 @@ class SplitsOnDemand(Mapping[str, tuple[View, ...]]):
 
     def __len__(self) -> int:
         return len(self._readers)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was odd about the splits that were read so far, each sentence once."""
+        return tuple(dict.fromkeys(note for split in self._known.values() for note in split.notes))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +100,8 @@ class Scene:
         views: split name -> views; at least one split, none of them empty. Loaders hand over
             splits that are read when they are asked for.
         states: names of deformed states whose test views `load_state` reads.
+        folder: what `load_scene` was given; None for scenes that come from elsewhere.
+        factor: whole number by which its images were down-scaled.
 
     The region of the object comes from the poses of the training views alone (of all views when
     there is no training split, as in a deformed state): no image is looked at, no test pose
@@ -94,6 +112,8 @@ class Scene:
     root: Path
     views: Mapping[str, tuple[View, ...]]
     states: tuple[str, ...] = ()
+    folder: Path | None = None
+    factor: int = 1
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -112,10 +132,23 @@ class Scene:
             )
         return self.views[name]
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is odd about the files read so far and was not refused, a sentence each."""
+        return self.views.notes if isinstance(self.views, SplitsOnDemand) else ()
+
     @cached_property
     def center(self) -> Tensor:
         """(3,) the point closest to the viewing axes (least squares), world units."""
-        return _closest_to_axes(self._cameras, self.root)
+        cameras = self._cameras
+        poses = torch.stack([camera.world_from_camera for camera in cameras])
+        point = closest_to_axes(poses)
+        if point is None:
+            raise SceneError(
+                f"scene {self.root}: the viewing axes of its {len(cameras)} view(s) are parallel, "
+                "so they do not tell where the object is; give views from at least two directions"
+            )
+        return point.float()
 
     @property
     def lower(self) -> Tensor:
@@ -134,7 +167,9 @@ class Scene:
         The region is the cube around that sphere: its inner part is in every field of view, and
         an object that fills the images without being cut off fits in.
         """
-        radii = [_seen_radius(camera, self.center) for camera in self._cameras]
+        radii = [
+            seen_radius(camera, camera.world_from_camera, self.center) for camera in self._cameras
+        ]
         inside = [radius for radius in radii if radius > 0]
         if not inside:
             raise SceneError(
@@ -176,34 +211,3 @@ def check_images(views: Iterable[View]) -> None:
     """
     for view in views:
         view.rgba()
-
-
-def _closest_to_axes(cameras: tuple[Camera, ...], root: Path) -> Tensor:
-    poses = torch.stack([camera.world_from_camera for camera in cameras]).double()
-    axis = -poses[:, :3, 2]
-    # Sum over views of |(1 - a a^T) (x - o)|^2: a 3 x 3 linear system.
-    across = torch.eye(3, dtype=torch.float64) - axis[:, :, None] * axis[:, None, :]
-    system = across.mean(dim=0)
-    if float(torch.linalg.eigvalsh(system)[0]) < _PARALLEL:
-        raise SceneError(
-            f"scene {root}: the viewing axes of its {len(cameras)} view(s) are parallel, so they "
-            "do not tell where the object is; give views from at least two directions"
-        )
-    right = (across @ poses[:, :3, 3:]).mean(dim=0)[:, 0]
-    return torch.linalg.solve(system, right).float()
-
-
-def _seen_radius(camera: Camera, point: Tensor) -> float:
-    """Radius of the largest sphere about `point` inside the camera's view; negative if none."""
-    rotation = camera.world_from_camera[:3, :3]
-    x, y, z = ((point - camera.center) @ rotation).tolist()
-    depth = -z
-    distances = [depth]
-    for offset, focal, size, shift in (
-        (x, camera.fx, camera.width, camera.cx),
-        (-y, camera.fy, camera.height, camera.cy),
-    ):
-        for slope, side in ((-shift / focal, 1.0), ((size - shift) / focal, -1.0)):
-            # Distance to the plane through the camera and one border of the image.
-            distances.append(side * (offset - slope * depth) / (1.0 + slope * slope) ** 0.5)
-    return min(distances)

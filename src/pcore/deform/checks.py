@@ -2,16 +2,39 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from pcore.deform.base import SINGULAR, Deformation, orientation
 from pcore.errors import EditError
 
+_ROUNDING = 64.0
+"""Singular values closer than so many roundings to nothing are taken for nothing."""
 
-def count_folded(deformation: Deformation, points: Tensor) -> int:
-    """At how many of the points (N, 3) the map flattens space or turns it inside out."""
-    return int(deformation.folded(points.detach()).sum())
+
+class Folds(NamedTuple):
+    """At how many points a map cannot be rendered.
+
+    Attributes:
+        folded: where it flattens space or turns it inside out.
+        sheared: where space stays right side out, but is stretched a thousand times as much in one
+            direction as in another, so that single precision cannot carry directions through. That
+            is what turning about a far origin does.
+    """
+
+    folded: int
+    sheared: int
+
+
+def count_folds(deformation: Deformation, points: Tensor) -> Folds:
+    """Count the points (N, 3) where the map folds space, or shears it too much."""
+    places = points.detach()
+    odd = deformation.folded(places)
+    strained = odd & ~(orientation(deformation, places) > SINGULAR)
+    sheared = int(_upright(deformation, places[strained]).sum())
+    return Folds(folded=int(odd.sum()) - sheared, sheared=sheared)
 
 
 def check_invertible(
@@ -41,8 +64,9 @@ def check_invertible(
     total = points.reshape(-1, 3).shape[0]
     check_finite(deformation(points.detach()))
     if allow_folds:
-        upright = orientation(deformation, points.detach()) > SINGULAR
-        folded = ~upright.reshape(-1)
+        places = points.detach().reshape(-1, 3)
+        folded = ~(orientation(deformation, places) > SINGULAR)
+        folded[folded.clone()] = ~_upright(deformation, places[folded])
         folded = folded if bool(folded.all()) else torch.zeros_like(folded)
     else:
         folded = deformation.folded(points.detach()).reshape(-1)
@@ -53,6 +77,22 @@ def check_invertible(
         f"got det J <= 0 or nearly 0 at {int(folded.sum())} of {total} points "
         f"({numbers(folded)}), where space is flattened or turned inside out; {advice}"
     )
+
+
+def _upright(deformation: Deformation, points: Tensor) -> Tensor:
+    """Where det J > 0 beyond the rounding of the points' precision: bool (N,) at points (N, 3).
+
+    The closed form of the determinant loses in strong shears what a factorisation keeps.
+    """
+    if not len(points):
+        return torch.zeros(0, dtype=torch.bool, device=points.device)
+    with torch.no_grad():
+        jacobian = deformation.jacobian(points)
+        finite = torch.isfinite(jacobian).all(dim=-1).all(dim=-1)
+        jacobian = torch.where(finite[:, None, None], jacobian, 0.0)
+        sizes = torch.linalg.svdvals(jacobian)
+        thick = sizes[:, -1] > _ROUNDING * torch.finfo(sizes.dtype).eps * sizes[:, 0]
+        return finite & thick & (torch.linalg.det(jacobian) > 0)
 
 
 def check_finite(moved: Tensor) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from pcore.editing.fields import FILE_KEYS, seen_from
-from pcore.editing.keyframes import at_time, is_animated, key_times
+from pcore.editing.keyframes import at_time, key_times
 from pcore.editing.reading import read_edit_file, write_edit_file
 from pcore.editing.script import EditScript, check_top, parse_edit
 from pcore.errors import EditError
@@ -20,7 +20,6 @@ class Animation:
 
     Attributes:
         source: what messages call it, such as its file.
-        version: of the edit file.
         key_times: times of all keys, in order, each once; empty where nothing is animated.
         start: time of the first key, 0 where nothing is animated.
         end: time of the last key.
@@ -28,10 +27,8 @@ class Animation:
 
     def __init__(self, data: Any, *, source: str, folder: Path | str | None = None) -> None:
         """Check parsed JSON at all its keys; see `parse_animation`."""
-        content, version = check_top(data, source)
-        if version == 1 and is_animated(content):
-            raise EditError(f'{source}: keyframes need "version": 2, got 1')
-        self.source, self.version, self._folder = source, version, folder
+        content = check_top(data, source)
+        self.source, self._folder = source, folder
         self._data = copy.deepcopy(content)
         self.key_times = self._checked_times()
         times = self.key_times or (0.0,)
@@ -50,7 +47,7 @@ class Animation:
         return parse_edit(still, source=f"{self.source}{when}", folder=self._folder)
 
     def save(self, path: Path | str) -> None:
-        """Write an edit file of the newest version that means the same, keyframes included.
+        """Write an edit file that means the same, keyframes included.
 
         Files in its folder and below are named as seen from it.
 
@@ -58,9 +55,9 @@ class Animation:
             EditError: the file cannot be written.
         """
         if not self.key_times:
-            self.at(self.start).upgraded().save(path)
+            self.at(self.start).save(path)
             return
-        # Keyframes need the newest version, so only the names of files can have to change.
+        # Only the names of files can have to change.
         old = Path(self._folder or ".").absolute()
         moved = _renamed(self._data, old, Path(path).parent)
         write_edit_file(path, json.dumps(moved, indent=2) + "\n")

@@ -86,6 +86,8 @@ def _found_from(value: Any, info: ValidationInfo) -> Any:
         return value
     if not value:
         raise ValueError("no path")
+    if "\0" in value:
+        raise ValueError("a path with a zero byte")
     folder: Any = (info.context or {}).get("folder")
     return str(Path(folder or ".").absolute() / value)
 

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 from pcore.editing.regions import REGION, REGION_SHAPES, RegionEntry
 from pcore.errors import EditError
 from pcore.files.atomic import write_atomically
+from pcore.validation import read_text
 
 Entry = TypeVar("Entry", bound=BaseModel)
 
@@ -27,14 +28,9 @@ def read_edit_file(path: Path) -> Any:
     Raises:
         EditError: missing, not readable or not JSON.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as error:
-        raise EditError(f"{path}: edit file not found; expected a JSON file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise EditError(
-            f"{path}: cannot read the edit file, expected JSON text: {error}"
-        ) from error
+    if not path.exists():
+        raise EditError(f"{path}: edit file not found; expected a JSON file")
+    text = read_text(path, where=str(path), error=EditError)
     try:
         return json.loads(text, object_pairs_hook=_without_duplicates)
     except EditError as error:
@@ -45,7 +41,8 @@ def read_edit_file(path: Path) -> Any:
         ) from error
     except (ValueError, RecursionError) as error:
         raise EditError(
-            f"{path}: expected an edit file in JSON, got invalid JSON: {error}"
+            f"{path}: expected an edit file in JSON, got invalid JSON: lists in lists too deep, or "
+            "a number of thousands of digits"
         ) from error
 
 

@@ -35,18 +35,13 @@ AnyEdit = Annotated[
     Field(discriminator="type"),
 ]
 
-FIRST_TYPES: dict[str, type[Edit]] = {
+EDIT_TYPES: dict[str, type[Edit]] = {
     "twist": TwistEdit,
     "bend": BendEdit,
     "taper": TaperEdit,
     "stretch": StretchEdit,
     "scale": ScaleEdit,
     "rigid": RigidEdit,
-}
-"""Those of version 1 of the edit file."""
-
-EDIT_TYPES: dict[str, type[Edit]] = {
-    **FIRST_TYPES,
     "part": PartEdit,
     "cage": CageEdit,
     "mesh": MeshEdit,

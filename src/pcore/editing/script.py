@@ -26,14 +26,15 @@ from pcore.editing.reading import (
     write_edit_file,
 )
 from pcore.editing.regions import AnyRegion
-from pcore.editing.registry import EDIT_TYPES, FIRST_TYPES, AnyEdit
+from pcore.editing.registry import EDIT_TYPES, AnyEdit
 from pcore.errors import EditError, InputError
 
 __all__ = ["EditScript", "check_invertible", "load_edit", "parse_edit", "parse_one"]
 
 VERSION = 2
-_KEYS = {1: ["version", "edits"], 2: ["version", "edits", "freeze"]}
-_SINCE_2 = ("region", "freeze")
+_KEYS = ("version", "edits", "freeze")
+_LEFT_OUT = ("region", "freeze")
+"""Keys that are not written where they say that there is nothing."""
 
 
 class EditScript(BaseModel):
@@ -45,7 +46,7 @@ class EditScript(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    version: Literal[1, 2] = VERSION
+    version: Literal[2] = VERSION
     edits: tuple[AnyEdit, ...]
     freeze: tuple[AnyRegion, ...] = ()
     _source: str = PrivateAttr(default="edit script")
@@ -69,10 +70,6 @@ class EditScript(BaseModel):
         copy = self.model_copy()
         copy._source = source
         return copy
-
-    def upgraded(self) -> EditScript:
-        """Return the same script as one of the newest version, which means the same."""
-        return self.model_copy(update={"version": VERSION})
 
     def bind(
         self, points: Tensor, *, allow_folds: bool = False, rig: AnchorRig | None = None
@@ -175,8 +172,8 @@ def parse_edit(
     Raises:
         EditError: as for `load_edit`.
     """
-    content, version = check_top(data, source)
-    if version > 1 and is_animated(content):
+    content = check_top(data, source)
+    if is_animated(content):
         raise EditError(
             f"{source}: expected an edit that stands still, got one with keyframes; use `pcore "
             "animate`, `pcore edit apply --time`, or load_animation(...).at(time) in Python"
@@ -186,16 +183,14 @@ def parse_edit(
     parsed: list[Edit] = []
     for number, item in enumerate(edits, start=1):
         place = f"{source}: edit {number}"
-        parsed.append(parse_one(item, place=place, folder=where, version=version))
+        parsed.append(parse_one(item, place=place, folder=where))
     freeze = _parse_freeze(content.get("freeze", []), source, where)
-    script = EditScript(
-        version=cast("Any", version), edits=cast("Any", tuple(parsed)), freeze=cast("Any", freeze)
-    )
+    script = EditScript(edits=cast("Any", tuple(parsed)), freeze=cast("Any", freeze))
     return script.named(source)
 
 
-def check_top(data: Any, source: str) -> tuple[dict[str, Any], int]:
-    """Check all of an edit file but its entries; return it with its version."""
+def check_top(data: Any, source: str) -> dict[str, Any]:
+    """Check all of an edit file but its entries, and return it."""
     if not isinstance(data, dict):
         raise EditError(
             f'{source}: expected an object {{"version": {VERSION}, "edits": [...]}}, '
@@ -203,37 +198,32 @@ def check_top(data: Any, source: str) -> tuple[dict[str, Any], int]:
         )
     content = cast("dict[str, Any]", data)
     version = content.get("version")
-    if isinstance(version, bool) or not isinstance(version, int) or version not in _KEYS:
+    if type(version) is not int or version != VERSION:
         got = "no such key" if "version" not in content else shown(version)
         raise EditError(
-            f'{source}: expected "version": 1 or 2, got {got}; this pcore reads no other version '
-            "of the edit file"
+            f'{source}: expected "version": {VERSION}, got {got}; this pcore reads no other '
+            "version of the edit file"
         )
-    keys = _KEYS[version]
-    unknown = sorted(set(content) - set(keys))
+    unknown = sorted(set(content) - set(_KEYS))
     if unknown:
-        newer = ' (they need "version": 2)' if set(unknown) <= set(_KEYS[VERSION]) else ""
         raise EditError(
-            f"{source}: unknown key {quoted(unknown)}, expected only {quoted(keys[:-1])} and "
-            f"{quoted(keys[-1:])}{newer}"
+            f"{source}: unknown key {quoted(unknown)}, expected only {quoted(_KEYS[:-1])} and "
+            f"{quoted(_KEYS[-1:])}"
         )
     edits = content.get("edits")
     if not isinstance(edits, (list, tuple)):
         got = "no such key" if "edits" not in content else shown(edits)
         raise EditError(f'{source}: expected "edits": a list of edits, got {got}')
-    return content, version
+    return content
 
 
-def parse_one(
-    item: Any, *, place: str = "edit", folder: Path | None = None, version: int = VERSION
-) -> Edit:
+def parse_one(item: Any, *, place: str = "edit", folder: Path | None = None) -> Edit:
     """Check one edit (parsed JSON).
 
     Args:
         item: the object; an edit that was checked already is returned as it is.
         place: what messages call it.
         folder: where relative paths in it begin.
-        version: of the edit file.
 
     Raises:
         EditError: it is not valid; the message names the key.
@@ -244,20 +234,15 @@ def parse_one(
         raise EditError(f"{place}: expected an object, got {shown(item)}")
     raw = dict(cast("Mapping[str, Any]", item))
     name = raw.get("type")
-    known = FIRST_TYPES if version == 1 else EDIT_TYPES
-    if not isinstance(name, str) or name not in known:
+    if not isinstance(name, str) or name not in EDIT_TYPES:
         got = "no such key" if "type" not in raw else shown(name)
-        newer = '; it needs "version": 2' if isinstance(name, str) and name in EDIT_TYPES else ""
-        raise EditError(f'{place}: key "type": expected one of {quoted(known)}, got {got}{newer}')
-    kind, place = known[name], f"{place} ({name})"
-    allowed = [key for key in kind.model_fields if version > 1 or key not in _SINCE_2]
+        raise EditError(f'{place}: key "type": expected one of {quoted(EDIT_TYPES)}, got {got}')
+    kind, place = EDIT_TYPES[name], f"{place} ({name})"
     try:
-        if version > 1:
-            _parse_regions(raw, folder)
-        return parse_entry(kind, raw, name, allowed=allowed, folder=folder)
+        _parse_regions(raw, folder)
+        return parse_entry(kind, raw, name, allowed=list(kind.model_fields), folder=folder)
     except EditError as error:
-        newer = '; regions need "version": 2' if version == 1 and set(raw) & set(_SINCE_2) else ""
-        raise EditError(f"{place}: {error}{newer}") from error
+        raise EditError(f"{place}: {error}") from error
 
 
 def _parse_regions(raw: dict[str, Any], folder: Path | None) -> None:
@@ -293,7 +278,7 @@ def _regions(raw: Any, folder: Path | None) -> tuple[Any, ...]:
 def _dumped(entry: BaseModel, first: str, context: dict[str, Any]) -> dict[str, Any]:
     """An edit or region as JSON values: its kind first, no key that says that there is nothing."""
     plain = entry.model_dump(mode="json", exclude_none=True, context=context)
-    for key in _SINCE_2:
+    for key in _LEFT_OUT:
         if key in plain:
             value: Any = getattr(entry, key)
             if not value:

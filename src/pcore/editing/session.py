@@ -16,7 +16,6 @@ from pcore.editing.binding import Bound
 from pcore.editing.edits import Edit
 from pcore.editing.reading import parse_region
 from pcore.editing.regions import RegionEntry
-from pcore.editing.runs import points_of_run
 from pcore.editing.script import EditScript, parse_one
 from pcore.errors import EditError, InputError
 
@@ -65,21 +64,6 @@ class EditSession:
         self._states = [self._bound(EditScript(edits=()) if script is None else script)]
         self._now = 0
 
-    @classmethod
-    def of_run(cls, path: Path | str, script: EditScript | None = None) -> EditSession:
-        """Begin with the points of a run and the weights that it learned, as the commands do.
-
-        Args:
-            path: folder of the run, or a model file, which has no learned weights beside it.
-            script: edits to begin with.
-
-        Raises:
-            CheckpointError: no model there, or its files are damaged.
-            EditError: the script does not fit the points.
-        """
-        points, rig = points_of_run(path)
-        return cls(points, script, rig=rig)
-
     @property
     def state(self) -> EditState:
         """The present state."""
@@ -116,7 +100,7 @@ class EditSession:
 
         For showing points while something is dragged: the points are those of `do`, to the last
         bit, but folds are not looked for and no Jacobian is computed. `do` looks for them, and so
-        does `deformed_cloud`, which a picture needs.
+        does `pose`, which a picture needs.
 
         Raises:
             EditError: as `do`, but for folds.
@@ -162,7 +146,7 @@ class EditSession:
         Raises:
             EditError: the file cannot be written.
         """
-        self.state.script.upgraded().save(path)
+        self.state.script.save(path)
 
     def load(self, path: Path | str, *, time: float | None = None) -> EditState:
         """Replace the present edits by those of an edit file; `undo` brings them back.

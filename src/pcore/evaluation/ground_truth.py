@@ -276,7 +276,8 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         ) from error
     except Exception as error:  # damaged bytes make the readers raise almost anything
         raise SceneError(
-            f"{path}: expected a NumPy archive of plain arrays, could not read it ({error})"
+            f"{path}: expected a NumPy archive of plain arrays, got a file that is "
+            "damaged or holds something else; copy it again"
         ) from error
 
 

@@ -4,48 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol as Shape
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from pcore.asset.asset import Asset, Posed
+from pcore.asset.content import LightName, MovedPoints, RaysName
 from pcore.errors import EditError, InputError
 from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
 from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
-from pcore.geometry.local_maps import LocalMaps
-from pcore.geometry.point_cloud import PointCloud
 from pcore.metrics.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
-from pcore.model.papr import Papr
-from pcore.relight.shading import Shading
+from pcore.render.image import Image
 
 Value = float | int | None
 Progress = Callable[[int, int], None]
 
 
-class Photo(Shape):
-    """What a renderer hands back; tensors on the CPU."""
-
-    @property
-    def rgb(self) -> Tensor:
-        """(H, W, 3) colours on white, not clamped."""
-        ...
-
-    @property
-    def alpha(self) -> Tensor:
-        """(H, W) opacity."""
-        ...
-
-    @property
-    def depth(self) -> Tensor:
-        """(H, W) camera z, world units."""
-        ...
+Draw = Callable[[Asset, Posed, Camera], Image]
+"""Takes a picture of a posed asset."""
 
 
-Draw = Callable[[Papr, PointCloud, Camera], Photo]
-"""Renders one view; `pcore.model.render.render` is one."""
+def draw_asset(asset: Asset, posed: Posed, camera: Camera) -> Image:
+    """Take it as `Asset.render` does."""
+    return asset.render(posed, camera)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,20 +38,17 @@ class Method:
 
     Attributes:
         name: for tables; unique among the methods.
-        papr: the networks, which have been trained on white or render on white.
-        cloud: canonical points, world units.
-        aware: render deformed states with deformation-aware rays, else with plain ones.
+        asset: what is drawn, on white.
+        rays: how deformed states are seen.
+        light: what the light does while points move; "still" needs aware rays.
         unseen: (N,) bool, which points no training view saw; None where that is not known.
-        shading: a light that stands still while points move, for aware rays; None leaves points as
-            they were photographed.
     """
 
     name: str
-    papr: Papr
-    cloud: PointCloud
-    aware: bool
+    asset: Asset
+    rays: RaysName
+    light: LightName = "baked"
     unseen: Tensor | None = None
-    shading: Shading | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +94,7 @@ class Taken:
     index: int
     rgba: Tensor | None
     depth: Tensor | None
-    photos: Mapping[str, Photo]
+    photos: Mapping[str, Image]
     camera: Camera
     health: Mapping[str, Health]
     unseen: Mapping[str, Tensor | None]
@@ -123,7 +104,7 @@ def evaluate(
     methods: Sequence[Method],
     states: Sequence[State],
     *,
-    draw: Draw,
+    draw: Draw = draw_asset,
     protocols: Sequence[Protocol] = (PAPR, STANDARD),
     perceptual: Perceptual | None = None,
     progress: Progress | None = None,
@@ -134,7 +115,7 @@ def evaluate(
     Args:
         methods: at least one, names unique.
         states: from `SceneStates.select`.
-        draw: the renderer.
+        draw: takes the pictures.
         protocols: ways to score images; every picture is taken once and scored by each.
         perceptual: LPIPS networks; None leaves LPIPS out.
         progress: called with (pictures done, pictures in all).
@@ -151,13 +132,14 @@ def evaluate(
     total = len(methods) * sum(len(state.shots) for state in states)
     rows: list[ImageRow] = []
     done = 0
-    # All clouds first: a state that cannot be drawn must not cost the pictures of those before.
+    # All poses first: a state that cannot be drawn must not cost the pictures of those before.
     carried = [carry(methods, state) for state in states]
-    for state, clouds in zip(states, carried, strict=True):
-        mended = {name: one.frames and len(one.frames.mended) for name, one in clouds.items()}
-        health = _health(methods, clouds, state)
+    for state, poses in zip(states, carried, strict=True):
+        maps = {name: one.local_maps for name, one in poses.items()}
+        mended = {name: None if one is None else len(one.mended) for name, one in maps.items()}
+        health = _health(methods, poses, state)
         for index in range(len(state.shots)):
-            taken = _take(methods, clouds, health, state, index, draw)
+            taken = _take(methods, poses, health, state, index, draw)
             rows += _score(taken, state, protocols, perceptual, mended)
             done += len(methods)
             if progress is not None:
@@ -169,7 +151,7 @@ def evaluate(
 
 def _take(
     methods: Sequence[Method],
-    clouds: Mapping[str, PointCloud],
+    poses: Mapping[str, Posed],
     health: Mapping[str, Health],
     state: State,
     index: int,
@@ -178,7 +160,7 @@ def _take(
     """Render one shot with every method."""
     shot = state.shots[index]
     with torch.no_grad():
-        photos = {m.name: draw(m.papr, clouds[m.name], shot.camera) for m in methods}
+        photos = {m.name: draw(m.asset, poses[m.name], shot.camera).cpu() for m in methods}
     return Taken(
         state=state.name,
         view=shot.view.name,
@@ -229,52 +211,49 @@ def _check_names(methods: Sequence[Method]) -> None:
         )
 
 
-def carry(methods: Sequence[Method], state: State) -> dict[str, PointCloud]:
-    """Move every method's cloud to the state; methods of one run share the work."""
-    known: dict[tuple[int, bool], PointCloud] = {}
-    for method in methods:
-        key = id(method.cloud), method.aware
-        if key not in known:
-            rest = method.cloud.positions.detach()
-            moved = state.move(rest.cpu())
-            frames = _frames(state, rest.cpu(), moved) if method.aware else None
-            known[key] = method.cloud.detached().moved(moved, frames).to(rest.device)
-    return {m.name: _lit(known[id(m.cloud), m.aware], m.shading, state) for m in methods}
+def carry(methods: Sequence[Method], state: State) -> dict[str, Posed]:
+    """Move every method's asset to the state; methods of one run share the work.
 
-
-def _lit(cloud: PointCloud, shading: Shading | None, state: State) -> PointCloud:
-    """Light a moved cloud anew; where nothing moved there are no frames, and nothing changes.
-
-    All methods are measured by one kind of depth, that of the points, so that their hole rates
-    compare.
+    All methods are measured by one kind of depth, that of the surface where a run knows it,
+    whatever their rays and their light.
     """
-    if shading is None or cloud.frames is None:
-        return cloud
-    skin = shading.skin(cloud.frames, cloud.positions, world=state.world)
-    return cloud.covered(replace(skin, deep=False))
+    motions: dict[int, tuple[MovedPoints, EditError | None]] = {}
+    poses: dict[str, Posed] = {}
+    for method in methods:
+        asset, key = method.asset, id(method.asset)
+        if key not in motions:
+            motions[key] = _moved(state, asset.points.detach().cpu())
+        motion, error = motions[key]
+        if error is not None and method.rays == "aware":
+            raise EditError(f"state {state.name}: {error}; plain rays can draw it") from error
+        poses[method.name] = asset.pose(motion, rays=method.rays, light=method.light)
+    return poses
+
+
+def _moved(state: State, rest: Tensor) -> tuple[MovedPoints, EditError | None]:
+    """Where a state takes canonical points (N, 3), and why there may be no local maps."""
+    positions = state.move(rest)
+    try:
+        maps = state.local_maps(rest, positions)
+    except EditError as error:
+        return MovedPoints(positions=positions, world=state.world), error
+    return MovedPoints(positions=positions, local_maps=maps, world=state.world), None
 
 
 def _health(
-    methods: Sequence[Method], clouds: Mapping[str, PointCloud], state: State
+    methods: Sequence[Method], poses: Mapping[str, Posed], state: State
 ) -> dict[str, Health]:
     """Diagnose every method's points; methods of one run share the work."""
     known: dict[int, Health] = {}
     for method in methods:
-        if id(method.cloud) not in known:
-            rest, moved = method.cloud.positions, clouds[method.name].positions
+        if id(method.asset) not in known:
+            rest, moved = method.asset.points, poses[method.name].points
             handles = () if state.handles is None else state.handles(rest.detach().cpu())
-            known[id(method.cloud)] = health_of(rest, moved, method.unseen, handles)
-    return {method.name: known[id(method.cloud)] for method in methods}
+            known[id(method.asset)] = health_of(rest, moved, method.unseen, handles)
+    return {method.name: known[id(method.asset)] for method in methods}
 
 
-def _frames(state: State, rest: Tensor, moved: Tensor) -> LocalMaps | None:
-    try:
-        return state.frames(rest, moved)
-    except EditError as error:
-        raise EditError(f"state {state.name}: {error}; plain rays can draw it") from error
-
-
-def _geometry(photo: Photo, rgba: Tensor, taken: Taken, state: State) -> Mapping[str, Value]:
+def _geometry(photo: Image, rgba: Tensor, taken: Taken, state: State) -> Mapping[str, Value]:
     """Geometry metrics; without a true shape only those that need the opacity alone."""
     alpha, size = rgba[..., 3], state.object_size
     if taken.depth is not None and size is not None:

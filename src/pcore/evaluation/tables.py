@@ -111,7 +111,7 @@ def read_summary(path: Path) -> tuple[list[StateMean], list[Gain]]:
         gains = [_gain(one) for one in record["gains"]]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
-            f"{path}: expected a summary that `pcore eval` wrote, could not read it ({error}); "
+            f"{path}: expected a summary that `pcore eval` wrote, got something else; "
             "evaluate again"
         ) from error
     return means, gains

@@ -64,7 +64,7 @@ class Companion:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         except SafetensorError as error:
             raise CheckpointError(
-                f"{path} is damaged or not a safetensors file ({error}): expected a {self.name} "
+                f"{path} is damaged or not a safetensors file: expected a {self.name} "
                 f"written by pcore; {self.mend}"
             ) from error
         if header.get("format") != self._format or header.get("version") != self.version:

@@ -14,6 +14,12 @@ from pcore.files.records import differing_keys
 MANIFEST_FILE = "run.json"
 _FORMAT = "pcore-run"
 _VERSION = 1
+_KINDS: dict[str, tuple[type, str]] = {
+    "stage": (str, "a text"),
+    "scene": (str, "a text"),
+    "config": (dict, "a JSON object { ... }"),
+    "notes": (dict, "a JSON object { ... }"),
+}
 
 
 def new_manifest(stage: Stage, scene: str, config: Mapping[str, Any]) -> dict[str, Any]:
@@ -39,10 +45,10 @@ def read_manifest(path: Path) -> dict[str, Any]:
         )
     try:
         data = json.loads(file.read_bytes())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise CheckpointError(
-            f"{file}: expected JSON, got something else ({error}); the file is damaged, take it "
-            "from a copy of the run"
+            f"{file}: expected JSON, got something else; the file is damaged, take it from a copy "
+            "of the run"
         ) from error
     manifest = cast("dict[str, Any]", data) if isinstance(data, dict) else {}
     if manifest.get("format") != _FORMAT:
@@ -58,6 +64,12 @@ def read_manifest(path: Path) -> dict[str, Any]:
     missing = sorted({"stage", "scene", "config", "notes"} - {*manifest})
     if missing:
         raise CheckpointError(f"{file}: missing key {', '.join(missing)}; the file was edited")
+    for key, (kind, what) in _KINDS.items():
+        if not isinstance(manifest[key], kind):
+            raise CheckpointError(
+                f"{file}: '{key}': expected {what}, got {json.dumps(manifest[key])[:60]}; the file "
+                "was edited, take it from a copy of the run"
+            )
     return manifest
 
 

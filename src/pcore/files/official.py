@@ -14,6 +14,8 @@ from torch import Tensor
 from pcore.errors import CheckpointError, InputError
 from pcore.files.official_config import OfficialSettings, read_settings
 from pcore.files.official_file import read_tensors
+from pcore.files.official_older import todays_tensors
+from pcore.files.official_shapes import check_tensors
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.encoding import encoded_size
 from pcore.model.papr import Papr
@@ -30,8 +32,6 @@ _UNET = {
     "unet.merge2": "renderer.up2.conv.double_conv.0",
     "unet.outc": "renderer.outc.conv",
 }
-_LISTED = 6
-"""Names that an error message spells out before it says how many more there are."""
 
 
 class OfficialModel(NamedTuple):
@@ -84,7 +84,7 @@ def from_official_state(
     """Translate the original's tensors; the sizes are read from their shapes.
 
     Args:
-        tensors: the original's state dict.
+        tensors: the original's state dict, also under the names of before June 2024.
         settings: what its YAML says.
         where: the file, for messages.
 
@@ -94,6 +94,7 @@ def from_official_state(
     Raises:
         CheckpointError: tensors are missing, unknown, misshaped or not finite.
     """
+    tensors = todays_tensors(tensors)
     config = _config(tensors, settings, where)
     with torch.device("meta"):
         expected = {k: tuple(v.shape) for k, v in Papr(config).state_dict().items()}
@@ -107,7 +108,7 @@ def from_official_state(
         "bkg_feats": (1, 3),
         "select_k": (),
     }
-    _check_tensors(tensors, shapes, where)
+    check_tensors(tensors, shapes, where)
     state = {ours: _copy(tensors[name]) for ours, name in names.items()}
     cloud = PointCloud(
         positions=_copy(tensors["points"]) / settings.coord_scale,
@@ -150,8 +151,10 @@ def _config(tensors: Mapping[str, Tensor], settings: OfficialSettings, where: st
     feature_size = _shape(tensors, "pc_feats", 2, where)[1]
     frequencies = _frequencies(tensors, where)
     vector = encoded_size(3, frequencies)
+    key = _mlp(tensors, "k", 3 * vector, where)
+    query = _mlp(tensors, "q", vector, where)
     value = _mlp(tensors, "v", 2 * vector + feature_size, where)
-    _check_skip(value, settings, where)
+    _check_skips(key, query, value, settings, where)
     full, half, quarter = (
         _shape(tensors, f"{_UNET[f'unet.{stage}']}.weight", 4, where)[0]
         for stage in ("inc", "down1", "down2")
@@ -163,8 +166,8 @@ def _config(tensors: Mapping[str, Tensor], settings: OfficialSettings, where: st
             coord_scale=settings.coord_scale,
             octaves=Octaves.all(frequencies),
             feature_size=feature_size,
-            key=_mlp(tensors, "k", 3 * vector, where),
-            query=_mlp(tensors, "q", vector, where),
+            key=key,
+            query=query,
             value=value,
             negative_slope=settings.negative_slope,
             background_score=settings.background_score,
@@ -187,7 +190,15 @@ def _frequencies(tensors: Mapping[str, Tensor], where: str) -> int:
     return frequencies
 
 
-def _check_skip(value: MlpConfig, settings: OfficialSettings, where: str) -> None:
+def _check_skips(
+    key: MlpConfig, query: MlpConfig, value: MlpConfig, settings: OfficialSettings, where: str
+) -> None:
+    for name, net in (("key", key), ("query", query)):
+        if net.skip_after is not None:
+            raise CheckpointError(
+                f"{where}: expected no skip of the input in the {name} network, got one after "
+                f"layer {net.skip_after}; this variant of PAPR is not supported"
+            )
     if settings.value_skip_stated and settings.value_skip != value.skip_after:
         raise CheckpointError(
             f"{where}: skip of the value network: the tensors have it after layer "
@@ -261,35 +272,6 @@ def _official_name(ours: str) -> str:
         return f"{net}.{path[-1]}.{'a_2' if leaf == 'gain' else 'b_2'}"
     # The original's list alternates activations (even places) and linear layers (odd places).
     return f"{net}.mlp.model.{2 * int(path[-1]) + 1}.{leaf}"
-
-
-def _check_tensors(
-    tensors: Mapping[str, Tensor], shapes: Mapping[str, tuple[int, ...]], where: str
-) -> None:
-    problems: list[str] = []
-    problems += _listing("missing tensor", [n for n in shapes if n not in tensors])
-    problems += _listing("unknown tensor", [n for n in tensors if n not in shapes])
-    common = [n for n in shapes if n in tensors]
-    wrong = [n for n in common if tuple(tensors[n].shape) != shapes[n]]
-    problems += _listing(
-        "misshaped tensor",
-        [f"{n} (expected {shapes[n]}, got {tuple(tensors[n].shape)})" for n in wrong],
-    )
-    problems += _listing(
-        "NaN or infinity in tensor",
-        [n for n in common if not bool(torch.isfinite(tensors[n]).all())],
-    )
-    if problems:
-        raise CheckpointError(
-            f"{where}: {'; '.join(problems)}; expected a checkpoint of the original PAPR"
-        )
-
-
-def _listing(what: str, names: Sequence[str]) -> list[str]:
-    if not names:
-        return []
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return [f"{what} {', '.join(names[:_LISTED])}{more}"]
 
 
 def _copy(tensor: Tensor) -> Tensor:

@@ -11,14 +11,14 @@ from typing import Any, cast
 import yaml
 
 from pcore.errors import CheckpointError
+from pcore.files.official_older import todays_settings
 
 Tree = dict[str, Any]
 
 LEAKY_SLOPE = 0.2
 """Slope below zero that the original gives its leaky ReLU."""
 
-_ATTENTION = ("models.attn", "models.transformer")
-"""Newer and older name of the attention's section."""
+_ATTENTION = "models.attn"
 
 _ONLY_VALUES: dict[str, Any] = {
     "geoms.points.select_k_type": "d2r",
@@ -41,16 +41,29 @@ _ONLY_VALUES: dict[str, Any] = {
 _ONLY_ATTENTION_VALUES: dict[str, Any] = {
     "score_act": "relu",
     "block.score_act": "relu",
+    "block.k_act": "none",
+    "block.q_act": "none",
+    "block.transform_kq": True,
+    "block.temperature": 1.0,
+    "block.n_head": 1,
+    "block.n_block": 1,
+    "k_type": 1,
+    "q_type": 1,
+    "v_type": 1,
     "embed.embed_type": 1,
     "embed.share_embed": False,
     "embed.pe_factor": 2.0,
     "embed.pe_mult_factor": 1.0,
+    "embed.pe_type": "none",
+    "embed.temperature": 1.0,
     "embed.key.norm": "layernorm",
     "embed.query.norm": "layernorm",
     "embed.value.norm": "none",
     **{f"embed.{net}.ff_last_act": "none" for net in ("key", "query", "value")},
     **{f"embed.{net}.residual_ff": False for net in ("key", "query", "value")},
     **{f"embed.{net}.use_wn": False for net in ("key", "query", "value")},
+    **{f"embed.{net}.half_layers": [] for net in ("key", "query", "value")},
+    **{f"embed.{net}.residual_layers": [] for net in ("key", "query", "value")},
     **{f"embed.{net}.skip_layers": [] for net in ("key", "query")},
 }
 """The same, below the attention's section."""
@@ -89,31 +102,34 @@ def read_settings(paths: Sequence[Path]) -> OfficialSettings:
         )
     tree: Tree = {}
     for path in paths:
-        tree = _merged(tree, _load_yaml(path))
+        # Renamed before they are laid over one another: files of both ages can be combined.
+        tree = _merged(tree, todays_settings(_load_yaml(path)))
     where = ", ".join(path.name for path in paths)
-    attention = next((name for name in _ATTENTION if _get(tree, name) is not None), _ATTENTION[0])
-    _check_supported(tree, attention, where)
-    skip = _get(tree, f"{attention}.embed.value.skip_layers")
+    _check_supported(tree, where)
+    skip = _get(tree, f"{_ATTENTION}.embed.value.skip_layers")
     return OfficialSettings(
         name=str(_get(tree, "index") or ""),
         coord_scale=_number(tree, "dataset.coord_scale", OfficialSettings.coord_scale, where),
         background_score=_number(
             tree, "geoms.background.constant", OfficialSettings.background_score, where
         ),
-        negative_slope=_slope(tree, attention, where),
-        value_skip=_skip(skip, f"{attention}.embed.value.skip_layers", where),
+        negative_slope=_slope(tree, where),
+        value_skip=_skip(skip, f"{_ATTENTION}.embed.value.skip_layers", where),
         value_skip_stated=skip is not None,
     )
 
 
 def _load_yaml(path: Path) -> Tree:
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = path.read_bytes()
+        # Comments may be in any encoding; Latin-1 gives every byte a letter.
+        encoding = "utf-8-sig" if _is_utf8(content) else "latin-1"
+        data = yaml.safe_load(content.decode(encoding))
     except OSError as error:
         raise CheckpointError(
             f"{path}: cannot read the configuration ({error.strerror}); check the path"
         ) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
         raise CheckpointError(
             f"{path}: expected a YAML configuration of the original PAPR, got a file that is not "
             "plain YAML; pass the .yml the checkpoint was trained with"
@@ -121,9 +137,17 @@ def _load_yaml(path: Path) -> Tree:
     if not isinstance(data, dict):
         raise CheckpointError(
             f"{path}: expected a YAML mapping with sections such as dataset, geoms and models, got "
-            f"{type(data).__name__}; pass the .yml the checkpoint was trained with"
+            "something else; pass the .yml the checkpoint was trained with"
         )
     return cast(Tree, data)
+
+
+def _is_utf8(content: bytes) -> bool:
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def _merged(base: Tree, over: Tree) -> Tree:
@@ -158,8 +182,8 @@ def _number(tree: Tree, dotted: str, default: float, where: str) -> float:
     return float(value)
 
 
-def _check_supported(tree: Tree, attention: str, where: str) -> None:
-    wanted = _ONLY_VALUES | {f"{attention}.{k}": v for k, v in _ONLY_ATTENTION_VALUES.items()}
+def _check_supported(tree: Tree, where: str) -> None:
+    wanted = _ONLY_VALUES | {f"{_ATTENTION}.{k}": v for k, v in _ONLY_ATTENTION_VALUES.items()}
     for dotted, supported in wanted.items():
         value = _get(tree, dotted)
         if value is not None and value != supported:
@@ -169,11 +193,11 @@ def _check_supported(tree: Tree, attention: str, where: str) -> None:
             )
 
 
-def _slope(tree: Tree, attention: str, where: str) -> float:
+def _slope(tree: Tree, where: str) -> float:
     slopes = {"relu": 0.0, "leakyrelu": LEAKY_SLOPE}
     found: dict[str, str] = {}
     for net in ("key", "query", "value"):
-        dotted = f"{attention}.embed.{net}.ff_act"
+        dotted = f"{_ATTENTION}.embed.{net}.ff_act"
         name = _get(tree, dotted)
         found[dotted] = "relu" if name is None else str(name).lower()
     names = set(found.values())

@@ -59,7 +59,7 @@ def _split_step(data: Any, path: Path) -> tuple[int | None, dict[str, Tensor]]:
         if not (isinstance(name, str) and isinstance(value, Tensor) and _is_plain(value)):
             raise CheckpointError(
                 f"{path}: expected {{step: state dict}} or a state dict of the original PAPR, got "
-                f"an entry {name!r} of type {type(value).__name__}"
+                f"an entry {str(name)[:60]!r} that is no array of real numbers"
             )
     return step, cast("dict[str, Tensor]", tensors)
 
@@ -70,4 +70,6 @@ def _is_plain(tensor: Tensor) -> bool:
 
 
 def _describe(data: Any) -> str:
-    return "an empty dict" if isinstance(data, dict) else type(data).__name__
+    if isinstance(data, dict):
+        return "nothing at all"
+    return "one tensor" if isinstance(data, Tensor) else "something else"

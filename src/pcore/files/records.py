@@ -38,7 +38,11 @@ def from_dict(kind: type[T], data: Any, *, where: str) -> T:
         record = TypeAdapter(kind).validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
         raise CheckpointError(f"{where}: {_explain(error)}; {_MEND}") from error
-    problems = _compare_keys(data, to_dict(record), "")
+    try:
+        complete = to_dict(record)
+    except ValueError as error:
+        raise CheckpointError(f"{where}: expected finite numbers, got others; {_MEND}") from error
+    problems = _compare_keys(data, complete, "")
     if problems:
         raise CheckpointError(f"{where}: {', '.join(problems)}; {_MEND}")
     return record

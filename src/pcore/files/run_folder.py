@@ -14,6 +14,7 @@ from pcore.contrib.learned_skinning import Skinning
 from pcore.errors import CheckpointError, InputError, TrainingError
 from pcore.files.atomic import PARTIAL_SUFFIX, remove_partials, write_atomically
 from pcore.files.closing import Closing
+from pcore.files.gaussian_file import GAUSSIANS_FILE
 from pcore.files.lock import LOCK_FILE, FolderLock
 from pcore.files.manifest import MANIFEST_FILE, new_manifest, read_manifest, same_run
 from pcore.files.model_file import MODEL_FILE, save_model
@@ -21,6 +22,7 @@ from pcore.files.provenance import Provenance, Stage
 from pcore.files.skinning_file import SKINNING_FILE, save_skinning
 from pcore.files.training_state import STATE_FILE, TrainingState, load_state, save_state
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.surfels import Surfels
 from pcore.model.papr_config import PaprConfig
 from pcore.validation import first_names
 
@@ -111,6 +113,11 @@ class RunFolder(Closing):
         return self.path / MODEL_FILE
 
     @property
+    def gaussians(self) -> Path:
+        """The Gaussians for users, `gaussians.safetensors`; of an object made of them."""
+        return self.path / GAUSSIANS_FILE
+
+    @property
     def skinning(self) -> Path:
         """The skinning for users, `skinning.safetensors`; only where one was trained."""
         return self.path / SKINNING_FILE
@@ -182,10 +189,11 @@ class RunFolder(Closing):
         cloud: PointCloud,
         config: PaprConfig,
         provenance: Provenance,
+        surfels: Surfels | None = None,
     ) -> None:
         """Write `model.safetensors`; raises TrainingError as `save_state`."""
         with write_guard(self.model):
-            save_model(self.model, papr_state, cloud, config, provenance)
+            save_model(self.model, papr_state, cloud, config, provenance, surfels)
 
     def save_skinning(self, skinning: Skinning) -> None:
         """Write `skinning.safetensors`; raises TrainingError as `save_state`."""
@@ -223,7 +231,7 @@ def _what_is_saved(folder: Path) -> str:
         parts.append(f"{STATE_FILE} of step {load_state(folder / STATE_FILE).step}")
     except (CheckpointError, OSError):
         parts += []  # Before the first checkpoint, or the disk is gone altogether.
-    names = (MODEL_FILE, SKINNING_FILE, LOG_FILE, MANIFEST_FILE)
+    names = (MODEL_FILE, GAUSSIANS_FILE, SKINNING_FILE, LOG_FILE, MANIFEST_FILE)
     parts += [name for name in names if (folder / name).is_file()]
     if not parts:
         return f"nothing was saved in {folder} before"

@@ -66,7 +66,7 @@ def load_skinning(path: Path | str, points: Tensor) -> Skinning:
         network.load_state_dict(state)
     except RuntimeError as error:
         raise CheckpointError(
-            f"{path}: the weights are not those of its configuration ({error}); "
+            f"{path}: the weights are not those of its configuration; "
             "the file was edited, fit the skinning again"
         ) from error
     return Skinning(network=network.eval(), paths=path_distance(points.detach().cpu(), indices))

@@ -23,8 +23,7 @@ from pcore.files.atomic import write_atomically
 
 STATE_FILE = "state.pt"
 _FORMAT = "pcore-state"
-_VERSION = 2
-_READ = (1, _VERSION)
+_VERSION = 3
 
 Plain = dict[str, Any]
 """Nested dicts, lists and tuples of tensors, numbers, strings, booleans and None."""
@@ -45,9 +44,7 @@ class TrainingState:
         cloud: `positions`, `features` and `influence` of the points.
         optimisers: state dict of every optimiser (and scheduler, scaler) by name.
         generators: state of every random generator by name, see `generator_states`.
-        average: running averages of weights by name; empty where none is kept.
         best: the best validation so far (its figures, and its weights where they are kept).
-        counters: whatever else the loop counts.
         skinning: state dict of the skinning network; empty where none is trained.
     """
 
@@ -57,9 +54,7 @@ class TrainingState:
     cloud: dict[str, Tensor]
     optimisers: Plain
     generators: Plain
-    average: Plain = field(default_factory=_empty)
     best: Plain = field(default_factory=_empty)
-    counters: Plain = field(default_factory=_empty)
     skinning: dict[str, Tensor] = field(default_factory=dict[str, Tensor])
 
 
@@ -95,14 +90,12 @@ def load_state(path: Path) -> TrainingState:
             f"{path} is not a training state of pcore: expected the format '{_FORMAT}'; "
             "give the folder of a run that `pcore train` or `pcore finetune` made"
         )
-    if content.get("version") not in _READ:
+    if content.get("version") != _VERSION:
         raise CheckpointError(
             f"{path} has version {content.get('version')!r} of the state format: this pcore reads "
-            f"versions {_READ[0]} and {_READ[1]}; go on with the pcore that wrote it"
+            f"version {_VERSION}; go on with the pcore that wrote it"
         )
     state = cast("Plain", content.get("state", {}))
-    if content["version"] == 1:
-        state["skinning"] = {}  # Version 1 knew no skinning.
     names = {item.name: _TYPES.get(item.name, dict) for item in fields(TrainingState)}
     wrong = sorted({*state} ^ {*names})
     wrong += [n for n, kind in names.items() if n in state and not isinstance(state[n], kind)]
@@ -155,7 +148,7 @@ def _read(path: Path) -> Any:
             damaged = archive.testzip()
     except zipfile.BadZipFile as error:
         raise CheckpointError(
-            f"{path} is truncated or not a file of torch ({error}); take the run from a backup "
+            f"{path} is truncated or not a file of torch; take the run from a backup "
             "or train anew into another folder"
         ) from error
     if damaged is not None:

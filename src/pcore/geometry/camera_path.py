@@ -16,16 +16,22 @@ from pcore.geometry.camera import Camera
 def path_through(cameras: Sequence[Camera], count: int) -> list[Camera]:
     """Cameras (count) evenly along a list of at least one, from the first to the last.
 
-    Between two of the list positions go straight and rotations turn evenly about one axis; image
-    size and focal lengths are those of the first.
+    Between two of the list positions go straight, rotations turn evenly about one axis, and focal
+    lengths and principal points change evenly.
 
     Raises:
-        InputError: no camera, or fewer than one wanted.
+        InputError: no camera, fewer than one wanted, or pictures of several sizes.
     """
     if not cameras or count < 1:
         raise InputError(
             f"camera path: expected at least one camera and one frame, got {len(cameras)} and "
             f"{count}"
+        )
+    sizes = dict.fromkeys((camera.width, camera.height) for camera in cameras)
+    if len(sizes) > 1:
+        listed = " and ".join(f"{width} x {height}" for width, height in sizes)
+        raise InputError(
+            f"camera path: expected cameras with pictures of one size, got {listed}; give a size"
         )
     if len(cameras) == 1 or count == 1:
         return [cameras[0]] * count
@@ -37,4 +43,15 @@ def path_through(cameras: Sequence[Camera], count: int) -> list[Camera]:
     path[:, :3, :3] = turns.as_matrix()
     path[:, :3, 3] = np.stack(centers, axis=1)
     kind = cameras[0].world_from_camera.dtype
-    return [replace(cameras[0], world_from_camera=torch.from_numpy(one).to(kind)) for one in path]
+    lens = {
+        name: np.interp(places, np.arange(len(cameras)), [getattr(one, name) for one in cameras])
+        for name in ("fx", "fy", "cx", "cy")
+    }
+    return [
+        replace(
+            cameras[0],
+            world_from_camera=torch.from_numpy(pose).to(kind),
+            **{name: float(values[index]) for name, values in lens.items()},
+        )
+        for index, pose in enumerate(path)
+    ]

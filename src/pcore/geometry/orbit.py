@@ -95,8 +95,49 @@ def orbit_like(
     )
     first = cameras[0]
     width, height = size or (first.width, first.height)
-    angle_x = 2 * math.atan(0.5 * first.width / first.fx)
+    angle_x = 2 * math.atan(0.5 * first.width / first.focal[0])
     return [Camera.from_fov(pose, width=width, height=height, angle_x=angle_x) for pose in poses]
+
+
+def orbit_around(
+    points: Tensor,
+    count: int = 1,
+    *,
+    size: tuple[int, int] = (400, 400),
+    elevation: float = math.radians(25),
+    angle_x: float = math.radians(40),
+) -> list[Camera]:
+    """Cameras that go once around points, all of which are in the picture.
+
+        camera = pcore.orbit_around(posed.points)[0]
+
+    Args:
+        points: (N, 3) world units.
+        count: how many; the circle is not closed by a repeated camera.
+        size: width and height of the pictures in pixels.
+        elevation: angle above the horizon, radians.
+        angle_x: horizontal field of view, radians.
+
+    Raises:
+        InputError: a count below 1, a field of view of nothing or of all there is, or an elevation
+            that leaves the horizon undefined.
+    """
+    if not 0 < angle_x < math.pi:
+        raise InputError(
+            f"orbit: expected a field of view between 0 and pi radians, got {angle_x:g}"
+        )
+    center = 0.5 * (points.amin(dim=0) + points.amax(dim=0))
+    width, height = size
+    smaller = 2 * math.atan(math.tan(0.5 * angle_x) * min(1.0, height / width))
+    return orbit_cameras(
+        center,
+        fitting_distance(points, center, smaller),
+        count,
+        elevation=elevation,
+        width=width,
+        height=height,
+        angle_x=angle_x,
+    )
 
 
 def fitting_distance(points: Tensor, center: Tensor, angle: float) -> float:

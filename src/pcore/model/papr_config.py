@@ -121,13 +121,17 @@ class PaprConfig:
     mean of their features. 1 (the original) is the ray through the pixel's centre."""
     pixel: float | None = None
     """Width of a pixel of the training photos at the object's middle, world units: what the
-    renderer network knows (`pcore.model.raster`). None: pictures are drawn as they come."""
+    renderer network knows (`pcore.render.raster`). None: pictures are drawn as they come."""
 
     def __post_init__(self) -> None:
         if self.neighbours < 1 or self.feature_size < 1:
             raise InputError(
                 "PAPR: expected neighbours and feature_size of at least 1, got "
                 f"{self.neighbours} and {self.feature_size}"
+            )
+        if min(self.unet_channels) < 1:
+            raise InputError(
+                f"PAPR: expected unet_channels of at least 1, got {self.unet_channels}"
             )
         check_samples("PAPR", self.samples)
         if self.pixel is not None and not (math.isfinite(self.pixel) and self.pixel > 0):

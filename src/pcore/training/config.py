@@ -213,11 +213,6 @@ class FinetuneConfig:
     texture_target: Literal["rendering", "photo"] = "rendering"
     """What the deformed rendering is compared with: the canonical rendering (the paper) or the
     training photo of the same rays."""
-    anchor: bool = False
-    """Take surface points and canonical renderings from the network before fine-tuning instead of
-    the one that is being tuned."""
-    train_points: bool = False
-    """Let gradients move the points."""
     foreground_alpha: float = 0.5
     """Rays whose canonical opacity is above this are foreground."""
     opacity_weight: float = 0.0
@@ -233,8 +228,6 @@ class FinetuneConfig:
     skinning: SkinningTrainConfig | None = None
     """Move points and surface points by a skinning that learns as well; None leaves that to the
     field."""
-    average: float = 0.0
-    """Decay of the running average of weights that becomes the result; 0 keeps the last weights."""
     largest_loss: float | None = None
     """The budget: how many dB the PSNR of held-out training views may lose. Where the last weights
     lose more, the result is as much of the way to them as meets it (`pcore.training.budget`). None
@@ -265,13 +258,6 @@ class FinetuneConfig:
                 "fine-tuning: expected origin_distance above 0 and at most 1, got "
                 f"{self.origin_distance}"
             )
-        if self.skinning is not None and self.train_points:
-            raise InputError(
-                "fine-tuning: expected points that stay where the skinning was bound to them, got "
-                "train_points with skinning; leave out one of the two"
-            )
-        if not 0 <= self.average < 1:
-            raise InputError(f"fine-tuning: expected 0 <= average < 1, got {self.average}")
 
 
 def _check_positive(config: PretrainConfig | FinetuneConfig, *names: str) -> None:

@@ -75,7 +75,7 @@ def finetune(
 
     return run_loop(
         work,
-        _plan(config, validation, scene.name),
+        _plan(config, validation, scene),
         losses,
         budget=_budget(anchor, work, validation, config),
         folder=folder,
@@ -100,12 +100,12 @@ def _work(anchor: Trained, config: FinetuneConfig) -> Trainable:
         copy.deepcopy(anchor.papr).train(),
         anchor.cloud,
         seed=config.seed,
-        train_points=config.train_points,
+        train_points=False,
         skinning=skinning,
     )
 
 
-def _plan(config: FinetuneConfig, validation: Sequence[View], scene: str) -> Plan:
+def _plan(config: FinetuneConfig, validation: Sequence[View], scene: Scene) -> Plan:
     rates: dict[str, Schedule] = config.rates.named()
     if config.skinning is not None:
         rates["skinning"] = config.skinning.rate
@@ -114,10 +114,10 @@ def _plan(config: FinetuneConfig, validation: Sequence[View], scene: str) -> Pla
         rates=rates,
         validate_every=config.validate_every,
         save_every=config.save_every,
-        average=config.average,
+        views=scene.split("train"),
         validation=validation,
         background=config.background,
-        scene=scene,
+        scene=scene.name,
     )
 
 

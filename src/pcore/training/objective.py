@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import torch
-
 from pcore.deform.base import Deformation
 from pcore.deform.sampler import sample_deformation
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Rendering
 from pcore.training.config import FinetuneConfig
 from pcore.training.consistency import (
     Canonical,
@@ -16,7 +14,7 @@ from pcore.training.consistency import (
     points_only_rays,
     rays_and_points_rays,
 )
-from pcore.training.losses import Losses, Perceptual, photometric
+from pcore.training.losses import Losses, Perceptual, photometric, training_image
 from pcore.training.patches import Patch
 from pcore.training.random_motion import FieldMotion, Motion, SkinnedMotion
 from pcore.training.trainable import Trainable
@@ -30,30 +28,31 @@ class Objective:
         self,
         config: FinetuneConfig,
         work: Trainable,
-        anchor: Trained,
+        base: Trained,
         perceptual: Perceptual | None,
     ) -> None:
-        self._config, self._work, self._anchor = config, work, anchor
-        self._perceptual = perceptual
-        lower, upper = anchor.cloud.extent()
+        self._config, self._work, self._perceptual = config, work, perceptual
+        lower, upper = base.cloud.extent()
         self._lower, self._upper = lower.cpu(), upper.cpu()
-        self._points = anchor.cloud.positions.cpu()
+        self._points = base.cloud.positions.cpu()
         self._unit = float((upper - lower).norm())
         self._move = _motion(config, work, self._unit)
 
     def __call__(self, patch: Patch) -> Losses:
         """L_rgb + lambda_geo L_geo + lambda_tex L_tex of a patch (paper, "Joint Loss")."""
         config, work = self._config, self._work
-        rendering = work.papr(work.cloud, patch.rays, patch.background)
+        posed = PosedCloud.at_rest(work.cloud)
+        image = training_image(work.papr, posed, patch.rays, patch.background)
         photo = photometric(
-            rendering,
+            image,
             patch,
             opacity_weight=config.opacity_weight,
             lpips_weight=config.lpips_weight,
             perceptual=self._perceptual,
             front_weight=config.front_weight,
         )
-        canonical = self._canonical(rendering, patch)
+        rgb = patch.rgb if config.texture_target == "photo" else image.rgb
+        canonical = canonical_of(image, work.cloud, patch.rays, rgb, config.foreground_alpha)
         deformation = sample_deformation(
             work.generator, self._lower, self._upper, self._points, config.ranges
         )
@@ -61,7 +60,7 @@ class Objective:
         terms = {**photo.terms, **moved.terms}
         for name, rays in self._modes(patch.rays, canonical, deformation).items():
             found = consistency(
-                work.papr(moved.cloud, rays, patch.background),
+                training_image(work.papr, moved.posed, rays, patch.background),
                 canonical,
                 moved.surface,
                 unit=self._unit,
@@ -70,14 +69,6 @@ class Objective:
             terms[f"geo_{name}"] = config.geometry_weight * found.geometry
             terms[f"tex_{name}"] = config.texture_weight * found.texture
         return Losses(terms=terms, squared_error=photo.squared_error)
-
-    def _canonical(self, rendering: Rendering, patch: Patch) -> Canonical:
-        config = self._config
-        if config.anchor:
-            with torch.no_grad():
-                rendering = self._anchor.papr(self._anchor.cloud, patch.rays, patch.background)
-        rgb = patch.rgb if config.texture_target == "photo" else rendering.rgb
-        return canonical_of(rendering, self._work.cloud, patch.rays, rgb, config.foreground_alpha)
 
     def _modes(
         self, rays: RayBundle, canonical: Canonical, deformation: Deformation

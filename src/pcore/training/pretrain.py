@@ -5,34 +5,28 @@ from __future__ import annotations
 import dataclasses
 import statistics
 from collections.abc import Sequence
-from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from pcore.data.masks import check_masks
 from pcore.data.scene import Scene, View, check_images, hold_out
-from pcore.errors import InputError, TrainingError
+from pcore.errors import TrainingError
 from pcore.files.run_folder import RunFolder
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
 from pcore.model.papr_config import PaprConfig, ReferenceOrigin
 from pcore.training.compiling import compile_networks
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.loop import Plan, autocast, run_loop
-from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric
+from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric, training_image
 from pcore.training.patches import draw_patch
-from pcore.training.population import (
-    grid_points,
-    growth_mixture,
-    growth_sites,
-    hull_points,
-    replace_rows,
-)
+from pcore.training.population import growth_mixture, growth_sites, replace_rows
+from pcore.training.start_cloud import start_positions
 from pcore.training.trainable import Trainable, trainable
 from pcore.training.trained import Trained
-
-_GRID_HALF_SIDE = 1.2
 
 
 def pretrain(
@@ -58,6 +52,7 @@ def pretrain(
         The networks and the canonical points.
 
     Raises:
+        SceneError: an image is damaged, or no mask holds anything.
         InputError: the scene has no silhouettes for a visual hull, or a bad starting cloud.
         WeightsError: LPIPS was asked for and its weights are missing.
         TrainingError: diverged, ran out of points, cannot be compiled or cannot write.
@@ -66,6 +61,7 @@ def pretrain(
     where = torch.device(device)
     perceptual = perceptual_loss(config.lpips_weight, config.lpips_trunk, where)
     check_images(scene.split("train"))
+    check_masks(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     work = _begin(scene, views, config, where)
     if compiled:
@@ -79,10 +75,11 @@ def pretrain(
         found: list[Losses] = []
         for patch in patches:
             with autocast(where, enabled=config.mixed_precision):
-                rendering = work.papr(work.cloud, patch.rays, patch.background)
+                posed = PosedCloud.at_rest(work.cloud)
+                image = training_image(work.papr, posed, patch.rays, patch.background)
             found.append(
                 photometric(
-                    rendering,
+                    image,
                     patch,
                     opacity_weight=config.opacity_weight,
                     lpips_weight=config.lpips_weight,
@@ -99,7 +96,7 @@ def pretrain(
             rates=config.rates.named(),
             validate_every=config.validate_every,
             save_every=config.save_every,
-            average=0.0,
+            views=scene.split("train"),
             validation=validation,
             background=config.background,
             scene=scene.name,
@@ -119,7 +116,7 @@ def _begin(
         torch.manual_seed(config.seed)
         papr = Papr(_model_config(config, scene))
         generator = torch.Generator().manual_seed(config.seed)
-        positions = _start_positions(scene, views, config, generator)
+        positions = start_positions(scene, views, config, generator)
         features = torch.randn(len(positions), papr.config.feature_size, generator=generator)
     cloud = PointCloud(
         positions=positions.to(device),
@@ -139,25 +136,6 @@ def _model_config(config: PretrainConfig, scene: Scene) -> PaprConfig:
     widths = [view.camera.pixel_width(scene.center) for view in scene.split("train")]
     pixel = statistics.median(widths) if config.model.samples > 1 else None
     return dataclasses.replace(config.model, background=color, reference=reference, pixel=pixel)
-
-
-def _start_positions(
-    scene: Scene, views: Sequence[View], config: PretrainConfig, generator: torch.Generator
-) -> Tensor:
-    if config.start == "grid":
-        half = torch.full((3,), _GRID_HALF_SIDE)
-        return grid_points(config.points, -half, half)
-    if config.start != "hull":
-        # Reading such files takes a package that no other training needs.
-        from pcore.data.points import load_points
-
-        return load_points(Path(config.start))
-    if not all(view.has_alpha for view in views):
-        raise InputError(
-            f"scene {scene.name}: expected images with an alpha channel for a visual hull, got "
-            'photos without one; start from "grid" or from a PLY or NPY file of points'
-        )
-    return hull_points(config.points, views, scene.lower, scene.upper, generator=generator)
 
 
 def _due(step: int, when: PruneConfig | GrowConfig) -> bool:

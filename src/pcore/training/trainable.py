@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,11 +11,16 @@ import torch
 from torch import Tensor, nn
 
 from pcore.contrib.learned_skinning import Skinning
+from pcore.data.scene import View
 from pcore.errors import CheckpointError
+from pcore.files.provenance import provenance_of
+from pcore.files.run_folder import RunFolder
 from pcore.files.training_state import TrainingState, generator_states, restore_generators
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.training.config import Rates
+from pcore.render.surfel_fit import observe
+from pcore.training.config import Background, Rates
+from pcore.training.held_out import validate
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
 
@@ -34,7 +39,6 @@ class Trainable:
         generator: source of every random draw of the loop.
         skinning: trained along with the renderer; None where nothing is.
         step: steps done.
-        average: running average of all weights by name; empty where none is kept.
         best: figures of the best validation, and its weights where they are kept.
     """
 
@@ -45,8 +49,12 @@ class Trainable:
     generator: torch.Generator
     skinning: Skinning | None = None
     step: int = 0
-    average: dict[str, Tensor] = field(default_factory=dict[str, Tensor])
     best: dict[str, Any] = field(default_factory=dict[str, Any])
+
+    @property
+    def points(self) -> int:
+        """How many points there are."""
+        return len(self.cloud)
 
     def weights(self) -> dict[str, Tensor]:
         """All weights by name, sharing memory with the training."""
@@ -67,18 +75,42 @@ class Trainable:
         # The points' rate is in scaled units, the points themselves are in world units.
         self.optimizer.param_groups[0]["lr"] /= self.papr.config.coord_scale
 
-    def update_average(self, decay: float) -> None:
-        """Move the running average towards the weights; it starts as the first weights it sees."""
-        weights = self.weights()
-        if not self.average:
-            self.average = {name: tensor.clone() for name, tensor in weights.items()}
-        for name, tensor in self.average.items():
-            tensor.lerp_(weights[name], 1 - decay)
-
     def result(self, weights: Mapping[str, Tensor] | None = None) -> Trained:
-        """Networks and points to hand over: of `weights`, or the average, or as they are."""
-        chosen = weights or self.average or self.weights()
+        """Networks and points to hand over: of `weights`, or as they are."""
+        chosen = weights or self.weights()
         return rebuild(self.papr, chosen, self.step, skinning=self.skinning)
+
+    def scores(
+        self,
+        views: Sequence[View],
+        background: Background,
+        weights: Mapping[str, Tensor] | None = None,
+    ) -> dict[str, float]:
+        """Figures on held-out training views, see `held_out.validate`."""
+        return validate(self.result(weights), views, background)
+
+    def with_surface(self, result: Trained, views: Sequence[View]) -> Trained:
+        """Return the result with the surface over its points, as training views show it."""
+        observed = observe(result.papr, result.cloud, views)
+        return replace(result, surfels=observed.surfels(result.cloud), observed=observed)
+
+    def save(self, folder: RunFolder, scene: str, result: Trained) -> list[str]:
+        """Write model and skinning; return the paths."""
+        config = result.papr.config
+        provenance = provenance_of(
+            result.cloud,
+            config,
+            scene=scene,
+            stage="pretrain" if self.stage == "pretrain" else "finetune",
+            step=self.best.get("kept_step", self.step),
+        )
+        folder.save_model(
+            result.papr.state_dict(), result.cloud, config, provenance, result.surfels
+        )
+        if result.skinning is None:
+            return [str(folder.model)]
+        folder.save_skinning(result.skinning)
+        return [str(folder.model), str(folder.skinning)]
 
     def state(self) -> TrainingState:
         """What `restore` needs to go on exactly."""
@@ -89,10 +121,17 @@ class Trainable:
             cloud={name: getattr(self.cloud, name).detach() for name in _CLOUD},
             optimisers={"adam": self.optimizer.state_dict()},
             generators=generator_states({"draws": self.generator}),
-            average=dict(self.average),
             best=self.best,
             skinning=self._skinning_state(),
         )
+
+    def restore(self, state: TrainingState) -> None:
+        """Put this into a saved state, exactly.
+
+        Raises:
+            CheckpointError: the state belongs to another stage or another architecture.
+        """
+        _restore(self, state)
 
 
 def trainable(
@@ -133,12 +172,7 @@ def trainable(
     )
 
 
-def restore(work: Trainable, state: TrainingState) -> None:
-    """Put `work` into a saved state, exactly.
-
-    Raises:
-        CheckpointError: the state belongs to another stage or another architecture.
-    """
+def _restore(work: Trainable, state: TrainingState) -> None:
     if state.stage != work.stage:
         raise CheckpointError(
             f"training state: expected one of stage {work.stage!r}, got {state.stage!r}; "
@@ -156,7 +190,6 @@ def restore(work: Trainable, state: TrainingState) -> None:
     work.optimizer.load_state_dict(state.optimisers["adam"])
     restore_generators({"draws": work.generator}, state.generators)
     work.step = state.step
-    work.average = {name: tensor.to(device) for name, tensor in state.average.items()}
     work.best = dict(state.best)
     if "weights" in work.best:
         kept = work.best["weights"]

@@ -1,0 +1,1 @@
+"""The one door to a trained object: load, pose, render, save, train."""

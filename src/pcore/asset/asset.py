@@ -1,0 +1,283 @@
+"""A trained object as one value: what it is made of, where it comes from, and how it is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypedDict, Unpack, overload
+
+from torch import Tensor
+
+from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
+from pcore.asset.posing import Edit, EditLike, bind_motion, script_of
+from pcore.contrib.learned_skinning import Skinning
+from pcore.data.load import load_scene
+from pcore.data.scene import Scene
+from pcore.editing.anchors import AnchorRig, rig_with
+from pcore.editing.session import EditSession
+from pcore.errors import InputError
+from pcore.files.provenance import Provenance
+from pcore.files.run_record import RunRecord
+from pcore.geometry.camera import Camera
+from pcore.geometry.local_maps import LocalMaps
+from pcore.geometry.rays import RayBundle
+from pcore.relight.relighting import Relighting
+from pcore.render.image import Image
+
+WHITE: Color = (1.0, 1.0, 1.0)
+
+
+class How(TypedDict, total=False):
+    """Options of `Asset.render`; see `Sampling`."""
+
+    samples: int | None
+    fast: bool
+    detail: float | None
+    cancel: Callable[[], bool] | None
+    progress: Callable[[float], None] | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Posed:
+    """An asset as an edit leaves it; made by `Asset.pose`, drawn by `Asset.render`.
+
+    Attributes:
+        points: (N, 3) where its points are, world units.
+        local_maps: how space moved around them; None where plain rays do not need it.
+        notes: what is odd about the edits and was not refused, a sentence each.
+        content: what the kind of object is posed as.
+    """
+
+    points: Tensor = field(repr=False)
+    local_maps: LocalMaps | None = field(repr=False)
+    notes: tuple[str, ...] = ()
+    content: Any = field(repr=False)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Asset:
+    """A trained object; made by `pcore.load`, `pcore.train` and `pcore.finetune`.
+
+    Everything that goes in or comes out (edits, cameras, rays, points, depth, surface) is in world
+    units and axes and passes through here; its content keeps its own.
+
+        asset = pcore.load("runs/toy")
+        posed = asset.pose("edit.json")
+        picture = asset.render(posed, camera)  # rgb, alpha, depth, surface
+
+    Attributes:
+        content: what it is made of.
+        provenance: where it comes from.
+        record: how it came to be, and the folder of its run.
+        read_skinning: gives the weights that it learned for edits by anchors; None where none.
+    """
+
+    content: Content[Any]
+    provenance: Provenance
+    record: RunRecord
+    read_skinning: Callable[[], Skinning] | None = field(default=None, repr=False)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def points(self) -> Tensor:
+        """(N, 3) canonical points, world units, float32 on the CPU."""
+        return self.content.points
+
+    @cached_property
+    def skinning(self) -> Skinning | None:
+        """The learned weights, read when they are first needed.
+
+        Raises:
+            CheckpointError: their file is damaged or belongs to other points.
+        """
+        return None if self.read_skinning is None else self.read_skinning()
+
+    @property
+    def light(self) -> Relighting | None:
+        """The light of its photos; None where none was estimated, or for kinds without one.
+
+        Raises:
+            CheckpointError: its file is damaged or belongs to other points.
+        """
+        return self.content.light
+
+    @cached_property
+    def rig(self) -> AnchorRig | None:
+        """Anchors with the learned weights, for edits by anchors; None where none were learned."""
+        return None if self.skinning is None else rig_with(self.skinning.paths, self.skinning)
+
+    def pose(
+        self,
+        edit: Edit | None = None,
+        *,
+        time: float | None = None,
+        rays: RaysName = "aware",
+        light: LightName | None = None,
+    ) -> Posed:
+        """Move the object; None leaves it as it was photographed.
+
+        Args:
+            edit: an edit file (its path, its content or what `load_edit` returns), an
+                `EditSession` or a state of one, a `Deformation`, or `MovedPoints`.
+            time: for an edit file with keyframes.
+            rays: how its deformed points are seen.
+            light: "still": the light stays where it is; "baked": every point keeps the brightness
+                of the photos. None: still where the object has a light and rays are aware.
+
+        Raises:
+            EditError: the edit is not valid, does not fit the points or folds space.
+            InputError: something else than the above, of another object, or a light is asked for
+                and there is none.
+        """
+        bound = bind_motion(
+            edit,
+            self.points,
+            lambda: self.rig,
+            time=time,
+            check=rays == "aware" or light == "still",
+        )
+        posed = self.content.pose(bound.motion, rays=rays, light=light)
+        return Posed(
+            points=self.content.points_of(posed),
+            local_maps=self.content.local_maps_of(posed),
+            notes=bound.notes,
+            content=posed,
+        )
+
+    @overload
+    def render(self, posed: Posed | None, cameras: Camera, **how: Unpack[How]) -> Image: ...
+
+    @overload
+    def render(
+        self, posed: Posed | None, cameras: Sequence[Camera], **how: Unpack[How]
+    ) -> list[Image]: ...
+
+    def render(
+        self,
+        posed: Posed | None,
+        cameras: Camera | Sequence[Camera],
+        **how: Unpack[How],
+    ) -> Image | list[Image]:
+        """Take pictures, on the device of the networks.
+
+        Autograd follows the pose and the cameras where they ask for it; the whole picture is then
+        held in memory.
+
+        Args:
+            posed: from `pose`; None is the object as it was photographed.
+            cameras: a camera or a batch (`Camera.stack`) of at least 4 x 4 pixels, or several
+                cameras of any sizes.
+            **how: `samples`, rays per pixel, a square number (those it was trained for);
+                `fast=True`, not exact, in less time; `detail` of `film_detail`; `cancel`, asked now
+                and then, True ends the work; `progress`, told which share of it is done.
+
+        Returns:
+            A picture (of a batch with its axis in front), or one for each of several cameras.
+
+        Raises:
+            InputError: a picture that is too small, rays per pixel that make no square, or points
+                that are not finite.
+            RenderCancelledError: `cancel` said so.
+        """
+        posed = self.pose() if posed is None else posed
+        sampling = Sampling(**how)
+        if isinstance(cameras, Camera):
+            return self.content.render(posed.content, cameras, sampling)
+        return [
+            self.content.render(posed.content, camera, sampling.of(number, len(cameras)))
+            for number, camera in enumerate(cameras)
+        ]
+
+    def film(
+        self, frames: Sequence[Posed], cameras: Sequence[Camera], *, samples: int | None = None
+    ) -> Iterator[Image]:
+        """Take the pictures of a film one by one, all sampled alike, as `pcore animate` does.
+
+        Args:
+            frames: the object in every frame.
+            cameras: one for every frame.
+            samples: see `render`.
+        """
+        detail = self.film_detail(frames, cameras)
+        for posed, camera in zip(frames, cameras, strict=True):
+            yield self.render(posed, camera, samples=samples, detail=detail)
+
+    def film_detail(self, frames: Sequence[Posed], cameras: Sequence[Camera]) -> float | None:
+        """Number that all frames of a film share, so that its look does not jump."""
+        return self.content.film_detail([one.content for one in frames], cameras)
+
+    def trace(
+        self, posed: Posed | None, rays: RayBundle, background: Tensor | None = None
+    ) -> Image:
+        """Render rays of pixels (..., H, W) in one piece, with what each of them hits.
+
+        Autograd follows the pose and the rays.
+
+        Args:
+            posed: from `pose`; None is the object as it was photographed.
+            rays: world units, on the device of the networks.
+            background: (3,) colour behind the object; None takes its own.
+        """
+        posed = self.pose() if posed is None else posed
+        return self.content.trace(posed.content, rays, background)
+
+    def session(self, edit: EditLike | None = None, *, time: float | None = None) -> EditSession:
+        """Begin to edit it step by step, with the weights it learned; see `EditSession`.
+
+        Args:
+            edit: an edit file or edit to begin with.
+            time: of one with keyframes.
+
+        Raises:
+            EditError: the edit is not valid or does not fit the points.
+        """
+        script = None if edit is None else script_of(edit, time)
+        return EditSession(self.points, script, rig=self.rig)
+
+    def over(self, background: Color) -> Asset:
+        """Return the same object before another background, RGB in [0, 1]."""
+        return replace(self, content=self.content.over(background))
+
+    def scene(self, folder: Path | None = None, *, factor: int | None = None) -> Scene:
+        """Open the scene that it was trained on.
+
+        Args:
+            folder: of the scene; None takes the one on record.
+            factor: whole number by which images are down-scaled; None takes that of the training.
+
+        Raises:
+            InputError: none is given and that on record is not here.
+            SceneError: the scene is damaged.
+        """
+        chosen = self.record.factor if factor is None else factor
+        return load_scene(self.record.scene_or(folder), factor=chosen)
+
+    @property
+    def path(self) -> Path:
+        """Folder of its run.
+
+        Raises:
+            InputError: it has none; `save` makes one.
+        """
+        if self.record.path is None:
+            raise InputError(
+                "asset: expected one with a folder, got one that was never saved or a bare model "
+                "file; write it with `asset.save(FOLDER)`"
+            )
+        return self.record.path
+
+    def save(self, path: Path | str) -> Asset:
+        """Write it into a new or empty folder, which all commands then read; return it from there.
+
+        Raises:
+            InputError: the folder holds something already.
+            TrainingError: it cannot be written.
+            CheckpointError: weights that are not finite, or a light or weights that are damaged.
+        """
+        from pcore.asset.saving import save_asset
+
+        return save_asset(self, Path(path))

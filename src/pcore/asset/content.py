@@ -1,0 +1,148 @@
+"""What can be inside an asset, and how its points were carried where no map of space says it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, Protocol, TypeVar
+
+from torch import Tensor
+
+from pcore.deform.base import Deformation
+from pcore.errors import InputError
+from pcore.files.provenance import Provenance
+from pcore.geometry.camera import Camera
+from pcore.geometry.local_maps import LocalMaps
+from pcore.geometry.rays import RayBundle
+from pcore.relight.relighting import Relighting
+from pcore.render.image import Image
+
+RaysName = Literal["aware", "plain"]
+"""How deformed points are seen: aware of the deformation, or plain as in the paper."""
+LightName = Literal["still", "baked"]
+"""What the light does while an object moves: it stays where it is, or it is carried along."""
+Color = tuple[float, float, float]
+"""Red, green and blue in [0, 1]."""
+
+P = TypeVar("P")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MovedPoints:
+    """Where canonical points went, when it was not a map of space that moved them.
+
+    Attributes:
+        positions: (N, 3) of all points of the asset, world units.
+        local_maps: how space moved around every point; None where nothing moved or nobody knows.
+        world: factor by which all of the world, lamps too, was scaled about the origin meanwhile.
+    """
+
+    positions: Tensor
+    local_maps: LocalMaps | None = None
+    world: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.positions.ndim != 2 or self.positions.shape[-1] != 3:
+            raise InputError(
+                f"moved points: expected positions (N, 3), got {tuple(self.positions.shape)}"
+            )
+
+
+Motion = Deformation | MovedPoints
+"""What moves an object."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampling:
+    """How a picture is taken.
+
+    Attributes:
+        samples: rays per pixel, a square number; None takes those that the object was trained for.
+        fast: leave out what adds little to a colour, and send one ray per pixel unless `samples`
+            says otherwise: less time, and not exact (`FAST_THRESHOLD`).
+        detail: one number for all frames of a film (`Asset.film_detail`); None measures it.
+        cancel: asked now and then; True ends the work.
+        progress: told now and then which share of the work is done, in (0, 1].
+    """
+
+    samples: int | None = None
+    fast: bool = False
+    detail: float | None = None
+    cancel: Callable[[], bool] | None = None
+    progress: Callable[[float], None] | None = None
+
+    def of(self, number: int, count: int) -> Sampling:
+        """Return that of one picture of several, whose progress is a part of the whole."""
+        tell = self.progress
+        if tell is None:
+            return self
+
+        def told(share: float) -> None:
+            tell((number + share) / count)
+
+        return replace(self, progress=told)
+
+
+class Content(Protocol[P]):
+    """One kind of object, in its own units and axes; P is what it is when it is posed.
+
+    `Asset` holds one and gives it edits, cameras and rays; nobody else needs to know which kind.
+    """
+
+    @property
+    def points(self) -> Tensor:
+        """(N, 3) canonical points, float32 on the CPU: what edits are bound to."""
+        ...
+
+    @property
+    def samples(self) -> int:
+        """Rays per pixel of its pictures."""
+        ...
+
+    @property
+    def light(self) -> Relighting | None:
+        """The light of its photos; None where none was estimated, and for kinds without one."""
+        ...
+
+    def pose(self, motion: Motion | None, *, rays: RaysName, light: LightName | None) -> P:
+        """Move it; None leaves it as it was photographed.
+
+        Raises:
+            EditError: a map that folds space, where that matters.
+            InputError: a light is asked for and there is none.
+        """
+        ...
+
+    def points_of(self, posed: P) -> Tensor:
+        """(N, 3) where the points of what was posed are."""
+        ...
+
+    def local_maps_of(self, posed: P) -> LocalMaps | None:
+        """How space moved around them; None where nothing remembers it."""
+        ...
+
+    def trace(self, posed: P, rays: RayBundle, background: Tensor | None) -> Image:
+        """Render rays of pixels (..., H, W), with what each hits; autograd follows."""
+        ...
+
+    def render(self, posed: P, camera: Camera, sampling: Sampling) -> Image:
+        """Take a picture, or those of a batch of cameras; autograd follows."""
+        ...
+
+    def film_detail(self, posed: Sequence[P], cameras: Sequence[Camera]) -> float | None:
+        """Number that all frames of a film share, so that its look does not jump."""
+        ...
+
+    def over(self, background: Color) -> Content[P]:
+        """Return the same before another background."""
+        ...
+
+    def save(self, folder: Path, provenance: Provenance) -> None:
+        """Write its files into a folder.
+
+        Raises:
+            CheckpointError: it is not finite; nothing is written.
+            OSError: a file cannot be written.
+        """
+        ...

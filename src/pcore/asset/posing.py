@@ -1,0 +1,124 @@
+"""Everything that can say how an asset is to be moved, bound to its points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pcore.asset.content import Motion, MovedPoints
+from pcore.deform.base import Deformation
+from pcore.editing.anchors import AnchorRig
+from pcore.editing.animation import Animation, load_animation, parse_animation
+from pcore.editing.binding import Bound
+from pcore.editing.script import EditScript
+from pcore.editing.session import EditSession, EditState
+from pcore.errors import EditError, InputError
+
+EditLike = str | Path | Mapping[str, Any] | EditScript | Animation
+"""An edit file, its content, or what was read from one."""
+Edit = EditLike | EditSession | EditState | Bound | Motion
+"""What says how an asset moves."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoundMotion:
+    """A motion of certain points.
+
+    Attributes:
+        motion: what moves them; None is nothing.
+        notes: what is odd about the edits and was not refused, a sentence each.
+    """
+
+    motion: Motion | None
+    notes: tuple[str, ...] = ()
+
+
+def script_of(edit: EditLike, time: float | None = None) -> EditScript:
+    """Read an edit, at a time where it has keyframes.
+
+    Args:
+        edit: an edit file, its content, or what was read from one.
+        time: needed with keyframes; edits that stand still are the same at any.
+
+    Raises:
+        EditError: it is not valid, or has keyframes and no time is given.
+    """
+    if isinstance(edit, EditScript):
+        return edit
+    if isinstance(edit, Animation):
+        animation = edit
+    elif isinstance(edit, Mapping):
+        animation = parse_animation(edit)
+    else:
+        animation = load_animation(edit)
+    if time is None and animation.end > animation.start:
+        raise EditError(
+            f"{animation.source}: expected --time between {animation.start:g} and "
+            f"{animation.end:g} (time= in Python), because it has keyframes, got none; or use "
+            "`pcore animate`"
+        )
+    return animation.at(animation.start if time is None else time)
+
+
+def bind_motion(
+    edit: object,
+    points: Tensor,
+    read_rig: Callable[[], AnchorRig | None],
+    *,
+    time: float | None,
+    check: bool,
+) -> BoundMotion:
+    """Bind whatever says how an asset moves to its canonical points.
+
+    Args:
+        edit: see `Asset.pose`.
+        points: (N, 3) canonical points, world units.
+        read_rig: gives anchors with learned weights; asked for edits only.
+        time: for edits with keyframes.
+        check: look for folds, which pictures with plain rays do without.
+
+    Raises:
+        EditError: the edit is not valid, does not fit the points, or folds space.
+        InputError: a session or moved points of another object, or something else altogether.
+    """
+    if edit is None or isinstance(edit, Deformation):
+        return BoundMotion(motion=edit)
+    if isinstance(edit, MovedPoints):
+        _same_number(len(edit.positions), points)
+        return BoundMotion(motion=edit)
+    if isinstance(edit, EditSession):
+        edit = edit.state
+    if isinstance(edit, EditState):
+        edit = edit.bound
+    if isinstance(edit, Bound):
+        _same_points(edit, points)
+        return BoundMotion(motion=edit.deformation, notes=edit.notes)
+    known: tuple[type, ...] = (str, Path, Mapping, EditScript, Animation)
+    if not isinstance(edit, known):
+        raise InputError(
+            "pose: expected an edit file, an edit, an EditSession, a Deformation, MovedPoints or "
+            f"None, got {type(edit).__name__}"
+        )
+    bound = script_of(edit, time).bound(points, rig=read_rig(), check=check)
+    return BoundMotion(motion=bound.deformation, notes=bound.notes)
+
+
+def _same_number(count: int, points: Tensor) -> None:
+    if count != len(points):
+        raise InputError(
+            f"pose: expected positions of all {len(points)} points of the asset, got {count}"
+        )
+
+
+def _same_points(bound: Bound, points: Tensor) -> None:
+    rest = bound.setting.rest
+    if rest.shape != points.shape or not torch.equal(rest, points.detach().cpu().to(rest)):
+        raise InputError(
+            f"pose: expected edits bound to the {len(points)} points of this asset, got edits of "
+            f"{len(rest)} others; begin the session with `asset.session()`"
+        )

@@ -1,0 +1,135 @@
+"""Assets in folders: reading whatever lies there, and writing what every command reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pcore.asset.asset import Asset
+from pcore.asset.content import Content
+from pcore.asset.gaussian_content import read_gaussians
+from pcore.asset.neural_points import NeuralPoints, read_neural_points
+from pcore.contrib.learned_skinning import Skinning
+from pcore.errors import InputError
+from pcore.files.gaussian_file import GAUSSIANS_FILE
+from pcore.files.model_file import MODEL_FILE
+from pcore.files.provenance import Provenance, Stage, provenance_of
+from pcore.files.run_folder import RunFolder, write_guard
+from pcore.files.run_record import RunRecord, relative
+from pcore.files.skinning_file import SKINNING_FILE, load_skinning
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.surfels import Surfels
+from pcore.model.papr import Papr
+from pcore.relight.relighting import Relighting
+
+Reader = Callable[[Path, str], tuple[Content[Any], Provenance]]
+
+READERS: dict[str, Reader] = {MODEL_FILE: read_neural_points, GAUSSIANS_FILE: read_gaussians}
+"""Kinds of objects by the file that a folder of one holds; the first is expected where none is."""
+
+
+def load(path: Path | str, *, device: str = "cpu") -> Asset:
+    """Open a trained object: networks, canonical points, light and learned weights.
+
+        asset = pcore.load("runs/toy")
+
+    Args:
+        path: folder of a run, or a bare model file, which has neither light nor weights beside it.
+        device: where its pictures are computed: "cpu", "cuda", ...
+
+    Raises:
+        CheckpointError: there is neither, or it is damaged. A light or weights that are damaged
+            raise when they are first needed.
+    """
+    path = Path(path)
+    # A model file that is not there is more likely a folder that is not there.
+    bare = path.is_file() or path.suffix == Path(MODEL_FILE).suffix
+    stored = None if bare else RunRecord.read(path)
+    content, provenance = _reader_for(path)(path, device)
+    points, weights = content.points, path / SKINNING_FILE
+    return Asset(
+        content=content,
+        provenance=provenance,
+        record=stored or RunRecord(stage=provenance.stage),
+        read_skinning=(lambda: load_skinning(weights, points)) if weights.is_file() else None,
+    )
+
+
+def _reader_for(path: Path) -> Reader:
+    known = [name for name in READERS if path.is_dir() and (path / name).is_file()]
+    return READERS[known[0]] if known else READERS[MODEL_FILE]
+
+
+def asset_of(
+    papr: Papr,
+    cloud: PointCloud,
+    *,
+    scene: str = "",
+    stage: Stage = "pretrain",
+    step: int = 0,
+    surfels: Surfels | None = None,
+    light: Relighting | None = None,
+    skinning: Skinning | None = None,
+) -> Asset:
+    """Make an asset of networks and points that are in memory.
+
+        asset = asset_of(papr, cloud)
+
+    Args:
+        papr: the networks; used as they are.
+        cloud: canonical points, world units.
+        scene: name of the scene.
+        stage: what made the weights.
+        step: steps of that stage.
+        surfels: the surface over the points at rest.
+        light: of the photos.
+        skinning: weights that were learned for edits by anchors.
+    """
+    cloud = cloud.detached().to("cpu")
+    return Asset(
+        content=NeuralPoints(
+            papr=papr,
+            cloud=cloud,
+            surfels=None if surfels is None else surfels.to("cpu"),
+            read_light=light and (lambda: light),
+        ),
+        provenance=provenance_of(cloud, papr.config, scene=scene, stage=stage, step=step),
+        record=RunRecord(stage=stage),
+        read_skinning=skinning and (lambda: skinning),
+    )
+
+
+def save_asset(asset: Asset, folder: Path) -> Asset:
+    """See `Asset.save`."""
+    record = asset.record
+    config = dict(record.config)
+    if record.base is not None:
+        config["base"] = relative(record.base, folder)
+    scene = record.scene if record.scene_folder is None else relative(record.scene_folder, folder)
+    with RunFolder.create(folder, stage=record.stage, scene=scene, config=config) as run:
+        with write_guard(run.model):
+            asset.content.save(folder, asset.provenance)
+        if asset.skinning is not None:
+            run.save_skinning(asset.skinning)
+        run.update(**{**record.notes, "status": "finished", "step": asset.provenance.step})
+    return replace(asset, record=RunRecord.read(folder))
+
+
+def neural_points_of(asset: Asset, what: str) -> NeuralPoints:
+    """Networks and points of an asset, for what works with no other kind of object.
+
+    Args:
+        asset: the object.
+        what: for messages, what wants to work with it.
+
+    Raises:
+        InputError: it is of another kind.
+    """
+    if not isinstance(asset.content, NeuralPoints):
+        raise InputError(
+            f"{what}: expected an object that `pcore train` made of photos (neural points), got "
+            f"{type(asset.content).__name__}"
+        )
+    return asset.content

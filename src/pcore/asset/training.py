@@ -1,0 +1,305 @@
+"""Make assets: train one on photos, fine-tune it, estimate its light; what the commands do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pcore.asset.asset import Asset
+from pcore.asset.gaussian_training import gaussian_record, train_gaussians
+from pcore.asset.saving import asset_of, load, neural_points_of
+from pcore.data.scene import Scene, check_images
+from pcore.errors import InputError
+from pcore.files.records import to_dict
+from pcore.files.run_folder import RunFolder
+from pcore.files.run_record import RunRecord, relative
+from pcore.relight.estimate import fit_light
+from pcore.relight.light_file import LIGHT_FILE, save_light
+from pcore.render.surfel_fit import Observed, observe
+from pcore.training import presets
+from pcore.training.config import FinetuneConfig, PresetName, PretrainConfig
+from pcore.training.events import Listener, silent
+from pcore.training.finetune import finetune as run_finetuning
+from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.in_folder import FolderPlan, disk_space, train_in_folder
+from pcore.training.presets import PretrainName
+from pcore.training.pretrain import pretrain
+from pcore.training.trained import Trained
+
+
+def _tell_nobody(text: str) -> None:
+    """Say nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """What a training does besides learning.
+
+    Attributes:
+        light: estimate the light of the photos at the end; where that is not possible the object
+            has none, and `note` is told why.
+        resume: go on exactly where the run in the folder was interrupted.
+        tensorboard: write curves for TensorBoard into the folder, where its package is installed.
+        compiled: use torch.compile where it pays, on a GPU.
+        preset: what the settings are called in the record; None finds their name.
+        note: told in a sentence where it goes on from, and what had to be left out.
+    """
+
+    light: bool = True
+    resume: bool = False
+    tensorboard: bool = False
+    compiled: bool = True
+    preset: str | None = None
+    note: Callable[[str], None] = _tell_nobody
+
+
+def train(
+    scene: Scene,
+    settings: PretrainConfig | PretrainName | GaussianConfig = "tiny",
+    *,
+    folder: Path | str | None = None,
+    listener: Listener = silent,
+    device: str = "cpu",
+    options: RunOptions | None = None,
+) -> Asset:
+    """Learn an object and its light from the training views of a scene, as `pcore train` does.
+
+        asset = pcore.train(pcore.load_scene("photos"), "tiny", folder="runs/toy")
+
+    Args:
+        scene: its `train` split is used, nothing else; every `hold_out`-th view only validates.
+        settings: architecture and schedule, or the name of a preset; a `GaussianConfig` makes an
+            object of Gaussians, whose light stays in their colours.
+        folder: new or empty folder for the run; None keeps everything in memory.
+        listener: told of steps, validations, saves.
+        device: where to train, and then to draw: "cpu", "cuda", ...
+        options: light, resuming, logs.
+
+    Raises:
+        InputError: the folder is in use, or settings that do not fit the scene.
+        WeightsError: LPIPS was asked for and its weights are missing.
+        TrainingError: diverged, cannot be compiled or cannot write.
+        KeyboardInterrupt: Ctrl-C, after saving.
+    """
+    chosen = options or RunOptions()
+    if isinstance(settings, GaussianConfig):
+        path = None if folder is None else Path(folder)
+        return _made_of_gaussians(scene, settings, path, listener, device, chosen)
+    config = presets.preset(settings) if isinstance(settings, str) else settings
+    name = settings if isinstance(settings, str) else presets.preset_of(config)
+    limit = config.grow.limit if config.grow else config.points
+    record = RunRecord(
+        path=None if folder is None else Path(folder),
+        stage="pretrain",
+        config={
+            "preset": chosen.preset or name,
+            "factor": scene.factor,
+            "pretrain": to_dict(config),
+        },
+    )
+
+    def run(out: RunFolder | None, tell: Listener) -> Trained:
+        return pretrain(
+            scene, config, folder=out, listener=tell, device=device, compiled=chosen.compiled
+        )
+
+    needed = disk_space(config.model, max(limit, config.points))
+    return _made(scene, record, run, listener, device, needed, chosen)
+
+
+def finetune(
+    asset: Asset,
+    scene: Scene,
+    settings: FinetuneConfig | PresetName | None = None,
+    *,
+    folder: Path | str | None = None,
+    listener: Listener = silent,
+    device: str = "cpu",
+    options: RunOptions | None = None,
+) -> Asset:
+    """Fine-tune an object with random deformations (P-CORE), as `pcore finetune` does.
+
+        tuned = pcore.finetune(asset, asset.scene(), folder="runs/toy-pcore")
+
+    Args:
+        asset: the pre-trained object; left as it is.
+        scene: the one it was trained on; only training views are used.
+        settings: losses and schedule, or the name of a preset; None: see `finetune_settings`.
+        folder: new or empty folder for the run; None keeps everything in memory.
+        listener: told of steps, validations, saves.
+        device: where to train, and then to draw: "cpu", "cuda", ...
+        options: light, resuming, logs.
+
+    Raises:
+        InputError: the folder is in use, fewer points than the skinning wants anchors, or an
+            object that has no networks.
+        WeightsError: LPIPS was asked for and its weights are missing.
+        TrainingError: diverged, cannot be compiled or cannot write.
+        KeyboardInterrupt: Ctrl-C, after saving.
+    """
+    chosen, content = options or RunOptions(), neural_points_of(asset, "finetune")
+    known = settings if isinstance(settings, str) else None
+    name, config = finetune_settings(asset, known)
+    if isinstance(settings, FinetuneConfig):
+        config = settings
+    path = None if folder is None else Path(folder)
+    record = RunRecord(
+        path=path,
+        stage="finetune",
+        config={
+            **_base_of(asset, path),
+            "preset": chosen.preset or name,
+            "factor": scene.factor,
+            "finetune": to_dict(config),
+        },
+    )
+    base = Trained(papr=content.papr, cloud=content.cloud, step=asset.provenance.step)
+
+    def run(out: RunFolder | None, tell: Listener) -> Trained:
+        return run_finetuning(
+            scene, base, config, folder=out, listener=tell, device=device, compiled=chosen.compiled
+        )
+
+    needed = disk_space(content.papr.config, len(content.cloud))
+    return _made(scene, record, run, listener, device, needed, chosen)
+
+
+def finetune_settings(
+    asset: Asset, name: PresetName | None = None
+) -> tuple[PresetName, FinetuneConfig]:
+    """Name and settings of fine-tuning for an object; its background stays.
+
+    Args:
+        asset: says which preset it was trained with; "paper" where that is not known.
+        name: of another preset.
+    """
+    content = neural_points_of(asset, "finetune")
+    known: dict[Any, PresetName] = {"tiny": "tiny", "fast": "fast"}
+    chosen = name or known.get(str(asset.record.config.get("preset")), "paper")
+    black = content.papr.config.background == (0.0, 0.0, 0.0)
+    return chosen, replace(
+        presets.finetune_preset(chosen), background="black" if black else "white"
+    )
+
+
+def estimate_light(
+    asset: Asset,
+    scene: Scene,
+    *,
+    observed: Observed | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Asset:
+    """Estimate the light of an object's photos; written beside it where it has a folder.
+
+    Where nobody has estimated the surface over its points, as in an imported run, that is done as
+    well, and kept in the model file.
+
+        asset = estimate_light(asset, asset.scene())
+
+    Args:
+        asset: the object; its device does the work.
+        scene: the one it was trained on; only training views are used.
+        observed: what the views say about the points, where that is known (`Trained.observed`).
+        progress: told (views seen, views in all).
+
+    Raises:
+        InputError: too few points have a normal that the views agree on, or an object of a kind
+            that has no light.
+        SceneError: an image is damaged.
+        OSError: the file cannot be written.
+    """
+    content, views = neural_points_of(asset, "light"), scene.split("train")
+    check_images(views)
+    if observed is None:
+        observed = observe(content.papr, content.cloud, views, progress=progress)
+    if content.surfels is None:
+        content = replace(content, surfels=observed.surfels(content.cloud))
+        asset = replace(asset, content=content)
+        if asset.record.path is not None:
+            # Before the light, which may fail: too few points may have a normal for it.
+            content.save_model(asset.path, asset.provenance)
+    light = fit_light(observed, content.cloud.positions)
+    if asset.record.path is not None:
+        save_light(asset.path / LIGHT_FILE, light)
+    return replace(asset, content=replace(content, read_light=lambda: light))
+
+
+def _base_of(asset: Asset, folder: Path | None) -> dict[str, str]:
+    """What a record says of the run that fine-tuning began with."""
+    if asset.record.path is None:
+        return {}
+    began = asset.path.resolve()
+    return {"base": str(began) if folder is None else relative(began, folder)}
+
+
+def _made(
+    scene: Scene,
+    record: RunRecord,
+    run: Callable[[RunFolder | None, Listener], Trained],
+    listener: Listener,
+    device: str,
+    needed: int,
+    options: RunOptions,
+) -> Asset:
+    """Train as `record` says and hand over the asset; a finished run is left as it is."""
+    place = scene.name if scene.folder is None else scene.folder.resolve()
+    if record.path is None:
+        trained = run(None, listener)
+        asset = _in_memory(trained, scene, record, str(place))
+    else:
+        plan = FolderPlan(
+            path=record.path,
+            stage=record.stage,
+            scene=place,
+            config=record.config,
+            resume=options.resume,
+            tensorboard=options.tensorboard,
+            needed=needed,
+            note=options.note,
+        )
+        trained = train_in_folder(plan, run, listener)
+        asset = load(record.path, device=device)
+        if trained is None:
+            return asset
+    if options.light:
+        try:
+            return estimate_light(asset, scene, observed=trained.observed)
+        except (InputError, OSError) as error:
+            options.note(f"note: {error}")
+    return asset
+
+
+def _made_of_gaussians(
+    scene: Scene,
+    config: GaussianConfig,
+    folder: Path | None,
+    listener: Listener,
+    device: str,
+    options: RunOptions,
+) -> Asset:
+    plan = FolderPlan(
+        path=folder or Path(),
+        stage="pretrain",
+        scene=scene.name if scene.folder is None else scene.folder.resolve(),
+        config=gaussian_record(config, options.preset, scene.factor),
+        resume=options.resume,
+        tensorboard=options.tensorboard,
+        note=options.note,
+    )
+    return train_gaussians(scene, config, folder, listener, device, plan)
+
+
+def _in_memory(trained: Trained, scene: Scene, record: RunRecord, place: str) -> Asset:
+    """The same asset as one that is read from a folder."""
+    asset = asset_of(
+        trained.papr,
+        trained.cloud,
+        scene=scene.name,
+        stage=record.stage,
+        step=trained.step,
+        surfels=trained.surfels,
+        skinning=trained.skinning,
+    )
+    return replace(asset, record=replace(record, scene=place))

@@ -1,0 +1,86 @@
+"""`pcore train SCENE --model gaussians`: 3D Gaussians from photos."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.text import Text
+
+from pcore.cli.train import TrainCommand, announce
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.training.gaussian_config import GaussianConfig
+
+
+def train_gaussians(command: TrainCommand, console: Console) -> None:
+    """Train as the command line says.
+
+    Raises:
+        InputError: an option that Gaussians do not have.
+        PcoreError: as `fit_gaussians` and the run folder.
+    """
+    from pcore.asset.training import RunOptions, train
+    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.sessions import show_result, shown_training
+    from pcore.data.load import load_scene
+
+    prepare_torch(command.threads)
+    device = pick_device(command.device)
+    config = _config(command)
+    scene = load_scene(command.scene, factor=command.factor)
+    announce(console, scene, f"Gaussians, {command.preset}, {config.steps:,} steps on {device}")
+    if not all(view.has_alpha for view in scene.split("train")):
+        console.print(
+            Text("images without alpha have no visual hull: Gaussians start before the cameras"),
+            soft_wrap=True,
+        )
+    with shown_training(console) as (listener, note):
+        options = RunOptions(
+            resume=command.resume,
+            tensorboard=not command.no_tensorboard,
+            preset=command.preset,
+            note=note,
+        )
+        asset = train(
+            scene,
+            config,
+            folder=command.output,
+            listener=listener,
+            device=device,
+            options=options,
+        )
+    show_result(console, asset)
+
+
+def _config(command: TrainCommand) -> GaussianConfig:
+    """Return the preset with what the command changes."""
+    from pcore.training.presets import gaussian_preset
+
+    foreign = {"--origin": command.origin, "--no-compile": command.no_compile or None}
+    foreign |= {f"--{name.replace('_', '-')}": x for name, x in command.losses.changes().items()}
+    given = [name for name, value in foreign.items() if value is not None]
+    if command.init == "grid":
+        given.append("--init grid")
+    if given:
+        raise InputError(
+            f"{', '.join(given)}: expected options of Gaussians (--model gaussians), got some that "
+            "only PAPR has; leave them out, or train with --model papr"
+        )
+    changes: dict[str, Any] = {"seed": command.seed}
+    for name in ("steps", "points", "background"):
+        if getattr(command, name) is not None:
+            changes[name] = getattr(command, name)
+    if command.init in ("hull", "views"):
+        changes["start"] = command.init
+    elif command.init is not None:
+        if command.points is not None:
+            raise InputError(
+                f"--points {command.points}: expected no number where the points come from a file, "
+                f"got --init {command.init} as well; leave one of the options out"
+            )
+        changes["start"] = str(Path(command.init).resolve())
+    return replace(gaussian_preset(command.preset), **changes)

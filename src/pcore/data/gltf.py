@@ -1,0 +1,251 @@
+"""The structure of a binary glTF file (.glb), version 2, as far as shapes need it.
+
+Khronos, "glTF 2.0 Specification". What the file asks for and is not read here is an error that
+names it: nothing falls back to a shape that the file does not have.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcore.data.file_kinds import kind_of
+from pcore.errors import InputError
+from pcore.validation import parse
+
+Index = Annotated[int, Field(ge=0)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Extensions = dict[str, Any]
+
+_HARMLESS = (
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_",
+    "KHR_lights_",
+    "KHR_xmp",
+    "KHR_mesh_quantization",
+    "KHR_animation_pointer",
+    "KHR_node_visibility",
+)
+"""How names of extensions begin that leave shapes as they are, or that are read."""
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+
+
+class _Part(BaseModel):
+    """Keys that are not listed are of no concern: materials, cameras, names."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, strict=False)
+
+
+class Buffer(_Part):
+    """Bytes."""
+
+    byteLength: Index  # noqa: N815 - these are the keys of the format
+    uri: str | None = None
+
+
+class BufferView(_Part):
+    """A stretch of a buffer."""
+
+    buffer: Index
+    byteLength: Index  # noqa: N815
+    byteOffset: Index = 0  # noqa: N815
+    byteStride: Index | None = None  # noqa: N815
+    extensions: Extensions = {}
+
+
+class SparseIndices(_Part):
+    """Which rows a sparse accessor changes."""
+
+    bufferView: Index  # noqa: N815
+    byteOffset: Index = 0  # noqa: N815
+    componentType: Literal[5121, 5123, 5125]  # noqa: N815
+
+
+class SparseValues(_Part):
+    """What it puts there."""
+
+    bufferView: Index  # noqa: N815
+    byteOffset: Index = 0  # noqa: N815
+
+
+class Sparse(_Part):
+    """Rows of an accessor that differ from its buffer view, or from 0."""
+
+    count: Annotated[int, Field(ge=1)]
+    indices: SparseIndices
+    values: SparseValues
+
+
+class Accessor(_Part):
+    """An array of vectors."""
+
+    count: Annotated[int, Field(ge=1)]
+    componentType: Literal[5120, 5121, 5122, 5123, 5125, 5126]  # noqa: N815
+    type: Literal["SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"]
+    bufferView: Index | None = None  # noqa: N815
+    byteOffset: Index = 0  # noqa: N815
+    normalized: bool = False
+    sparse: Sparse | None = None
+
+
+class Primitive(_Part):
+    """Triangles (mode 4, 5 or 6), lines or points of one material."""
+
+    attributes: dict[str, Index]
+    indices: Index | None = None
+    mode: int = 4
+    targets: list[dict[str, Index]] = []
+    extensions: Extensions = {}
+
+
+class Mesh(_Part):
+    """Primitives that are moved and shaped together."""
+
+    primitives: list[Primitive]
+    weights: list[Number] = []
+
+
+class Node(_Part):
+    """A place in the tree, with what lies there."""
+
+    mesh: Index | None = None
+    skin: Index | None = None
+    children: list[Index] = []
+    matrix: Annotated[list[Number], Field(min_length=16, max_length=16)] | None = None
+    translation: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    rotation: tuple[Number, Number, Number, Number] = (0.0, 0.0, 0.0, 1.0)
+    scale: tuple[Number, Number, Number] = (1.0, 1.0, 1.0)
+    weights: list[Number] | None = None
+    extensions: Extensions = {}
+
+
+class Skin(_Part):
+    """Nodes that carry vertices, and where they are at rest."""
+
+    joints: Annotated[list[Index], Field(min_length=1)]
+    inverseBindMatrices: Index | None = None  # noqa: N815
+
+
+class Scene(_Part):
+    """Roots of what is shown."""
+
+    nodes: list[Index] = []
+
+
+class Asset(_Part):
+    """Which format it is."""
+
+    version: str
+
+
+class Document(_Part):
+    """The JSON of a file."""
+
+    asset: Asset
+    extensionsRequired: list[str] = []  # noqa: N815
+    scene: Index | None = None
+    scenes: list[Scene] = []
+    nodes: list[Node] = []
+    meshes: list[Mesh] = []
+    skins: list[Skin] = []
+    accessors: list[Accessor] = []
+    bufferViews: list[BufferView] = []  # noqa: N815
+    buffers: list[Buffer] = []
+
+
+@dataclass(frozen=True, kw_only=True)
+class Glb:
+    """A binary glTF file.
+
+    Attributes:
+        document: its JSON.
+        binary: its binary chunk, empty where it has none.
+        where: its name, for messages.
+    """
+
+    document: Document
+    binary: bytes
+    where: str
+
+
+def read_glb(content: bytes, where: str) -> Glb:
+    """Take a .glb apart and check what it asks for.
+
+    Raises:
+        InputError: another format or version, damaged, or in need of an extension that is not read.
+    """
+    if content[:4] != b"glTF":
+        known = kind_of(content) or "a file that does not begin with 'glTF'"
+        hint = "; export glTF Binary (.glb), which is one file" if known == "JSON text" else ""
+        raise InputError(f"{where}: expected a mesh in binary glTF, got {known}{hint}")
+    if content[4:8] != (2).to_bytes(4, "little"):
+        version = int.from_bytes(content[4:8], "little")
+        raise InputError(f"{where}: expected glTF of version 2, got version {version}")
+    chunks = _chunks(content, where)
+    if _JSON not in chunks:
+        raise _damaged(where, "it has no JSON chunk")
+    try:
+        data = json.loads(chunks[_JSON].decode("utf-8-sig").rstrip("\0"))
+    except (ValueError, RecursionError):
+        raise _damaged(where, "its JSON does not parse") from None
+    document = parse(Document, data, where=where, error=InputError)
+    if not document.asset.version.startswith("2."):
+        raise InputError(
+            f"{where}: expected glTF of version 2, got version {document.asset.version!r}"
+        )
+    for name in document.extensionsRequired:
+        _check_extension(name, where)
+    return Glb(document=document, binary=chunks.get(_BIN, b""), where=where)
+
+
+def refuse_extension(name: str, where: str) -> InputError:
+    """Build the error about an extension that is not read, with the remedy."""
+    if "draco" in name:
+        return InputError(
+            f"{where}: compressed with Draco, which is not read: export without compression"
+        )
+    if "meshopt" in name:
+        return InputError(
+            f"{where}: compressed with meshopt ({name}), which is not read: export without "
+            "compression (gltfpack: without -c)"
+        )
+    return InputError(
+        f"{where}: expected a plain mesh, got one with the glTF extension {name}, which is not "
+        "read: export without it"
+    )
+
+
+def _check_extension(name: str, where: str) -> None:
+    # Compressions may be required and yet not be used by what is read here.
+    compression = "draco" in name or "meshopt" in name
+    if not (name.startswith(_HARMLESS) or compression):
+        raise refuse_extension(name, where)
+
+
+def _chunks(content: bytes, where: str) -> dict[int, bytes]:
+    """First chunk of each kind."""
+    length = int.from_bytes(content[8:12], "little")
+    if length > len(content):
+        raise _damaged(where, f"{len(content):,} of {length:,} bytes are there")
+    found: dict[int, bytes] = {}
+    place = 12
+    while place + 8 <= length:
+        size = int.from_bytes(content[place : place + 4], "little")
+        kind = int.from_bytes(content[place + 4 : place + 8], "little")
+        if place + 8 + size > length:
+            raise _damaged(where, "a chunk goes on behind its end")
+        found.setdefault(kind, content[place + 8 : place + 8 + size])
+        place += 8 + size
+    return found
+
+
+def _damaged(where: str, why: str) -> InputError:
+    return InputError(
+        f"{where}: expected a mesh in binary glTF, got a file that is damaged ({why}): export or "
+        "download it again"
+    )

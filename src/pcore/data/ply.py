@@ -1,0 +1,132 @@
+"""PLY files of any elements and properties: read by their header, written back with changes.
+
+A changed file keeps what was not changed as it was: every byte of a binary file, every word of a
+text file, its header, its order and its types.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcore.data.ply_binary import BinaryRows, locate_binary
+from pcore.data.ply_header import Element, Header, read_header
+from pcore.data.ply_text import TextRows, locate_text
+
+Place = tuple[int, int]
+"""Numbers of an element in its file and of a property in its element."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lists:
+    """Values of a list property.
+
+    Attributes:
+        lengths: (N,) int64, one for each row.
+        values: (sum of lengths,) one list behind the other.
+    """
+
+    lengths: NDArray[np.int64]
+    values: NDArray[Any]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ply:
+    """A PLY file with where its numbers are.
+
+    Attributes:
+        header: what it holds.
+        content: the file.
+        rows: where the numbers of each element are.
+    """
+
+    header: Header
+    content: bytes
+    rows: tuple[BinaryRows | TextRows, ...]
+
+    def element(self, name: str) -> tuple[int, Element] | None:
+        """Number and header of the first element of this name; None when there is none."""
+        number = self.header.find(name)
+        return None if number is None else (number, self.header.elements[number])
+
+    def scalars(self, place: Place) -> NDArray[Any]:
+        """Values (N,) of a property of one number, in its own type."""
+        element, one = place
+        return self.rows[element].scalars(one)
+
+    def lists(self, place: Place) -> Lists:
+        """Values of a list property."""
+        element, one = place
+        lengths, values = self.rows[element].lists(one)
+        return Lists(lengths=lengths, values=values)
+
+    def replaced(self, values: Mapping[Place, NDArray[Any]]) -> bytes:
+        """Write the file with other values (N,) of properties of one number, in their types."""
+        if self.header.encoding == "ascii":
+            return self._replaced_text(values)
+        content = np.frombuffer(self.content, dtype=np.uint8).copy()
+        for (element, one), numbers in values.items():
+            rows = self.rows[element]
+            assert isinstance(rows, BinaryRows)
+            rows.write(content, one, numbers)
+        return content.tobytes()
+
+    def _replaced_text(self, values: Mapping[Place, NDArray[Any]]) -> bytes:
+        lines: list[bytes] = []
+        for number, rows in enumerate(self.rows):
+            assert isinstance(rows, TextRows)
+            own = {one: new for (element, one), new in values.items() if element == number}
+            lines += rows.lines(own)
+        newline = self.header.newline
+        return self.content[: self.header.size] + newline.join([*lines, b""])
+
+
+def parse_ply(content: bytes, where: str) -> Ply:
+    """Read the header of a PLY file and find its numbers.
+
+    Args:
+        content: the file.
+        where: its name, for messages.
+
+    Raises:
+        InputError: it is no PLY file, is cut short, or holds more or something else than its
+            header says.
+    """
+    header = read_header(content, where)
+    locate = locate_text if header.encoding == "ascii" else locate_binary
+    return Ply(header=header, content=content, rows=tuple(locate(content, header, where)))
+
+
+def plain_ply(
+    positions: NDArray[Any], colors: NDArray[np.uint8] | None, faces: NDArray[np.int64] | None
+) -> bytes:
+    """Write points or a mesh as a binary PLY file.
+
+    Args:
+        positions: (N, 3) float32 or float64, which the file keeps.
+        colors: (N, 3) or (N, 4) uint8.
+        faces: (F, 3) vertex numbers.
+    """
+    kind = "double" if positions.dtype.itemsize == 8 else "float"
+    columns = [(name, f"<{positions.dtype.kind}{positions.dtype.itemsize}") for name in "xyz"]
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(positions)}"]
+    lines += [f"property {kind} {name}" for name in "xyz"]
+    painted = () if colors is None else ("red", "green", "blue", "alpha")[: colors.shape[1]]
+    lines += [f"property uchar {name}" for name in painted]
+    rows = np.empty(len(positions), dtype=[*columns, *((name, "u1") for name in painted)])
+    for k, name in enumerate("xyz"):
+        rows[name] = positions[:, k]
+    for k, name in enumerate(painted):
+        assert colors is not None
+        rows[name] = colors[:, k]
+    body = rows.tobytes()
+    if faces is not None:
+        lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        corners = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+        corners["count"], corners["corners"] = 3, faces
+        body += corners.tobytes()
+    return "\n".join([*lines, "end_header", ""]).encode() + body

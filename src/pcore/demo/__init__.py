@@ -1,0 +1,1 @@
+"""The story of `pcore demo`: its folder, its comparison, its page."""

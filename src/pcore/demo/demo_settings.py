@@ -1,0 +1,29 @@
+"""How large a demo is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pcore.training.config import FinetuneConfig, PretrainConfig
+from pcore.training.presets import demo_finetune, demo_pretrain
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoSettings:
+    """How large a demo is."""
+
+    pretrain: PretrainConfig
+    finetune: FinetuneConfig
+    resolution: int = 100
+    """Pixels along each side of the sample's images."""
+    train_views: int = 60
+    test_views: int = 10
+    frames: int = 48
+    """Pictures of each video."""
+    shown: tuple[int, ...] = (2, 6)
+    """Numbers of the test views in the report."""
+
+
+def default_settings() -> DemoSettings:
+    """Settings of `pcore demo`."""
+    return DemoSettings(pretrain=demo_pretrain(), finetune=demo_finetune())

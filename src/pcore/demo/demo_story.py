@@ -1,0 +1,155 @@
+"""The demo's comparison: figures, pictures and videos of PAPR and P-CORE on the sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from pcore.asset.asset import Asset
+from pcore.asset.content import RaysName
+from pcore.data.pictures import to_bytes
+from pcore.data.video import write_video
+from pcore.demo.demo_folder import DemoFolder, stamp_of
+from pcore.demo.demo_settings import DemoSettings
+from pcore.evaluation.figures import png_bytes
+from pcore.evaluation.methods import never_seen, open_subject
+from pcore.evaluation.panels import depth_maps, object_window, renderings, strain_maps
+from pcore.evaluation.protocol import load_perceptual
+from pcore.evaluation.runner import Method, Taken, carry, evaluate
+from pcore.evaluation.states import SceneStates, State, open_states
+from pcore.evaluation.summary import gains, state_means
+from pcore.evaluation.tables import SUMMARY_FILE, read_summary, summary_record, write_tables
+from pcore.files.atomic import write_atomically
+from pcore.files.model_file import MODEL_FILE
+from pcore.geometry.camera import Camera
+from pcore.geometry.orbit import orbit_like
+
+Tell = Callable[[int, int], None]
+"""Told (done, total)."""
+
+BASELINE, METHOD, AWARE = "PAPR", "P-CORE", "aware + P-CORE"
+METHODS = (BASELINE, METHOD, "aware", AWARE)
+STATES = ("twist60", "bend60", "stretch", "scale2x")
+FILMED = (BASELINE, METHOD, AWARE)
+CANONICAL_VIDEO, DEFORMED_VIDEO = "canonical.mp4", "deformed.mp4"
+_FPS = 16
+
+
+def models_of(folder: DemoFolder, device: str) -> dict[str, Asset]:
+    """Open both runs: before and after fine-tuning."""
+    return {
+        BASELINE: open_subject(folder.path / "papr", device=device),
+        METHOD: open_subject(folder.path / "pcore", device=device),
+    }
+
+
+def evaluate_demo(
+    folder: DemoFolder, settings: DemoSettings, models: dict[str, Asset], tell: Tell
+) -> None:
+    """Score both models on all states and keep the pictures that the report shows."""
+    stamp = _stamp(folder, list(settings.shown), "strain")
+    output = folder.path / "eval"
+    if folder.done("evaluation", stamp) and (output / SUMMARY_FILE).is_file():
+        return
+    (output / "panels").mkdir(parents=True, exist_ok=True)
+    states, perceptual = _states(folder), load_perceptual()
+    methods = _methods(models, states)
+    with folder.timed("evaluation", stamp):
+        rows = evaluate(
+            methods,
+            states.select(STATES),
+            perceptual=perceptual,
+            progress=tell,
+            show=lambda taken: _keep(taken, settings.shown, output / "panels"),
+        )
+        means = state_means(rows)
+        about = {"run": "pcore", "baseline": "papr", "scene": "sample", "factor": 1}
+        found = gains(means, BASELINE)
+        write_tables(output, rows, summary_record(means, found, about=about, perceptual=perceptual))
+
+
+def panel(output: Path, state: str, view: int, number: int) -> Path:
+    """File of a picture: truth and METHODS (0 to 4), their depth maps, strain of METHOD (10)."""
+    return output / f"{state}-{view}-{number}.png"
+
+
+def film_demo(
+    folder: DemoFolder, settings: DemoSettings, models: dict[str, Asset], tell: Tell
+) -> None:
+    """Write two videos: P-CORE canonical; PAPR, P-CORE and aware in the state that differs most."""
+    stamp = _stamp(folder, settings.frames)
+    videos = [folder.path / name for name in (CANONICAL_VIDEO, DEFORMED_VIDEO)]
+    if folder.done("videos", stamp) and all(video.is_file() for video in videos):
+        return
+    states = _states(folder)
+    canonical, deformed = states.select([filmed_state(folder.path / "eval")])
+    methods = _methods(models, states)
+    filmed = [one for one in methods if one.name in FILMED]
+    stories = [(canonical, methods[1:2]), (deformed, filmed)]
+    total = len(stories) * settings.frames
+    with folder.timed("videos", stamp):
+        for number, (video, (state, shown)) in enumerate(zip(videos, stories, strict=True)):
+            cameras = _orbit(states, state, settings.frames)
+            first = number * settings.frames
+            frames = _frames(state, shown, cameras, lambda i, n=first: tell(n + i, total))
+            write_video(video, frames, fps=_FPS)
+
+
+def filmed_state(output: Path) -> str:
+    """Deformed state in which the default closes most holes, by the summary in `output`."""
+    means, _ = read_summary(output / SUMMARY_FILE)
+    holes = {(one.state, one.method): one.scores.get("hole_rate") or 0.0 for one in means}
+    states = dict.fromkeys(one.state for one in means if one.kind != "canonical")
+    return max(states, key=lambda name: holes[name, BASELINE] - holes[name, AWARE])
+
+
+def _methods(models: dict[str, Asset], states: SceneStates) -> list[Method]:
+    """Both runs with plain rays, then both with rays that know of the deformation."""
+    unseen = {name: never_seen(one.points, states.scene) for name, one in models.items()}
+    ways: tuple[RaysName, ...] = ("plain", "aware")
+    titles = iter(METHODS)
+    return [
+        Method(name=next(titles), asset=asset, rays=rays, unseen=unseen[name])
+        for rays in ways
+        for name, asset in models.items()
+    ]
+
+
+def _states(folder: DemoFolder) -> SceneStates:
+    return open_states(folder.path / "sample")
+
+
+def _stamp(folder: DemoFolder, *settings: object) -> str:
+    models = [folder.path / name / MODEL_FILE for name in ("papr", "pcore")]
+    return stamp_of(*models, *settings)
+
+
+def _keep(taken: Taken, shown: tuple[int, ...], output: Path) -> None:
+    if taken.index not in shown:
+        return
+    names, window = METHODS, object_window(taken)
+    strain = strain_maps(taken, [METHOD])[1:]
+    pictures = [*renderings(taken, names), *depth_maps(taken, names), *strain]
+    for number, pixels in enumerate(pictures):
+        if pixels is not None:
+            path = panel(output, taken.state, taken.index, number)
+            write_atomically(path, png_bytes(pixels[window]))
+
+
+def _orbit(states: SceneStates, state: State, count: int) -> list[Camera]:
+    """Cameras like the state's own: a larger object gets a wider view, not a farther camera."""
+    cameras = [shot.camera for shot in state.shots]
+    return orbit_like(cameras, states.scene.center, count)
+
+
+def _frames(
+    state: State, methods: list[Method], cameras: list[Camera], told: Callable[[int], None]
+) -> Iterator[Tensor]:
+    poses = carry(methods, state)
+    for index, camera in enumerate(cameras):
+        pictures = [one.asset.render(poses[one.name], camera).rgb for one in methods]
+        yield to_bytes(torch.cat(pictures, dim=1))
+        told(index + 1)

@@ -1,0 +1,123 @@
+"""The methods that a run is compared by: it and what it was tuned from, with each kind of ray."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from torch import Tensor
+
+from pcore.asset.asset import WHITE, Asset
+from pcore.asset.content import LightName, RaysName
+from pcore.asset.saving import load
+from pcore.data.scene import Scene
+from pcore.errors import CheckpointError
+from pcore.evaluation.runner import Method
+from pcore.geometry.visibility import seen_by
+
+UNTUNED = "PAPR"
+_LABELS = {"finetune": "P-CORE"}
+_WAYS: tuple[tuple[RaysName, LightName], ...] = (
+    ("plain", "baked"),
+    ("aware", "baked"),
+    ("aware", "still"),
+)
+
+
+def open_subject(path: Path | str, *, device: str = "cpu") -> Asset:
+    """Open a run as true images show it, on white.
+
+    Raises:
+        CheckpointError: there is no run, or its model is missing or damaged.
+    """
+    return load(path, device=device).over(WHITE)
+
+
+def baseline_of(asset: Asset, given: Path | None, *, device: str = "cpu") -> Asset | None:
+    """Open the run to compare with: the one given, else the one that `asset` was tuned from.
+
+    Raises:
+        CheckpointError: it is not there or damaged.
+    """
+    if given is not None:
+        return open_subject(given, device=device)
+    base = asset.record.base
+    if base is None:
+        return None
+    try:
+        return open_subject(base, device=device)
+    except CheckpointError as error:
+        raise CheckpointError(
+            f"{asset.path} was fine-tuned from {base}, which cannot be read: {error}; give that "
+            "run with --baseline"
+        ) from error
+
+
+def label_of(asset: Asset) -> str:
+    """What made it, in tables: `PAPR`, or `P-CORE` after fine-tuning."""
+    return _LABELS.get(asset.provenance.stage, UNTUNED)
+
+
+def never_seen(points: Tensor, scene: Scene) -> Tensor:
+    """(N,) bool, which canonical points (N, 3) no training view saw.
+
+    Raises:
+        SceneError: the training split is damaged.
+    """
+    return ~seen_by(points, [view.camera for view in scene.split("train")])
+
+
+def plain_method(name: str, asset: Asset, scene: Scene) -> Method:
+    """The method that draws a run with plain rays, as the paper does."""
+    return Method(
+        name=name, asset=asset.over(WHITE), rays="plain", unseen=never_seen(asset.points, scene)
+    )
+
+
+def methods_of(
+    subjects: Sequence[Asset], scene: Scene, *, rays: str, light: LightName | None
+) -> list[Method]:
+    """All methods of runs, the baseline first; equal names are told apart by their folders.
+
+    Where a run has a light, aware rays come with it as well, unless the light is to be baked.
+
+    Args:
+        subjects: the runs, from `open_subject`.
+        scene: their scene, whose training views say what was never seen.
+        rays: "plain", "aware" or "both".
+        light: as for `Asset.pose`.
+
+    Raises:
+        CheckpointError: a light is damaged or belongs to other points.
+        InputError: a light is asked for and there is none.
+    """
+    labels = [label_of(one) for one in subjects]
+    found: list[Method] = []
+    for asset, label in zip(subjects, labels, strict=True):
+        unseen = never_seen(asset.points, scene)
+        wanted = rays != "plain" and light != "baked"
+        if wanted and light == "still":
+            asset.pose(light="still")  # Says what is missing before any work is done.
+        lit = wanted and asset.light is not None
+        ways = _WAYS if lit else _WAYS[:2]
+        alike = f" ({asset.path.resolve().name})" if labels.count(label) > 1 else ""
+        found += [
+            Method(
+                name=_name(label, way, lamp) + alike,
+                asset=asset,
+                rays=way,
+                light=lamp,
+                unseen=unseen,
+            )
+            for way, lamp in ways
+            if rays in ("both", way)
+        ]
+    # Plain rays of all runs, then aware ones, then those with a light: of the baseline first.
+    return sorted(found, key=lambda method: (method.rays == "aware", method.light == "still"))
+
+
+def _name(label: str, rays: RaysName, light: LightName) -> str:
+    if rays == "plain":
+        return label
+    name = "aware" if label == UNTUNED else f"aware + {label}"
+    return f"{name} + light" if light == "still" else name

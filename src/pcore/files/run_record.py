@@ -1,0 +1,101 @@
+"""What `run.json` says about how an object came to be, as a value."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pcore.errors import InputError
+from pcore.files.gaussian_file import GAUSSIANS_FILE
+from pcore.files.manifest import MANIFEST_FILE, read_manifest
+from pcore.files.model_file import MODEL_FILE
+from pcore.files.provenance import Stage
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRecord:
+    """How an object came to be.
+
+    Attributes:
+        path: folder of the run; None where there is none, as of a bare model file.
+        stage: what made it.
+        scene: folder of the scene, as seen from the run; its name after an import; may be empty.
+        config: what the result depends on, as JSON values.
+        notes: what was written down meanwhile: status, steps, scores.
+    """
+
+    path: Path | None = None
+    stage: Stage
+    scene: str = ""
+    config: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    notes: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    @classmethod
+    def read(cls, path: Path) -> RunRecord:
+        """Read that of a run folder; raises CheckpointError when there is none."""
+        manifest = read_manifest(path)
+        return cls(
+            path=path, **{key: manifest[key] for key in ("stage", "scene", "config", "notes")}
+        )
+
+    @property
+    def factor(self) -> int:
+        """Down-scaling factor that the training images had; 1 when none is on record."""
+        found = self.config.get("factor")
+        return found if isinstance(found, int) and found > 0 else 1
+
+    @property
+    def base(self) -> Path | None:
+        """Folder of the run that this one was fine-tuned from; None for other runs."""
+        found = self.config.get("base")
+        return None if found is None else (self.path or Path()) / str(found)
+
+    @property
+    def scene_folder(self) -> Path | None:
+        """Folder of the scene that it was trained on; None when it is not on this machine."""
+        if not self.scene or self.stage == "import":
+            return None  # An import records a name, and a folder of that name may be anything.
+        # Our own runs record it as seen from the run, so that both can move together.
+        beside = () if self.path is None else (self.path / self.scene,)
+        candidates = (*beside, Path(self.scene))
+        # Names that are too long are an error to pathlib, and here a folder that is not there.
+        return next((one for one in candidates if os.path.isdir(one)), None)  # noqa: PTH112
+
+    def scene_or(self, given: Path | None) -> Path:
+        """Folder of the scene to work on: the one given, else the one it was trained on.
+
+        Raises:
+            InputError: none is given and that of the run is not there (any more).
+        """
+        folder = given or self.scene_folder
+        if folder is None:
+            raise InputError(
+                f"{self.path or 'this model'}: the scene it was trained on "
+                f"({self.scene or 'not recorded'}) is not a folder here; give the scene's folder "
+                "with --scene"
+            )
+        return folder
+
+
+def begun(path: Path) -> bool:
+    """Whether a folder holds a run, finished or not."""
+    return (path / MANIFEST_FILE).is_file()
+
+
+def finished(path: Path) -> bool:
+    """Whether a folder holds a training that came to its end."""
+    if not begun(path):
+        return False
+    drawn = any((path / name).is_file() for name in (MODEL_FILE, GAUSSIANS_FILE))
+    return drawn and RunRecord.read(path).notes.get("status") == "finished"
+
+
+def relative(target: Path, start: Path) -> str:
+    """Path of `target` as seen from the folder `start`, with forward slashes."""
+    try:
+        return Path(os.path.relpath(target.resolve(), start.resolve())).as_posix()
+    except ValueError:  # Another drive of Windows.
+        return str(target.resolve())

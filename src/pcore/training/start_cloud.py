@@ -1,0 +1,139 @@
+"""Where points start, and whether cameras can see them there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from pcore.data.poses import closest_to_axes
+from pcore.data.scene import Scene, View
+from pcore.errors import InputError
+from pcore.training.config import PretrainConfig
+from pcore.training.population import grid_points, hull_points
+
+_GRID_HALF_SIDE = 1.2
+_TRACE = 0.05
+_FARTHEST = 10.0
+"""How many times as far as the object a point may lie to count as seen by a camera."""
+_LEAST, _MOST = 0.01, 0.5
+"""Share of points in view under which a start is refused, and under which it is told of."""
+_CARVED, _OUTSIDE = 0.25, 0.1
+"""A point is outside when more than that share of the views that see it have background there; a
+cloud with more than that share of points outside is told of."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartReport:
+    """What training views see of a starting cloud.
+
+    Attributes:
+        points: how many there are.
+        seen: how many of them at least two views have in the picture, not too far away.
+        outside: how many of those the masks have outside of the object; None without masks.
+    """
+
+    points: int
+    seen: int
+    outside: int | None
+
+
+def start_positions(
+    scene: Scene, views: Sequence[View], config: PretrainConfig, generator: torch.Generator
+) -> Tensor:
+    """Points (N, 3) float32 that training begins with, world units.
+
+    Raises:
+        InputError: a bad file, no masks for a visual hull, or points that no camera sees.
+        TrainingError: the masks have no common inside.
+    """
+    if config.start == "hull":
+        if not all(view.has_alpha for view in views):
+            raise InputError(
+                f"scene {scene.name}: expected images with an alpha channel for a visual hull, got "
+                'photos without one; start from "grid" or from a PLY or NPY file of points'
+            )
+        return hull_points(config.points, views, scene.lower, scene.upper, generator=generator)
+    if config.start == "grid":
+        half = torch.full((3,), _GRID_HALF_SIDE)
+        points = grid_points(config.points, -half, half)
+    else:
+        points = start_from_file(Path(config.start))
+    check_start(points, views, config.start)
+    return points
+
+
+def start_from_file(path: Path) -> Tensor:
+    """Points (N, 3) float32 of a PLY or NPY file; InputError when it holds no such thing."""
+    # Reading such files takes a package that no other training needs.
+    from pcore.data.points import load_points
+
+    return load_points(path)
+
+
+def check_start(points: Tensor, views: Sequence[View], start: str) -> tuple[str, ...]:
+    """Refuse a starting cloud that the cameras do not see; say what is odd about it otherwise.
+
+    Args:
+        points: (N, 3) world units.
+        views: training views.
+        start: "grid" or the file they come from.
+
+    Returns:
+        A sentence each.
+
+    Raises:
+        InputError: next to none of the points are in view.
+    """
+    found = report_start(points, views)
+    what = (
+        f"the grid of side {2 * _GRID_HALF_SIDE:g} about the origin" if start == "grid" else start
+    )
+    mend = (
+        "start from a file of points, or move the scene to the origin"
+        if start == "grid"
+        else "are they in the coordinates of the cameras?"
+    )
+    line = f"{what}: {found.seen:,} of {found.points:,} points lie in what the cameras see; {mend}"
+    if found.seen < max(1.0, _LEAST * found.points):
+        raise InputError(line)
+    if start == "grid":
+        return ()
+    notes = (line,) if found.seen < _MOST * found.points else ()
+    if found.outside is not None and found.outside > _OUTSIDE * found.points:
+        notes += (
+            f"{what}: {found.outside:,} of {found.points:,} points lie outside of the masks of "
+            "views that see them; are they in the coordinates of the cameras, with the same axes "
+            "and unit?",
+        )
+    return notes
+
+
+def report_start(points: Tensor, views: Sequence[View]) -> StartReport:
+    """Count the points (N, 3) that views see, and those that masks have outside of the object."""
+    poses = torch.stack([view.camera.world_from_camera for view in views])
+    center = closest_to_axes(poses)
+    masked = all(view.has_alpha for view in views)
+    seen = torch.zeros(len(points), dtype=torch.int64)
+    carved = torch.zeros(len(points), dtype=torch.int64)
+    for view in views:
+        camera = view.camera
+        column, row, depth = camera.project(points)
+        in_view = (depth > 0) & (column >= 0) & (column < camera.width)
+        in_view &= (row >= 0) & (row < camera.height)
+        if center is not None:
+            in_view &= depth < _FARTHEST * float((camera.center - center).norm())
+        seen += in_view
+        if masked:
+            rows, columns = row[in_view].long(), column[in_view].long()
+            carved[in_view] += view.alpha()[rows, columns] <= _TRACE
+    enough = seen >= min(2, len(views))
+    outside = enough & (carved > _CARVED * seen)
+    return StartReport(
+        points=len(points),
+        seen=int(enough.sum()),
+        outside=int(outside.sum()) if masked else None,
+    )

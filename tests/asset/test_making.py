@@ -1,0 +1,142 @@
+"""`pcore.train` and `pcore.finetune` make what the commands make."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from tests.cli.toys import toy_surfels, write_scene
+from torch import Tensor
+
+import pcore
+from pcore.asset.asset import Asset
+from pcore.asset.neural_points import NeuralPoints
+from pcore.cli.main import main
+from pcore.errors import InputError
+from pcore.files.run_record import RunRecord
+from pcore.relight.lamps import Light, sphere
+from pcore.relight.light_file import LIGHT_FILE
+from pcore.relight.relighting import Relighting
+from pcore.render.surfel_fit import Observed
+from pcore.training.presets import finetune_preset, preset, skinning_preset
+
+STEPS, POINTS = 4, 200
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scene(tmp_path_factory.mktemp("scenes") / "ball")
+
+
+def settings() -> pcore.PretrainConfig:
+    return replace(preset("tiny"), steps=STEPS, points=POINTS)
+
+
+def tuning() -> pcore.FinetuneConfig:
+    return replace(finetune_preset("tiny"), steps=2, skinning=skinning_preset("ours"))
+
+
+def assert_same(first: Asset, second: Asset) -> None:
+    assert first.provenance == second.provenance
+    one, other = first.content, second.content
+    assert isinstance(one, NeuralPoints)
+    assert isinstance(other, NeuralPoints)
+    for name, tensor in one.papr.state_dict().items():
+        assert torch.equal(tensor, other.papr.state_dict()[name]), name
+    for name in ("positions", "features", "influence"):
+        assert torch.equal(getattr(one.cloud, name), getattr(other.cloud, name)), name
+    assert one.surfels is not None
+    assert other.surfels is not None
+    for name in ("places", "normals", "heights", "beside"):
+        assert torch.equal(getattr(one.surfels, name), getattr(other.surfels, name)), name
+    assert (first.light is None) == (second.light is None)
+    if first.light is not None and second.light is not None:
+        assert torch.equal(first.light.light.radiance, second.light.light.radiance)
+        assert torch.equal(first.light.received, second.light.received)
+    assert (first.skinning is None) == (second.skinning is None)
+
+
+def ball_light(observed: Observed, positions: Tensor) -> Relighting:
+    """A light from above on a ball; what a real one needs is longer training."""
+    directions = sphere(40)
+    light = Light(
+        directions=directions,
+        radiance=0.1 + (directions[:, 2] + float(observed.attention.mean()) / 1e3).exp(),
+        nearness=torch.zeros(40),
+        center=torch.zeros(3),
+    )
+    bright = torch.full((len(positions),), 0.3)
+    return Relighting.of(light, positions, toy_surfels(positions), bright)
+
+
+def test_training_and_tuning_make_what_the_commands_make(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pcore.asset.training.fit_light", ball_light)
+    words = ["--device", "cpu", "--threads", "1", "--no-tensorboard"]
+    steps = ["--steps", str(STEPS), "--points", str(POINTS)]
+    run, tuned = tmp_path / "run", tmp_path / "run-pcore"
+    assert main(["train", str(scene), "-o", str(run), *steps, *words]) == 0
+    assert main(["finetune", str(run), "--steps", "2", "--skinning", *words]) == 0
+    torch.set_flush_denormal(True)  # As the commands do.
+    views = pcore.load_scene(scene)
+    notes: list[str] = []
+    options = pcore.RunOptions(note=notes.append)
+    mine = pcore.train(views, settings(), folder=tmp_path / "mine", options=options)
+    assert_same(mine, pcore.load(run))
+    assert mine.light is not None
+    assert (run / LIGHT_FILE).is_file()
+    records = [RunRecord.read(path) for path in (run, tmp_path / "mine")]
+    assert records[0].config == records[1].config
+    assert records[0].scene == records[1].scene
+    assert_same(pcore.train(views, settings()), pcore.load(run))
+    dark = pcore.train(views, settings(), options=pcore.RunOptions(light=False))
+    assert dark.light is None
+    after = pcore.finetune(mine, mine.scene(), tuning(), folder=tmp_path / "tuned")
+    assert_same(after, pcore.load(tuned))
+    assert after.record.base is not None
+    assert after.record.base.samefile(mine.path)
+    memory = pcore.finetune(mine, mine.scene(), tuning())
+    assert memory.skinning is not None
+    kept = memory.save(tmp_path / "kept")
+    assert_same(kept, memory)
+    assert kept.record.base is not None
+    assert kept.record.base.samefile(mine.path)
+
+
+def test_a_finished_run_is_handed_over(scene: Path, tmp_path: Path) -> None:
+    views, notes = pcore.load_scene(scene), list[str]()
+    config = replace(settings(), steps=1)
+    first = pcore.train(
+        views, config, folder=tmp_path / "run", options=pcore.RunOptions(light=False)
+    )
+    again = pcore.RunOptions(resume=True, note=notes.append)
+    assert_same(pcore.train(views, config, folder=tmp_path / "run", options=again), first)
+    assert notes == ["finished already; nothing is left to do"]
+    with pytest.raises(InputError, match="holds a run already"):
+        pcore.train(views, config, folder=tmp_path / "run")
+
+
+def test_a_light_that_cannot_be_estimated_is_said(scene: Path) -> None:
+    notes: list[str] = []
+    config = replace(settings(), steps=1, points=30)
+    options = pcore.RunOptions(note=notes.append)
+    asset = pcore.train(pcore.load_scene(scene), config, options=options)
+    assert asset.light is None
+    assert len(notes) == 1
+    assert "points with a normal" in notes[0]
+    with pytest.raises(InputError, match="points with a normal"):
+        pcore.estimate_light(asset, asset.scene())
+
+
+def test_settings_by_name_know_their_name(scene: Path) -> None:
+    config = replace(preset("tiny"), steps=1, points=40)
+    options = pcore.RunOptions(light=False)
+    asset = pcore.train(pcore.load_scene(scene, factor=2), config, options=options)
+    assert asset.record.config["preset"] == "tiny"
+    assert asset.record.factor == 2
+    named = pcore.RunOptions(light=False, preset="mine")
+    asset = pcore.train(pcore.load_scene(scene), config, options=named)
+    assert asset.record.config["preset"] == "mine"
