@@ -107,8 +107,8 @@ def make_suzanne(out: Path, mesh: Path, cameras: Path) -> None:
 
 def make_figure(out: Path, cameras: Path) -> None:
     """A figure of rounded limbs: seven paints, three formulas and two poses."""
-    limbs, faces = _limbs()
-    color = _clothes(limbs)
+    limbs, faces = figure_mesh()
+    color = clothes(limbs)
     vertices, poses = _posed(limbs, cheerful=_cheerful, stroll=_stroll)
     records = {
         "twist80z": _record("TWIST", "Z", 1.4, vertices),
@@ -120,14 +120,14 @@ def make_figure(out: Path, cameras: Path) -> None:
 
 def make_speckled(out: Path, cameras: Path) -> None:
     """The figure in other poses, its paint speckled at three sizes: two formulas, two poses."""
-    limbs, faces = _limbs()
+    limbs, faces = figure_mesh()
     random = np.random.default_rng(1)
     speckles = np.zeros(len(limbs))
     for size in (9.0, 20.0, 45.0):
         waves = random.normal(size=(24, 3)) * size
         phases = random.uniform(0, 2 * np.pi, 24)
         speckles += np.cos(limbs @ waves.T + phases).mean(axis=1) * np.sqrt(2 * 24)
-    color = np.clip(_clothes(limbs) * np.exp(0.2 * speckles)[:, None], 0.02, 0.95)
+    color = np.clip(clothes(limbs) * np.exp(0.2 * speckles)[:, None], 0.02, 0.95)
     vertices, poses = _posed(limbs, crouch=_crouch, salute=_salute)
     records = {
         "twist60x": _record("TWIST", "X", 1.05, vertices),
@@ -144,7 +144,7 @@ def _posed(limbs: Array, **poses: Callable[[Array], Array]) -> tuple[Array, dict
     return (limbs - center) * scale, moved
 
 
-def _clothes(vertices: Array) -> Array:
+def clothes(vertices: Array) -> Array:
     """Seven paints (V, 3), linear."""
     x, _, z = vertices.T
     color = np.full(vertices.shape, (0.75, 0.55, 0.4))
@@ -158,7 +158,7 @@ def _clothes(vertices: Array) -> Array:
     return color
 
 
-def _limbs() -> tuple[Array, NDArray[np.int64]]:
+def figure_mesh() -> tuple[Array, NDArray[np.int64]]:
     """Capsules around the bones, blended, as a mesh."""
     from skimage import measure
 

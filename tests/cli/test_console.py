@@ -8,7 +8,13 @@ import pytest
 from rich.console import Console
 
 from pcore.cli.console import ProgressDisplay, clock, guarded
-from pcore.training.events import PopulationReport, StepReport, Stopped, ValidationReport
+from pcore.training.events import (
+    BudgetReport,
+    PopulationReport,
+    StepReport,
+    Stopped,
+    ValidationReport,
+)
 
 
 def report(step: int) -> StepReport:
@@ -50,6 +56,31 @@ def test_validation_and_the_end_are_said_in_words() -> None:
         "finetune 6: held-out views 22.00 dB (mean of 4)",
         "finetune interrupted at step 7: go on [so]",
     ]
+
+
+@pytest.mark.parametrize(
+    ("share", "psnr", "expected"),
+    [
+        (0.7, 29.51, "took 0.70 of the change: held-out views -0.49 dB (budget 0.5, all of it "),
+        (1.0, 28.77, "took all of the change: held-out views -1.23 dB (budget 0.5)"),
+    ],
+)
+def test_the_trade_is_told(share: float, psnr: float, expected: str) -> None:
+    out = io.StringIO()
+    told = BudgetReport(
+        stage="finetune",
+        step=9,
+        share=share,
+        before=30.0,
+        after=28.77,
+        psnr=psnr,
+        largest_loss=0.5,
+    )
+    with ProgressDisplay(Console(file=out)) as display:
+        display(told)
+    line = out.getvalue().strip()
+    assert line.startswith(f"finetune 9: {expected}")
+    assert line.endswith("all of it -1.23 dB)") is (share < 1)
 
 
 def test_in_a_terminal_there_is_a_bar() -> None:

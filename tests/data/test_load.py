@@ -375,7 +375,7 @@ def test_a_split_is_read_once(scene: Path) -> None:
     assert len(loaded.views) == 2
 
 
-def test_a_name_that_no_system_takes_is_a_missing_image(scene: Path) -> None:
+def test_a_name_that_no_system_takes_is_refused(scene: Path) -> None:
     change_frame(scene / "transforms_train.json", 2, file_path="z" * 300)
-    with pytest.raises(SceneError, match=r"frame 2 .*: no image at"):
+    with pytest.raises(SceneError, match=r"frame 2 .*: 'file_path' is too long"):
         load_scene(scene)

@@ -9,6 +9,7 @@ import pytest
 from pcore.errors import DependencyError, TrainingError
 from pcore.training import events
 from pcore.training.events import (
+    BudgetReport,
     Event,
     JsonLinesLog,
     PopulationReport,
@@ -19,6 +20,10 @@ from pcore.training.events import (
     ValidationReport,
     fan_out,
     silent,
+)
+
+TRADE = BudgetReport(
+    stage="pretrain", step=1, share=0.5, before=20.0, after=19.0, psnr=19.6, largest_loss=0.5
 )
 
 
@@ -45,6 +50,7 @@ def test_every_event_is_one_line_of_json(tmp_path: Path) -> None:
         report(1),
         ValidationReport(stage="pretrain", step=1, psnr=19.5, views=3, best=True),
         PopulationReport(stage="pretrain", step=1, pruned=2, grown=3, points=8),
+        TRADE,
         Saved(stage="pretrain", step=1, path="RUN/state.pt"),
         Stopped(stage="pretrain", step=1, reason="finished"),
     ]
@@ -52,18 +58,20 @@ def test_every_event_is_one_line_of_json(tmp_path: Path) -> None:
         for event in said:
             log(event)
         # On the disk at once: a killed run keeps its log.
-        assert len(lines(path)) == 5
+        assert len(lines(path)) == 6
     written = lines(path)
     assert [line["event"] for line in written] == [
         "step",
         "validation",
         "population",
+        "budget",
         "saved",
         "stopped",
     ]
     assert written[0]["losses"] == {"rgb": 0.4}
     assert written[1]["best"] is True
     assert written[2]["points"] == 8
+    assert (written[3]["share"], written[3]["psnr"]) == (0.5, 19.6)
 
 
 def test_numbers_json_does_not_know_are_null(tmp_path: Path) -> None:

@@ -11,16 +11,16 @@ import torch
 
 import pcore.data.images
 from pcore.data.load import load_scene
-from pcore.data.scene import Scene
+from pcore.data.scene import Scene, hold_out
 from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
 from pcore.files.model_file import load_model
 from pcore.files.run_folder import RunFolder
 from pcore.model.papr import Papr
 from pcore.training import finetune as module
-from pcore.training import loop, objective
+from pcore.training import loop, objective, trainable
 from pcore.training.config import FinetuneConfig, PatchConfig, Rates
-from pcore.training.events import StepReport, Stopped, ValidationReport
+from pcore.training.events import BudgetReport, StepReport, Stopped, ValidationReport
 from pcore.training.finetune import finetune
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
@@ -239,50 +239,105 @@ def falling(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Trained]]:
             return {"psnr": rest.pop(0)}
 
         monkeypatch.setattr(module, "validate", validate)
-        monkeypatch.setattr(loop, "validate", validate)
+        monkeypatch.setattr(trainable, "validate", validate)
         return seen
 
     return script
 
 
-def test_weights_that_cost_too_much_are_not_the_result(
-    box: Scene, falling: Callable[..., list[Trained]]
-) -> None:
-    seen, heard = falling(30.0, 29.9, 29.6, 29.4), Heard()
-    config = finetune_config(steps=6, largest_loss=0.5, validate_every=2)
-    tuned = finetune(box, box_model(), config, listener=heard)
-    (end,) = heard.of(Stopped)
-    assert (end.step, end.reason) == (6, "finished")
-    assert "weights of step 4" in end.message
-    assert_same(weights_of(tuned), weights_of(seen[2]))
+HARD: dict[str, object] = {"geometry_weight": 1e4}
+"""What costs the learned box a tenth of a dB within six steps."""
 
 
-def test_a_fall_at_the_first_validation_gives_the_base_back(
+@pytest.fixture(scope="module")
+def learned(box_folder: Path) -> Trained:
+    """A model that knows the box a little."""
+    config = finetune_config(steps=40, validate_every=99)
+    return finetune(load_scene(box_folder), box_model(), config)
+
+
+def psnr_of(model: Trained, scene: Scene) -> float:
+    _, views = hold_out(scene.split("train"), every=10)
+    return trainable.validate(model, views, "white")["psnr"]
+
+
+@pytest.mark.parametrize("largest_loss", [0.0, 0.02])
+def test_the_result_meets_the_budget_with_a_part_of_the_change(
+    box: Scene, learned: Trained, largest_loss: float
+) -> None:
+    heard = Heard()
+    config = finetune_config(largest_loss=largest_loss, **HARD)
+    tuned = finetune(box, learned, config, listener=heard)
+    (told,) = heard.of(BudgetReport)
+    assert 0.1 < told.share < 1
+    assert told.before == psnr_of(learned, box)
+    assert told.psnr == psnr_of(tuned, box) >= told.before - largest_loss > told.after
+    whole = finetune(box, learned, replace(config, largest_loss=None))
+    assert told.after == psnr_of(whole, box)
+    before, after = weights_of(learned), weights_of(whole)
+    for name, tensor in weights_of(tuned).items():
+        assert torch.equal(tensor, before[name].lerp(after[name], told.share)), name
+    assert_same(weights_of(finetune(box, learned, config)), weights_of(tuned))
+
+
+def test_a_budget_that_is_met_changes_nothing(box: Scene, learned: Trained) -> None:
+    heard = Heard()
+    config = finetune_config(largest_loss=0.5, **HARD)
+    tuned = finetune(box, learned, config, listener=heard)
+    assert_same(
+        weights_of(tuned), weights_of(finetune(box, learned, replace(config, largest_loss=None)))
+    )
+    (told,) = heard.of(BudgetReport)
+    assert (told.share, told.psnr, told.largest_loss) == (1.0, told.after, 0.5)
+
+
+def test_a_budget_that_nothing_meets_gives_the_base_back(
     box: Scene, falling: Callable[..., list[Trained]]
 ) -> None:
-    falling(30.0, 20.0)
+    falling(30.0, *[20.0] * 8)
     base = box_model()
     config, heard = finetune_config(steps=2, validate_every=2, largest_loss=0.5), Heard()
     tuned = finetune(box, base, config, listener=heard)
     assert_same(weights_of(tuned), weights_of(base))
     assert [one.accepted for one in heard.of(ValidationReport)] == [False]
-    assert "nothing was learned" in heard.of(Stopped)[0].message
+    assert [one.share for one in heard.of(BudgetReport)] == [0.0]
+    assert "no part of the change" in heard.of(Stopped)[0].message
 
 
-def test_the_end_says_which_step_the_result_is_of(
+def test_the_run_says_what_was_traded(
     box: Scene, falling: Callable[..., list[Trained]], tmp_path: Path
 ) -> None:
-    falling(30.0, 29.8, 20.0)
+    """After one half all halves are refused."""
+    falling(30.0, 29.8, 20.0, 29.6, *[20.0] * 6)
     config, heard = finetune_config(steps=4, validate_every=2, largest_loss=0.5), Heard()
     with RunFolder.create(
         tmp_path / "run", stage="finetune", scene="box", config={}, resume=False
     ) as folder:
         finetune(box, box_model(), config, folder=folder, listener=heard)
     assert [one.accepted for one in heard.of(ValidationReport)] == [True, False]
-    assert "weights of step 2" in heard.of(Stopped)[0].message
-    noted = RunFolder.open(tmp_path / "run").notes["validation"]
-    assert (noted["kept_step"], noted["kept_psnr"]) == (2, 29.8)
-    assert load_model(tmp_path / "run").provenance.step == 2
+    assert heard.of(Stopped)[0].message == ""
+    notes = RunFolder.open(tmp_path / "run").notes
+    assert (notes["validation"]["kept_step"], notes["validation"]["kept_psnr"]) == (4, 29.6)
+    expected = {"share": 0.5, "before": 30.0, "after": 20.0, "psnr": 29.6, "largest_loss": 0.5}
+    assert notes["trade"] == expected
+    assert load_model(tmp_path / "run").provenance.step == 4
+
+
+def test_a_stopped_run_has_the_weights_that_met_the_budget_last(
+    box: Scene,
+    falling: Callable[..., list[Trained]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen = falling(30.0, 29.8, 20.0)
+    config = finetune_config(steps=6, validate_every=2, largest_loss=0.5)
+    ctrl_c_at(monkeypatch, module, 5)
+    with pytest.raises(KeyboardInterrupt, match="step 5 is saved"):
+        in_folder(box, config, tmp_path / "run", resume=False)
+    saved = load_model(tmp_path / "run")
+    assert saved.provenance.step == 2
+    assert torch.equal(saved.cloud.influence, seen[1].cloud.influence)
+    assert "trade" not in RunFolder.open(tmp_path / "run").notes
 
 
 def test_no_limit_no_stop(box: Scene, falling: Callable[..., list[Trained]]) -> None:
@@ -300,9 +355,16 @@ def test_too_few_views_to_hold_one_out(box: Scene) -> None:
 # --- interruption -----------------------------------------------------------------------------
 
 
-def in_folder(scene: Scene, config: FinetuneConfig, path: Path, *, resume: bool) -> Trained:
+def in_folder(
+    scene: Scene,
+    config: FinetuneConfig,
+    path: Path,
+    *,
+    resume: bool,
+    base: Trained | None = None,
+) -> Trained:
     with RunFolder.create(path, stage="finetune", scene="box", config={}, resume=resume) as folder:
-        return finetune(scene, box_model(), config, folder=folder)
+        return finetune(scene, base or box_model(), config, folder=folder)
 
 
 @pytest.mark.parametrize(
@@ -330,3 +392,25 @@ def test_resuming_is_bitwise(
     saved = load_model(tmp_path / "run")
     assert saved.provenance.stage == "finetune"
     assert torch.equal(saved.cloud.influence, expected.cloud.influence)
+
+
+@pytest.mark.parametrize("step", [1, 5])
+def test_resuming_a_run_whose_budget_binds_is_bitwise(
+    box: Scene, learned: Trained, tmp_path: Path, step: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config, path = finetune_config(largest_loss=0.02, **HARD), tmp_path / "run"
+    expected = finetune(box, learned, config)
+    ctrl_c_at(monkeypatch, module, step)
+    with pytest.raises(KeyboardInterrupt, match=f"step {step} is saved"):
+        in_folder(box, config, path, resume=False, base=learned)
+    result = in_folder(box, config, path, resume=True, base=learned)
+    assert_same(weights_of(result), weights_of(expected))
+    # Killed between the state and the model of the last save: the state knows what was traded.
+    traded = RunFolder.open(path).notes["trade"]
+    assert 0 < traded["share"] < 1
+    RunFolder.open(path).model.unlink()
+    RunFolder.open(path).update(trade=None)
+    again = in_folder(box, config, path, resume=True, base=learned)
+    assert_same(weights_of(again), weights_of(expected))
+    assert torch.equal(load_model(path).cloud.influence, expected.cloud.influence)
+    assert RunFolder.open(path).notes["trade"] == traded

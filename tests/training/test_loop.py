@@ -13,7 +13,8 @@ import torch
 from pcore.errors import CheckpointError, TrainingError
 from pcore.files.model_file import load_model
 from pcore.files.run_folder import RunFolder
-from pcore.training import loop
+from pcore.training import trainable
+from pcore.training.budget import Budget
 from pcore.training.config import Rates
 from pcore.training.events import Saved, StepReport, Stopped, ValidationReport
 from pcore.training.loop import Plan, run_loop
@@ -72,7 +73,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Callable[[Sequence[float]], lis
             seen.append(model)
             return {"psnr": rest.pop(0)}
 
-        monkeypatch.setattr(loop, "validate", validate)
+        monkeypatch.setattr(trainable, "validate", validate)
         return seen
 
     return script
@@ -179,30 +180,34 @@ def test_without_held_out_views_nothing_is_validated() -> None:
     assert heard.of(ValidationReport) == []
 
 
-# --- what validation refuses does not become the result ---------------------------------------
+# --- what a budget refuses does not become the result -------------------------------------------
 
 
-def test_the_last_accepted_weights_are_the_result(
+def test_the_result_is_the_part_of_the_way_that_meets_the_budget(
     folder: RunFolder, scripted: Callable[[Sequence[float]], list[Trained]]
 ) -> None:
-    seen = scripted([30.0, 29.5, 28.0])
+    seen = scripted([29.5, 29.9, 28.0, 28.5, 29.2, *[28.9] * 5])
     work, heard = box_work(), Heard()
-    work.best = {"weights": copied(work.weights())}
+    before = copied(work.weights())
     result = run_loop(
         work,
         plan(steps=6, validation=("a view",)),
         pull(work),
-        accept=lambda psnr: psnr > 29,
+        budget=Budget(before=before, psnr=30.0, largest_loss=1.0),
         folder=folder,
         listener=heard,
     )
     assert (work.step, heard[-1].reason) == (6, "finished")  # pyright: ignore
-    assert_same(weights_of(result), weights_of(seen[1]))
-    assert not torch.equal(result.cloud.features, seen[2].cloud.features)
+    # Three validations, then the half (refused), the quarter (met), and nothing beyond it.
+    assert len(seen) == 10
+    assert_same(weights_of(result), weights_of(seen[4]))
+    expected = before["cloud.features"].lerp(seen[2].cloud.features, 0.25)
+    assert torch.equal(result.cloud.features, expected)
     saved = load_model(folder.path)
     assert torch.equal(saved.cloud.features, result.cloud.features)
     assert folder.notes["status"] == "finished"
-    assert folder.notes["validation"]["psnr"] == 30.0
+    assert folder.notes["validation"]["psnr"] == 29.9
+    assert folder.notes["trade"]["share"] == 0.25
 
 
 # --- what goes wrong --------------------------------------------------------------------------

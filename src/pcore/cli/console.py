@@ -18,7 +18,7 @@ from pcore.demo.machine import clock
 from pcore.errors import PcoreError
 
 if TYPE_CHECKING:
-    from pcore.training.events import Event, StepReport
+    from pcore.training.events import BudgetReport, Event, StepReport
 
 EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
@@ -101,17 +101,25 @@ class ProgressDisplay:
 
     def __call__(self, event: Event) -> None:
         """Show one event."""
-        from pcore.training.events import StepReport, Stopped, SurfaceReport, ValidationReport
+        from pcore.training.events import (
+            BudgetReport,
+            StepReport,
+            Stopped,
+            SurfaceReport,
+            ValidationReport,
+        )
 
         if isinstance(event, StepReport):
             self._step(event)
         elif isinstance(event, ValidationReport):
             best = ", the best so far" if event.best else ""
-            best = best if event.accepted else ", too low: earlier weights are kept"
+            best = best if event.accepted else ", less than the budget allows"
             self._print(
                 f"{event.stage} {event.step}: held-out views {event.psnr:.2f} dB "
                 f"(mean of {event.views}){best}"
             )
+        elif isinstance(event, BudgetReport):
+            self._print(f"{event.stage} {event.step}: {_trade(event)}")
         elif isinstance(event, SurfaceReport):
             self._print(f"{event.stage}: surface and light from {event.views} views")
         elif isinstance(event, Stopped):
@@ -147,6 +155,14 @@ class ProgressDisplay:
 
     def _print(self, line: str) -> None:
         self._console.print(Text(line), soft_wrap=True)
+
+
+def _trade(event: BudgetReport) -> str:
+    whole = event.share == 1
+    took = "all" if whole else f"{event.share:.2f}"
+    cost = f"held-out views {event.psnr - event.before:+.2f} dB"
+    rest = "" if whole else f", all of it {event.after - event.before:+.2f} dB"
+    return f"took {took} of the change: {cost} (budget {event.largest_loss:g}{rest})"
 
 
 def _figures(event: StepReport) -> str:

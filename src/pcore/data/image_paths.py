@@ -8,6 +8,7 @@ of image files are the same name, if only one file has it.
 from __future__ import annotations
 
 import os
+import re
 import unicodedata
 from collections import Counter
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 _Listing = dict[str, list[Path]]
 _NAMED = 20
 """Missing files that a message names; it says the number of all."""
+_LONGEST_NAME, _LONGEST_PATH = 250, 1000
 _SEARCHED = 20_000
 """Files of a folder that are looked through for one of the same name."""
 
@@ -177,8 +179,20 @@ class Finder:
 
 
 def _plain(wanted: Wanted) -> str:
+    """The path as it is written, when systems can have one like it."""
     if "\0" in wanted.path:
         raise SceneError(f"{wanted.where}: '{wanted.key}' contains a zero byte; write a plain path")
+    try:
+        longest = max(len(os.fsencode(part)) for part in re.split(r"[/\\]", wanted.path))
+    except UnicodeEncodeError as problem:
+        raise SceneError(
+            f"{wanted.where}: '{wanted.key}' contains half of a Unicode letter; write a plain path"
+        ) from problem
+    # Room for an ending within the 255 bytes that file systems allow.
+    if longest > _LONGEST_NAME or len(wanted.path) > _LONGEST_PATH:
+        raise SceneError(
+            f"{wanted.where}: '{wanted.key}' is too long for the name of a file; write a plain path"
+        )
     return wanted.path
 
 

@@ -26,6 +26,8 @@ from pcore.geometry.camera import Camera
 from pcore.validation import parse, parse_json, read_text
 
 _Cell = Annotated[float, Field(strict=True)]
+_LABEL = 120
+"""Letters of a frame's path that messages show."""
 _Row = tuple[_Cell, _Cell, _Cell, _Cell]
 
 
@@ -162,7 +164,8 @@ def _read(path: Path, where: str) -> Mapping[str, Any]:
 def _entry(path: Path, index: int, item: Any) -> tuple[str, _FrameEntry]:
     frame = cast("Mapping[str, Any]", item if isinstance(item, dict) else {})
     label = frame.get("file_path")
-    where = f"scene file {path}, frame {index}" + (f" ({label})" if label else "")
+    shown = str(label)[:_LABEL].encode(errors="replace").decode()
+    where = f"scene file {path}, frame {index}" + (f" ({shown})" if label else "")
     odd = foreign_matrix(frame)
     if odd is not None:
         raise SceneError(f"{where}: {odd}")

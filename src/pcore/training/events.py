@@ -60,6 +60,24 @@ class ValidationReport:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BudgetReport:
+    """How much of a stage's change became the result, and what it cost on held-out views."""
+
+    stage: str
+    step: int
+    share: float
+    """Part of the way from the weights before (0) to the last ones (1)."""
+    before: float
+    """PSNR before the stage, decibels."""
+    after: float
+    """Of the last weights, decibels."""
+    psnr: float
+    """Of the result, decibels."""
+    largest_loss: float
+    """The budget, decibels: `psnr` is at least `before` minus this."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class PopulationReport:
     """Points were pruned or grown."""
 
@@ -100,12 +118,21 @@ class Stopped:
     """For people: why, and how to go on."""
 
 
-Event = StepReport | ValidationReport | PopulationReport | SurfaceReport | Saved | Stopped
+Event = (
+    StepReport
+    | ValidationReport
+    | BudgetReport
+    | PopulationReport
+    | SurfaceReport
+    | Saved
+    | Stopped
+)
 Listener = Callable[[Event], None]
 
 _NAMES: dict[type, str] = {
     StepReport: "step",
     ValidationReport: "validation",
+    BudgetReport: "budget",
     PopulationReport: "population",
     SurfaceReport: "surface",
     Saved: "saved",

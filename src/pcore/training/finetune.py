@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import torch
 
 from pcore.contrib.learned_skinning import Skinning
 from pcore.data.scene import Scene, View, check_images, hold_out
 from pcore.files.run_folder import RunFolder
+from pcore.training.budget import Budget
 from pcore.training.compiling import compile_networks
 from pcore.training.config import FinetuneConfig
 from pcore.training.events import Listener, silent
@@ -62,11 +63,6 @@ def finetune(
     work = _work(anchor, config)
     if compiled:
         compile_networks(where, work.papr.unet, perceptual)
-    if config.largest_loss is not None and validation:
-        work.best = {
-            "weights": {name: t.clone() for name, t in work.weights().items()},
-            "kept_step": 0,
-        }
     objective = Objective(config, work, anchor, perceptual)
 
     def losses() -> Losses:
@@ -79,9 +75,10 @@ def finetune(
 
     return run_loop(
         work,
-        _plan(config, validation, scene),
+        _plan(config, validation, scene.name),
         losses,
-        accept=_guard(anchor, validation, config),
+        budget=_budget(anchor, work, validation, config),
+        finish=lambda tell: work.complete(scene.split("train"), tell),
         folder=folder,
         listener=listener,
     )
@@ -109,7 +106,7 @@ def _work(anchor: Trained, config: FinetuneConfig) -> Trainable:
     )
 
 
-def _plan(config: FinetuneConfig, validation: Sequence[View], scene: Scene) -> Plan:
+def _plan(config: FinetuneConfig, validation: Sequence[View], scene: str) -> Plan:
     rates: dict[str, Schedule] = config.rates.named()
     if config.skinning is not None:
         rates["skinning"] = config.skinning.rate
@@ -118,18 +115,20 @@ def _plan(config: FinetuneConfig, validation: Sequence[View], scene: Scene) -> P
         rates=rates,
         validate_every=config.validate_every,
         save_every=config.save_every,
-        views=scene.split("train"),
         validation=validation,
         background=config.background,
-        scene=scene.name,
+        scene=scene,
     )
 
 
-def _guard(
-    anchor: Trained, validation: Sequence[View], config: FinetuneConfig
-) -> Callable[[float], bool]:
-    """Say whether a validation's PSNR is near enough to that before fine-tuning."""
+def _budget(
+    anchor: Trained, work: Trainable, validation: Sequence[View], config: FinetuneConfig
+) -> Budget | None:
+    """Return what the result may cost; None where nothing limits or measures that."""
     if config.largest_loss is None or not validation:
-        return lambda psnr: True
-    least = validate(anchor, validation, config.background)["psnr"] - config.largest_loss
-    return lambda psnr: psnr >= least
+        return None
+    return Budget(
+        before={name: t.clone() for name, t in work.weights().items()},
+        psnr=validate(anchor, validation, config.background)["psnr"],
+        largest_loss=config.largest_loss,
+    )

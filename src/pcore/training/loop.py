@@ -3,36 +3,34 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from types import FrameType
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import torch
+from torch import Tensor
 
 from pcore.data.scene import View
 from pcore.errors import TrainingError
-from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder
-from pcore.render.surfel_fit import observe
+from pcore.training.budget import Budget, largest_part
 from pcore.training.compiling import compiler_errors_explained
 from pcore.training.config import Background
 from pcore.training.events import (
+    BudgetReport,
     Listener,
     Saved,
     StepReport,
     Stopped,
-    SurfaceReport,
     ValidationReport,
 )
-from pcore.training.held_out import validate
+from pcore.training.interrupt import deferred_interrupt
 from pcore.training.losses import Losses
 from pcore.training.schedule import Schedule
-from pcore.training.trainable import Trainable, restore
-from pcore.training.trained import Trained
+from pcore.training.work import Work
+
+Result = TypeVar("Result")
 
 _REPORT_EVERY = 10
 
@@ -46,7 +44,6 @@ class Plan:
         rates: learning rates by the names of the optimiser's groups.
         validate_every: steps between validations.
         save_every: steps between saves.
-        views: training views, which say at the end where the surface over the points is.
         validation: held-out training views.
         background: behind images with alpha.
         scene: name of the scene, for the model file.
@@ -56,31 +53,33 @@ class Plan:
     rates: Mapping[str, Schedule]
     validate_every: int
     save_every: int
-    views: Sequence[View]
     validation: Sequence[View]
     background: Background
     scene: str
 
 
 def run_loop(
-    work: Trainable,
+    work: Work[Result],
     plan: Plan,
     losses: Callable[[], Losses],
     *,
     after_step: Callable[[Listener], None] = lambda listener: None,
-    accept: Callable[[float], bool] = lambda psnr: True,
+    finish: Callable[[Listener], None] = lambda listener: None,
+    budget: Budget | None = None,
     folder: RunFolder | None = None,
     listener: Listener,
-) -> Trained:
-    """Train to the last step; the result is the last weights that `accept` did not refuse.
+) -> Result:
+    """Train to the last step; the result meets the budget, where there is one.
 
     Args:
         work: what is trained; continued from the folder's state when it holds one.
         plan: steps, rates, validation, saving.
         losses: draws a batch and computes the terms of the coming step, with gradients.
         after_step: changes the population.
-        accept: whether weights with this validation PSNR may become the result, where
-            `work.best` keeps weights.
+        finish: adds to the work, when all steps are done, what its result has besides weights.
+        budget: what the result may cost; None takes the last weights. Where the last ones cost
+            more, it is as much of the way to them as the budget allows. A run that is stopped has
+            the weights of the last validation that met it, else those before.
         folder: where to save; None keeps everything in memory.
         listener: told everything.
 
@@ -89,43 +88,45 @@ def run_loop(
             written.
         KeyboardInterrupt: after Ctrl-C, with everything saved.
     """
+    if budget is not None:
+        work.best = {"weights": {k: t.clone() for k, t in budget.before.items()}, "kept_step": 0}
     _resume(work, folder)
-    result = work.result()
     if work.step >= plan.steps:
         # Killed between the files of the last save: complete them.
-        result = _save(work, plan, folder, listener, finished=True)
+        finish(listener)
+        _save(work, plan, folder, listener, finished=True)
     clock = _Clock(work.step, plan.steps)
-    with _deferred_interrupt() as interrupted:
+    with deferred_interrupt() as interrupted:
         while work.step < plan.steps:
             found = _step(work, plan, losses)
             after_step(listener)
             if work.step % _REPORT_EVERY == 0 or work.step == plan.steps:
                 listener(_report(work, plan, found, clock))
             if work.step % plan.validate_every == 0 or work.step == plan.steps:
-                _validate(work, plan, accept, listener)
+                _validate(work, plan, budget, listener)
             last = work.step == plan.steps or bool(interrupted)
+            if last and not interrupted:
+                finish(listener)
             if last or work.step % plan.save_every == 0:
-                done = last and not interrupted
-                result = _save(work, plan, folder, listener, finished=done)
+                _save(work, plan, folder, listener, finished=last and not interrupted)
             if interrupted:
                 _stop(work, folder, listener)
     listener(_finished(work))
-    return result
+    return _result(work)
 
 
-def _finished(work: Trainable) -> Stopped:
-    """Say which weights the result has, where they are not the last ones."""
-    kept, message = work.best.get("kept_step", work.step), ""
-    if kept != work.step:
-        whose = f"of step {kept}" if kept else "that it began with, so nothing was learned"
+def _finished(work: Work[Any]) -> Stopped:
+    """Say how it went on, and whether nothing of it could be kept."""
+    message = ""
+    if work.best.get("trade", {}).get("share") == 0:
         message = (
-            f"the result has the weights {whose}: later ones fell too far behind on held-out "
-            "training views; lower the weights of the losses or the learning rates"
+            "the result renders as before: no part of the change keeps held-out training views "
+            "within the budget; lower the weights of the losses or the learning rates"
         )
     return Stopped(stage=work.stage, step=work.step, reason="finished", message=message)
 
 
-def _step(work: Trainable, plan: Plan, losses: Callable[[], Losses]) -> Losses:
+def _step(work: Work[Any], plan: Plan, losses: Callable[[], Losses]) -> Losses:
     work.set_rates(plan.rates, plan.steps)
     work.optimizer.zero_grad(set_to_none=True)
     with compiler_errors_explained():
@@ -136,7 +137,7 @@ def _step(work: Trainable, plan: Plan, losses: Callable[[], Losses]) -> Losses:
     return found
 
 
-def _report(work: Trainable, plan: Plan, found: Losses, clock: _Clock) -> StepReport:
+def _report(work: Work[Any], plan: Plan, found: Losses, clock: _Clock) -> StepReport:
     figures = [found.total, found.squared_error, *found.terms.values()]
     # All at once: every transfer from a GPU waits for it.
     loss, error, *terms = torch.stack(figures).detach().tolist()
@@ -152,26 +153,20 @@ def _report(work: Trainable, plan: Plan, found: Losses, clock: _Clock) -> StepRe
         loss=loss,
         losses=dict(zip(found.terms, terms, strict=True)),
         psnr=-10 * math.log10(max(error, 1e-12)),
-        points=len(work.cloud),
+        points=work.points,
         seconds_left=clock.seconds_left(work.step),
         rates={group["name"]: group["lr"] for group in work.optimizer.param_groups},
     )
 
 
-def _validate(
-    work: Trainable, plan: Plan, accept: Callable[[float], bool], listener: Listener
-) -> None:
+def _validate(work: Work[Any], plan: Plan, budget: Budget | None, listener: Listener) -> None:
     if not plan.validation:
         return
-    scores = validate(work.result(), plan.validation, plan.background)
+    scores = work.scores(plan.validation, plan.background)
     psnr = scores["psnr"]
     best = psnr > work.best.get("psnr", -math.inf)
     if best:
         work.best = {**work.best, "psnr": psnr, "step": work.step}
-    accepted = accept(psnr)
-    if "weights" in work.best and accepted:
-        work.best["weights"] = {k: t.clone() for k, t in work.weights().items()}
-        work.best |= {"kept_step": work.step, "kept_psnr": psnr}
     listener(
         ValidationReport(
             stage=work.stage,
@@ -180,63 +175,59 @@ def _validate(
             views=len(plan.validation),
             scores=scores,
             best=best,
-            accepted=accepted,
+            accepted=budget is None or budget.met_by(psnr),
         )
     )
+    if budget is not None:
+        _keep(work, plan, budget, psnr, listener)
 
 
-def _result(work: Trainable) -> Trained:
-    """Return the last weights that validation accepted, where those are kept, else the last."""
+def _keep(work: Work[Any], plan: Plan, budget: Budget, psnr: float, listener: Listener) -> None:
+    """Keep weights that meet the budget: these or, at the end, a part of the way to them."""
+    last = work.step == plan.steps
+    if not (last or budget.met_by(psnr)):
+        return
+
+    def score(weights: Mapping[str, Tensor]) -> float:
+        return work.scores(plan.validation, plan.background, weights)["psnr"]
+
+    part = largest_part(budget, work.weights(), psnr, score)
+    work.best["weights"] = {name: t.clone() for name, t in part.weights.items()}
+    work.best |= {"kept_step": work.step, "kept_psnr": part.psnr}
+    if last:
+        trade = {"share": part.share, "before": budget.psnr, "after": psnr, "psnr": part.psnr}
+        work.best["trade"] = {**trade, "largest_loss": budget.largest_loss}
+        listener(BudgetReport(stage=work.stage, step=work.step, **work.best["trade"]))
+
+
+def _result(work: Work[Result]) -> Result:
+    """Return the weights that met the budget last, where those are kept, else the last ones."""
     return work.result(work.best.get("weights"))
 
 
-def _resume(work: Trainable, folder: RunFolder | None) -> None:
+def _resume(work: Work[Any], folder: RunFolder | None) -> None:
     state = folder.load_state() if folder is not None else None
     if state is not None:
-        restore(work, state)
+        work.restore(state)
 
 
 def _save(
-    work: Trainable, plan: Plan, folder: RunFolder | None, listener: Listener, *, finished: bool
-) -> Trained:
-    """Save what is trained, and return it; at the end with the surface over its points."""
+    work: Work[Any], plan: Plan, folder: RunFolder | None, listener: Listener, *, finished: bool
+) -> None:
     _check_finite(work)
-    result = _result(work)
-    if folder is not None:
-        folder.save_state(work.state())
-        listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
-    if finished:
-        views = len(plan.views)
-        listener(SurfaceReport(stage=work.stage, step=work.step, views=views))
-        observed = observe(result.papr, result.cloud, plan.views)
-        result = replace(result, surfels=observed.surfels(result.cloud), observed=observed)
     if folder is None:
-        return result
-    config = result.papr.config
-    folder.save_model(
-        result.papr.state_dict(),
-        result.cloud,
-        config,
-        provenance_of(
-            result.cloud,
-            config,
-            scene=plan.scene,
-            stage="pretrain" if work.stage == "pretrain" else "finetune",
-            step=work.best.get("kept_step", work.step),
-        ),
-        result.surfels,
-    )
-    listener(Saved(stage=work.stage, step=work.step, path=str(folder.model)))
-    if result.skinning is not None:
-        folder.save_skinning(result.skinning)
-        listener(Saved(stage=work.stage, step=work.step, path=str(folder.skinning)))
+        return
+    folder.save_state(work.state())
+    listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
+    for path in work.save(folder, plan.scene):
+        listener(Saved(stage=work.stage, step=work.step, path=path))
     best = {key: value for key, value in work.best.items() if isinstance(value, int | float)}
+    trade = {"trade": work.best["trade"]} if "trade" in work.best else {}
     status = "finished" if finished else "running"
-    folder.update(status=status, step=work.step, validation=best)
-    return result
+    folder.update(status=status, step=work.step, validation=best, **trade)
 
 
-def _check_finite(work: Trainable) -> None:
+def _check_finite(work: Work[Any]) -> None:
     """Raise TrainingError before weights that are not finite replace good ones on the disk."""
     bad = [name for name, t in work.weights().items() if not bool(torch.isfinite(t).all())]
     if bad:
@@ -246,7 +237,7 @@ def _check_finite(work: Trainable) -> None:
         )
 
 
-def _stop(work: Trainable, folder: RunFolder | None, listener: Listener) -> None:
+def _stop(work: Work[Any], folder: RunFolder | None, listener: Listener) -> None:
     listener(Stopped(stage=work.stage, step=work.step, reason="interrupted"))
     if folder is not None:
         folder.update(status="stopped")
@@ -267,27 +258,6 @@ class _Clock:
     def seconds_left(self, step: int) -> float | None:
         done = step - self._first
         return (time.monotonic() - self._start) * (self._steps - step) / done if done else None
-
-
-@contextmanager
-def _deferred_interrupt() -> Generator[list[int]]:
-    """Collect Ctrl-C until the step is complete; a second one interrupts at once."""
-    seen: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield seen  # Signals only reach the main thread.
-        return
-    before = signal.getsignal(signal.SIGINT)
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        if seen:
-            raise KeyboardInterrupt
-        seen.append(number)
-
-    signal.signal(signal.SIGINT, handle)
-    try:
-        yield seen
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def autocast(device: torch.device, *, enabled: bool) -> torch.autocast:
