@@ -29,7 +29,8 @@ from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
-from pcore.render.picture import FAST_THRESHOLD, normals, render
+from pcore.render.image import normals
+from pcore.render.picture import FAST_THRESHOLD, render
 
 Made = tuple[Path, Papr, PointCloud]
 

@@ -75,9 +75,10 @@ def finetune(
 
     return run_loop(
         work,
-        _plan(config, validation, scene),
+        _plan(config, validation, scene.name),
         losses,
         budget=_budget(anchor, work, validation, config),
+        finish=lambda tell: work.complete(scene.split("train"), tell),
         folder=folder,
         listener=listener,
     )
@@ -105,7 +106,7 @@ def _work(anchor: Trained, config: FinetuneConfig) -> Trainable:
     )
 
 
-def _plan(config: FinetuneConfig, validation: Sequence[View], scene: Scene) -> Plan:
+def _plan(config: FinetuneConfig, validation: Sequence[View], scene: str) -> Plan:
     rates: dict[str, Schedule] = config.rates.named()
     if config.skinning is not None:
         rates["skinning"] = config.skinning.rate
@@ -114,10 +115,9 @@ def _plan(config: FinetuneConfig, validation: Sequence[View], scene: Scene) -> P
         rates=rates,
         validate_every=config.validate_every,
         save_every=config.save_every,
-        views=scene.split("train"),
         validation=validation,
         background=config.background,
-        scene=scene.name,
+        scene=scene,
     )
 
 

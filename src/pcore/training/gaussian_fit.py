@@ -99,7 +99,6 @@ def fit_gaussians(
             rates=config.rates.named(),
             validate_every=config.validate_every,
             save_every=config.save_every,
-            views=scene.split("train"),
             validation=validation,
             background=config.background,
             scene=scene.name,

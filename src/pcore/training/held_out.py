@@ -18,8 +18,8 @@ from pcore.training.trained import Trained
 def validate(model: Trained, views: Sequence[View], background: Background) -> dict[str, float]:
     """Mean PSNR over the views, and of foreground pixels (alpha > 0.5) where there is alpha, dB."""
     color = background_color("white" if background == "random" else background)
-    rest = PosedCloud.at_rest(model.cloud)
-    return mean_scores(views, color, lambda view: render(model.papr, rest, view.camera).rgb.cpu())
+    posed = PosedCloud.at_rest(model.cloud)
+    return mean_scores(views, color, lambda view: render(model.papr, posed, view.camera).rgb.cpu())
 
 
 def mean_scores(

@@ -23,7 +23,6 @@ from pcore.training.events import (
     Saved,
     StepReport,
     Stopped,
-    SurfaceReport,
     ValidationReport,
 )
 from pcore.training.interrupt import deferred_interrupt
@@ -45,7 +44,6 @@ class Plan:
         rates: learning rates by the names of the optimiser's groups.
         validate_every: steps between validations.
         save_every: steps between saves.
-        views: training views, which say at the end where the surface over the points is.
         validation: held-out training views.
         background: behind images with alpha.
         scene: name of the scene, for the model file.
@@ -55,7 +53,6 @@ class Plan:
     rates: Mapping[str, Schedule]
     validate_every: int
     save_every: int
-    views: Sequence[View]
     validation: Sequence[View]
     background: Background
     scene: str
@@ -67,6 +64,7 @@ def run_loop(
     losses: Callable[[], Losses],
     *,
     after_step: Callable[[Listener], None] = lambda listener: None,
+    finish: Callable[[Listener], None] = lambda listener: None,
     budget: Budget | None = None,
     folder: RunFolder | None = None,
     listener: Listener,
@@ -78,6 +76,7 @@ def run_loop(
         plan: steps, rates, validation, saving.
         losses: draws a batch and computes the terms of the coming step, with gradients.
         after_step: changes the population.
+        finish: adds to the work, when all steps are done, what its result has besides weights.
         budget: what the result may cost; None takes the last weights. Where the last ones cost
             more, it is as much of the way to them as the budget allows. A run that is stopped has
             the weights of the last validation that met it, else those before.
@@ -92,10 +91,10 @@ def run_loop(
     if budget is not None:
         work.best = {"weights": {k: t.clone() for k, t in budget.before.items()}, "kept_step": 0}
     _resume(work, folder)
-    result = work.result()
     if work.step >= plan.steps:
         # Killed between the files of the last save: complete them.
-        result = _save(work, plan, folder, listener, finished=True)
+        finish(listener)
+        _save(work, plan, folder, listener, finished=True)
     clock = _Clock(work.step, plan.steps)
     with deferred_interrupt() as interrupted:
         while work.step < plan.steps:
@@ -106,13 +105,14 @@ def run_loop(
             if work.step % plan.validate_every == 0 or work.step == plan.steps:
                 _validate(work, plan, budget, listener)
             last = work.step == plan.steps or bool(interrupted)
+            if last and not interrupted:
+                finish(listener)
             if last or work.step % plan.save_every == 0:
-                done = last and not interrupted
-                result = _save(work, plan, folder, listener, finished=done)
+                _save(work, plan, folder, listener, finished=last and not interrupted)
             if interrupted:
                 _stop(work, folder, listener)
     listener(_finished(work))
-    return result
+    return _result(work)
 
 
 def _finished(work: Work[Any]) -> Stopped:
@@ -212,31 +212,19 @@ def _resume(work: Work[Any], folder: RunFolder | None) -> None:
 
 
 def _save(
-    work: Work[Result],
-    plan: Plan,
-    folder: RunFolder | None,
-    listener: Listener,
-    *,
-    finished: bool,
-) -> Result:
-    """Save what is trained, and return it; at the end with the surface over its points."""
+    work: Work[Any], plan: Plan, folder: RunFolder | None, listener: Listener, *, finished: bool
+) -> None:
     _check_finite(work)
-    result = _result(work)
-    if folder is not None:
-        folder.save_state(work.state())
-        listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
-    if finished:
-        listener(SurfaceReport(stage=work.stage, step=work.step, views=len(plan.views)))
-        result = work.with_surface(result, plan.views)
     if folder is None:
-        return result
-    for path in work.save(folder, plan.scene, result):
+        return
+    folder.save_state(work.state())
+    listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
+    for path in work.save(folder, plan.scene):
         listener(Saved(stage=work.stage, step=work.step, path=path))
     best = {key: value for key, value in work.best.items() if isinstance(value, int | float)}
     trade = {"trade": work.best["trade"]} if "trade" in work.best else {}
     status = "finished" if finished else "running"
     folder.update(status=status, step=work.step, validation=best, **trade)
-    return result
 
 
 def _check_finite(work: Work[Any]) -> None:

@@ -18,8 +18,9 @@ from pcore.files.run_folder import RunFolder
 from pcore.files.training_state import TrainingState, generator_states, restore_generators
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.render.surfel_fit import observe
+from pcore.render.surfel_fit import Observed, observe
 from pcore.training.config import Background, Rates
+from pcore.training.events import Listener, SurfaceReport
 from pcore.training.held_out import validate
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
@@ -40,6 +41,7 @@ class Trainable:
         skinning: trained along with the renderer; None where nothing is.
         step: steps done.
         best: figures of the best validation, and its weights where they are kept.
+        observed: what training views say about the points of the result, when it is complete.
     """
 
     stage: str
@@ -50,6 +52,7 @@ class Trainable:
     skinning: Skinning | None = None
     step: int = 0
     best: dict[str, Any] = field(default_factory=dict[str, Any])
+    observed: Observed | None = None
 
     @property
     def points(self) -> int:
@@ -78,7 +81,16 @@ class Trainable:
     def result(self, weights: Mapping[str, Tensor] | None = None) -> Trained:
         """Networks and points to hand over: of `weights`, or as they are."""
         chosen = weights or self.weights()
-        return rebuild(self.papr, chosen, self.step, skinning=self.skinning)
+        found = rebuild(self.papr, chosen, self.step, skinning=self.skinning)
+        if self.observed is None:
+            return found
+        return replace(found, surfels=self.observed.surfels(found.cloud), observed=self.observed)
+
+    def complete(self, views: Sequence[View], listener: Listener) -> None:
+        """See, when all steps are done, what training views say of the points of the result."""
+        listener(SurfaceReport(stage=self.stage, step=self.step, views=len(views)))
+        found = self.result(self.best.get("weights"))
+        self.observed = observe(found.papr, found.cloud, views)
 
     def scores(
         self,
@@ -89,13 +101,9 @@ class Trainable:
         """Figures on held-out training views, see `held_out.validate`."""
         return validate(self.result(weights), views, background)
 
-    def with_surface(self, result: Trained, views: Sequence[View]) -> Trained:
-        """Return the result with the surface over its points, as training views show it."""
-        observed = observe(result.papr, result.cloud, views)
-        return replace(result, surfels=observed.surfels(result.cloud), observed=observed)
-
-    def save(self, folder: RunFolder, scene: str, result: Trained) -> list[str]:
-        """Write model and skinning; return the paths."""
+    def save(self, folder: RunFolder, scene: str) -> list[str]:
+        """Write the weights that validation accepted last, where those are kept, else the last."""
+        result = self.result(self.best.get("weights"))
         config = result.papr.config
         provenance = provenance_of(
             result.cloud,
@@ -104,9 +112,8 @@ class Trainable:
             stage="pretrain" if self.stage == "pretrain" else "finetune",
             step=self.best.get("kept_step", self.step),
         )
-        folder.save_model(
-            result.papr.state_dict(), result.cloud, config, provenance, result.surfels
-        )
+        state = result.papr.state_dict()
+        folder.save_model(state, result.cloud, config, provenance, result.surfels)
         if result.skinning is None:
             return [str(folder.model)]
         folder.save_skinning(result.skinning)

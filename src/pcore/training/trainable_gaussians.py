@@ -146,14 +146,9 @@ class TrainableGaussians:
 
         return mean_scores(views, color, draw)
 
-    def with_surface(self, result: TrainedGaussians, views: Sequence[View]) -> TrainedGaussians:
-        """Return the result as it is: Gaussians have shapes of their own."""
-        del views
-        return result
-
-    def save(self, folder: RunFolder, scene: str, result: TrainedGaussians) -> list[str]:
+    def save(self, folder: RunFolder, scene: str) -> list[str]:
         """Write what users load; return the paths."""
-        found = result
+        found = self.result()
         saved = SavedGaussians(
             gaussians=found.gaussians,
             footprint=found.footprint,

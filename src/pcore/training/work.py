@@ -14,7 +14,7 @@ from pcore.files.training_state import TrainingState
 from pcore.training.config import Background
 from pcore.training.schedule import Schedule
 
-Result = TypeVar("Result")
+Result = TypeVar("Result", covariant=True)
 
 
 class Work(Protocol[Result]):
@@ -66,10 +66,6 @@ class Work(Protocol[Result]):
         """Put this into a saved state, exactly."""
         ...
 
-    def with_surface(self, result: Result, views: Sequence[View]) -> Result:
-        """Return the result with what training views say of its surface."""
-        ...
-
-    def save(self, folder: RunFolder, scene: str, result: Result) -> list[str]:
+    def save(self, folder: RunFolder, scene: str) -> list[str]:
         """Write what users load of the result; return the paths."""
         ...
