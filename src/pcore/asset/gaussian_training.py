@@ -30,7 +30,7 @@ def train_gaussians(
     listener: Listener,
     device: str,
     plan: FolderPlan,
-) -> Asset:
+) -> tuple[Asset, bool]:
     """Learn Gaussians from the training views of a scene.
 
     Args:
@@ -41,6 +41,9 @@ def train_gaussians(
         device: where to train, and then to draw.
         plan: the run folder, but for what is written down about it; see `FolderPlan`.
 
+    Returns:
+        The object, and whether anything was learned: a finished run is left as it is.
+
     Raises:
         InputError: the folder is in use, or no silhouettes for a visual hull.
         TrainingError: diverged, or cannot write.
@@ -50,15 +53,15 @@ def train_gaussians(
     if folder is None:
         found = fit_gaussians(scene, config, listener=listener, device=device)
         record = RunRecord(stage="pretrain", scene=str(plan.scene), config=plan.config)
-        return _asset(found, provenance_of_gaussians(found, scene.name), record, device)
+        return _asset(found, provenance_of_gaussians(found, scene.name), record, device), True
     numbers = _NUMBERS + 3 * (config.degree + 1) ** 2
     most = max(config.points, config.density.limit)
-    train_in_folder(
+    found = train_in_folder(
         replace(plan, needed=bytes_needed(numbers * most)),
         lambda run, tell: fit_gaussians(scene, config, folder=run, listener=tell, device=device),
         listener,
     )
-    return load(folder, device=device)
+    return load(folder, device=device), found is not None
 
 
 def gaussian_record(config: GaussianConfig, preset: str | None, factor: int) -> dict[str, object]:
