@@ -116,7 +116,7 @@ def test_every_verb_documents_all_its_options(
     [
         (["docter"], "unknown command 'docter': expected one of"),
         (["docter"], "did you mean `pcore doctor`?"),
-        (["import"], "did you mean `pcore import papr`?"),
+        (["import"], "did you mean `pcore import papr` or `pcore import gaussians`?"),
     ],
 )
 def test_a_mistyped_verb(args: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,7 @@ from toys import logged_losses, write_scene
 
 from pcore.cli.main import main
 from pcore.data.points import save_points
+from pcore.files.gaussian_file import load_gaussians
 from pcore.files.model_file import load_model
 from pcore.files.run_folder import RunFolder
 
@@ -278,3 +279,32 @@ def test_a_full_disk_in_the_middle_keeps_what_was_saved(
     assert "space" in capsys.readouterr().err.lower()
     assert (run / "state.pt").read_bytes() == before
     assert RunFolder.open(run).saved_step() == 2
+
+
+def test_gaussians_are_trained_and_resumed_by_the_same_verb(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert call(scene, run, "--model", "gaussians") == 0
+    said = capsys.readouterr().out
+    assert "Gaussians, tiny, 3 steps on cpu" in said
+    assert "dB on held-out training views" in said
+    folder = RunFolder.open(run)
+    assert (folder.config["model"], folder.config["gaussians"]["points"]) == ("gaussians", 60)
+    assert folder.notes["status"] == "finished"
+    assert not folder.model.exists()
+    assert len(load_gaussians(run).gaussians) == 60
+    assert call(scene, run, "--model", "gaussians", "--resume") == 0
+    assert "finished already" in capsys.readouterr().out
+    assert main(["info", str(run)]) == 0
+    assert "degree of the harmonics" in capsys.readouterr().out
+
+
+def test_options_that_only_papr_has_are_refused_for_gaussians(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    for wrong in (["--origin", "camera"], ["--front-weight", 1], ["--preset", "paper"]):
+        assert call(scene, run, "--model", "gaussians", *wrong) == 2
+        assert "Gaussians" in capsys.readouterr().err
+        assert not run.exists()

@@ -18,7 +18,7 @@ from pcore.files.model_file import load_model
 from pcore.files.run_folder import RunFolder
 from pcore.model.papr import Papr
 from pcore.training import finetune as module
-from pcore.training import loop, objective
+from pcore.training import loop, objective, trainable
 from pcore.training.config import FinetuneConfig, PatchConfig, Rates
 from pcore.training.events import BudgetReport, StepReport, Stopped, ValidationReport
 from pcore.training.finetune import finetune
@@ -239,7 +239,7 @@ def falling(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Trained]]:
             return {"psnr": rest.pop(0)}
 
         monkeypatch.setattr(module, "validate", validate)
-        monkeypatch.setattr(loop, "validate", validate)
+        monkeypatch.setattr(trainable, "validate", validate)
         return seen
 
     return script
@@ -258,7 +258,7 @@ def learned(box_folder: Path) -> Trained:
 
 def psnr_of(model: Trained, scene: Scene) -> float:
     _, views = hold_out(scene.split("train"), every=10)
-    return loop.validate(model, views, "white")["psnr"]
+    return trainable.validate(model, views, "white")["psnr"]
 
 
 @pytest.mark.parametrize("largest_loss", [0.0, 0.02])

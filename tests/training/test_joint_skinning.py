@@ -19,7 +19,7 @@ from pcore.files.records import from_dict, to_dict
 from pcore.files.run_folder import RunFolder
 from pcore.files.skinning_file import load_skinning
 from pcore.training import finetune as module
-from pcore.training import loop
+from pcore.training import trainable
 from pcore.training.config import FinetuneConfig, Rates, SkinningTrainConfig
 from pcore.training.events import Listener, Saved, StepReport, silent
 from pcore.training.finetune import finetune
@@ -141,7 +141,7 @@ def test_a_budget_that_binds_leaves_the_skinning_whole(
         return {"psnr": psnrs.pop(0)}
 
     monkeypatch.setattr(module, "validate", validate)
-    monkeypatch.setattr(loop, "validate", validate)
+    monkeypatch.setattr(trainable, "validate", validate)
     config = finetune_config(skinning=SKINNING, largest_loss=0.5)
     tuned = finetune(box, box_model(), config)
     last = seen[2]

@@ -13,7 +13,7 @@ import torch
 from pcore.errors import CheckpointError, TrainingError
 from pcore.files.model_file import load_model
 from pcore.files.run_folder import RunFolder
-from pcore.training import loop
+from pcore.training import trainable
 from pcore.training.budget import Budget
 from pcore.training.config import Rates
 from pcore.training.events import Saved, StepReport, Stopped, ValidationReport
@@ -73,7 +73,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Callable[[Sequence[float]], lis
             seen.append(model)
             return {"psnr": rest.pop(0)}
 
-        monkeypatch.setattr(loop, "validate", validate)
+        monkeypatch.setattr(trainable, "validate", validate)
         return seen
 
     return script

@@ -235,7 +235,7 @@ def _made(
             needed=needed,
             note=options.note,
         )
-        in_folder: Train = run
+        in_folder: Train[Trained] = run
         trained = train_in_folder(plan, in_folder, listener)
         asset = load(record.path, device=device)
         if trained is None:

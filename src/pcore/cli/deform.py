@@ -1,39 +1,44 @@
-"""`pcore deform`: apply an edit file to a bare set of points."""
+"""`pcore deform`: apply an edit file to bare points, or to the Gaussians of a 3DGS file."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import torch
 import tyro
 
+from pcore.asset.posing import script_of
+from pcore.cli.change import change_lines, coarse, fold_notes
+from pcore.cli.deform_gaussians import deform_gaussians
+from pcore.cli.options import Number, optional
 from pcore.data.points import check_point_path, read_point_file, save_moved
-from pcore.deform.base import Deformation
+from pcore.data.splat_formats import check_splat_output, holds_splats
 from pcore.deform.checks import count_folds
-from pcore.editing.script import load_edit
 from pcore.errors import InputError
-from pcore.geometry.extent import size_of
-
-_COARSE = 1e-4
-"""Steps between the numbers of a file, as a share of the object, that are told of."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeformCommand:
-    """Apply an edit file to a set of points and write the moved points."""
+    """Apply an edit file to a set of points, or to Gaussians, and write what was moved."""
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="POINTS")]
-    """Points to move: a NumPy array (N, 3) in a .npy file, or the vertices of a .ply."""
+    """Points to move: a NumPy array (N, 3) in a .npy file, or the vertices of a .ply. Or Gaussians:
+    the .ply of a 3DGS or 2DGS trainer, .splat, .spz, .sog."""
 
     edit: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """Edit file (JSON); an edit without "extent" takes that of these points, as Blender does."""
 
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Where to write: .npy or .ply; a PLY of a PLY keeps all that the file holds, and its normals
-    are turned. Replaced if it exists."""
+    are turned. For Gaussians: .ply, .splat or .glb. Replaced if it exists."""
+
+    time: Number = None
+    """For an edit file with keyframes: the time to apply."""
+
+    split: Annotated[float | None, optional("TOLERANCE")] = None
+    """Gaussians only: split those that the edit bends within themselves by more than this share of
+    their thickness, such as 0.3; default: split none."""
 
     strict: bool = False
     """Refuse an edit that folds space anywhere, as rendering does, instead of only saying so."""
@@ -52,13 +57,22 @@ def deform(command: DeformCommand) -> None:
         InputError: the points cannot be read or written, or would replace their own file.
         EditError: the edit file is not valid or its deformation is singular at the points.
     """
-    check_point_path(command.output)
+    gaussians = holds_splats(command.input)
+    check = check_splat_output if gaussians else check_point_path
+    check(command.output)
     if _same_file(command.input, command.output):
         raise InputError(
             f"{command.output}: expected an output other than the input, got the same file; "
             "the points would be lost"
         )
-    script = load_edit(command.edit)
+    script = script_of(command.edit, command.time)
+    if gaussians:
+        strict, split = command.strict, command.split
+        lines = deform_gaussians(command.input, script, command.output, strict=strict, split=split)
+        print("\n".join(lines))
+        return
+    if command.split is not None:
+        raise InputError(f"--split: expected a file of Gaussians, got points in {command.input}")
     source = read_point_file(command.input)
     points = source.positions.double()
     bound = script.bound(points, allow_folds=not command.strict)
@@ -67,58 +81,11 @@ def deform(command: DeformCommand) -> None:
     left = save_moved(command.output, source, moved.to(source.positions.dtype), maps)
     kinds = ", ".join(edit.type for edit in script.edits) or "no edit"
     print(f"{command.input}: {len(points):,} points, {kinds}")
-    _print_change(points, moved)
-    _print_folds(deformation, points)
-    _print_coarseness(source.positions)
-    for line in [*bound.notes, *source.notes, *left]:
+    print("\n".join(change_lines(points, moved)))
+    odd = [*fold_notes(count_folds(deformation, points), len(points)), *coarse(source.positions)]
+    for line in [*odd, *bound.notes, *source.notes, *left]:
         print(f"  note: {line}")
     print(f"written to {command.output}")
-
-
-def _print_change(points: torch.Tensor, moved: torch.Tensor) -> None:
-    digits = _digits(points)
-    for name, cloud in (("before", points), ("after", moved)):
-        lower, upper = cloud.amin(dim=0).tolist(), cloud.amax(dim=0).tolist()
-        box = "  ".join(
-            f"{axis} {lo:.{digits}g} to {hi:.{digits}g}"
-            for axis, lo, hi in zip("xyz", lower, upper, strict=True)
-        )
-        print(f"  {name}: {box}")
-    distance = (moved - points).norm(dim=-1)
-    print(
-        f"  moved by {float(distance.mean()):.4g} on average, {float(distance.max()):.4g} at most"
-    )
-
-
-def _print_folds(deformation: Deformation, points: torch.Tensor) -> None:
-    folded, sheared = count_folds(deformation, points)
-    if sheared:
-        print(
-            f"  note: the edit shears space more than a run can render at {sheared:,} of "
-            f'{len(points):,} points; is its "origin" far from them?'
-        )
-    if folded:
-        print(
-            f"  note: the edit flattens space or turns it inside out at {folded:,} of "
-            f"{len(points):,} points; a run would refuse to render it"
-        )
-
-
-def _print_coarseness(given: torch.Tensor) -> None:
-    """Say so where the precision of the file is coarse for the object."""
-    size, farthest = size_of(given.double()), float(given.abs().max())
-    step = farthest * torch.finfo(given.dtype).eps
-    if step > _COARSE * size > 0:
-        print(
-            f"  note: numbers of the file's precision are {step:.2g} apart at these coordinates, "
-            f"and the object is {size:.3g} large; write it in double precision or near the origin"
-        )
-
-
-def _digits(points: torch.Tensor) -> int:
-    """Significant digits with which coordinates show four of the object itself."""
-    size, farthest = size_of(points), float(points.abs().max())
-    return 4 + (max(0, math.ceil(math.log10(farthest / size))) if size > 0 and farthest > 0 else 0)
 
 
 def _same_file(first: Path, second: Path) -> bool:

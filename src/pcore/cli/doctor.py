@@ -23,6 +23,7 @@ _OPTIONAL = (
     ("jinja2", "report", "no HTML report"),
     ("matplotlib", "report", "no figures"),
     ("skimage", "metrics", "no SSIM"),
+    ("gaussforge", "splats", "compressed files of Gaussians (.spz, .sog) are not read"),
 )
 _MEMORY_WANTED = 4e9
 _DISK_WANTED = 1e9
@@ -69,6 +70,7 @@ def examine() -> list[Finding]:
         _memory(),
         _disk(Path.cwd()),
         *_kernels(),
+        _gaussians(),
         *_packages(),
         _lpips(),
     ]
@@ -195,6 +197,13 @@ def _kernels() -> list[Finding]:
         Finding(name="search", value=search, good=not advice, advice=advice),
         Finding(name="attention", value=attention, good=not advice, advice=advice),
     ]
+
+
+def _gaussians() -> Finding:
+    from pcore.cli.doctor_gaussians import gaussian_report
+
+    value, advice = gaussian_report(installed)
+    return Finding(name="Gaussians", value=value, good=not advice, advice=advice)
 
 
 def _packages() -> list[Finding]:

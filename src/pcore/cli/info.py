@@ -52,12 +52,16 @@ def describe(path: Path) -> Rows:
         CheckpointError: there is neither, or what is there is damaged.
     """
     from pcore.asset.summary import summarize
+    from pcore.files.gaussian_file import GAUSSIANS_FILE
 
     summary = summarize(path)
     rows: Rows = [] if summary.record is None else _run_rows(path, summary.record)
     if summary.saved_step is not None:
         rows.append(("can resume from", f"step {summary.saved_step}"))
-    if summary.model is None:
+    gaussians = summary.model_file.with_name(GAUSSIANS_FILE)
+    if gaussians.is_file():
+        rows += _gaussian_rows(gaussians)
+    elif summary.model is None:
         rows.append(("model", "none saved yet"))
     else:
         rows += _model_rows(summary.model_file, summary.model)
@@ -95,6 +99,20 @@ def _score_rows(folder: Path) -> Rows:
         )
         for method in dict.fromkeys(one.method for one in means)
     ]
+
+
+def _gaussian_rows(path: Path) -> Rows:
+    from pcore.files.gaussian_file import load_gaussians
+    from pcore.files.records import to_dict
+
+    saved = load_gaussians(path)
+    rows: Rows = [
+        ("model", str(path)),
+        ("Gaussians", f"{len(saved.gaussians):,}"),
+        ("degree of the harmonics", str(saved.gaussians.degree)),
+    ]
+    rows += _flat(to_dict(saved.footprint), "footprint.")
+    return rows + _flat(to_dict(saved.provenance), "provenance.")
 
 
 def _model_rows(path: Path, summary: ModelSummary) -> Rows:

@@ -67,6 +67,13 @@ VERBS: tuple[Verb, ...] = (
         "ImportPaprCommand",
         "make a run of an official PAPR checkpoint",
     ),
+    Verb(
+        "import gaussians",
+        "pcore.cli.import_gaussians",
+        "ImportGaussiansCommand",
+        "make a run of a 3DGS file",
+    ),
+    Verb("export", "pcore.cli.export", "ExportCommand", "write a run, also edited, as 3DGS files"),
     Verb("info", "pcore.cli.info", "InfoCommand", "say what a run or model file is"),
     Verb("doctor", "pcore.cli.doctor", "DoctorCommand", "check this machine"),
 )

@@ -1,4 +1,4 @@
-"""`pcore train SCENE -o RUN`: learn the points and networks of PAPR from photos."""
+"""`pcore train SCENE -o RUN`: learn the points and networks of PAPR, or Gaussians, from photos."""
 
 from __future__ import annotations
 
@@ -41,6 +41,9 @@ class TrainCommand:
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder to make; new or empty, unless --resume."""
 
+    model: Literal["papr", "gaussians"] = "papr"
+    """papr: points and networks, the paper's object; gaussians: 3D Gaussians, minutes."""
+
     preset: Literal["tiny", "fast", "paper", "paper-lego"] = "tiny"
     """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours;
     paper-lego: the original as it was set for its scene lego."""
@@ -61,9 +64,10 @@ class TrainCommand:
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of every random draw."""
 
-    init: Annotated[str | None, optional("hull|grid|FILE")] = None
-    """Where points start: hull (of the masks), grid (the original's), or a PLY or NPY file.
-    Default: hull, or grid when the images have no alpha."""
+    init: Annotated[str | None, optional("hull|grid|views|FILE")] = None
+    """Where points start: hull (of the masks), grid (the original's; papr), views (near and far
+    before the cameras; gaussians), or a PLY or NPY file. Default: hull, or grid or views when the
+    images have no alpha."""
 
     background: Annotated[
         Literal["white", "black", "random"] | None, optional("{white,black,random}")
@@ -90,7 +94,12 @@ class TrainCommand:
 
     def run(self) -> None:
         """Train; raises PcoreError subclasses for what the user can mend."""
-        train(self, Console())
+        if self.model == "gaussians":
+            from pcore.cli.train_gaussians import train_gaussians
+
+            train_gaussians(self, Console())
+        else:
+            train(self, Console())
 
 
 def train(command: TrainCommand, console: Console) -> None:

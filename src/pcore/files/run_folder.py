@@ -14,6 +14,7 @@ from pcore.contrib.learned_skinning import Skinning
 from pcore.errors import CheckpointError, InputError, TrainingError
 from pcore.files.atomic import PARTIAL_SUFFIX, remove_partials, write_atomically
 from pcore.files.closing import Closing
+from pcore.files.gaussian_file import GAUSSIANS_FILE
 from pcore.files.lock import LOCK_FILE, FolderLock
 from pcore.files.manifest import MANIFEST_FILE, new_manifest, read_manifest, same_run
 from pcore.files.model_file import MODEL_FILE, save_model
@@ -109,6 +110,16 @@ class RunFolder(Closing):
     def model(self) -> Path:
         """The weights for users, `model.safetensors`."""
         return self.path / MODEL_FILE
+
+    @property
+    def gaussians(self) -> Path:
+        """The Gaussians for users, `gaussians.safetensors`; of an object made of them."""
+        return self.path / GAUSSIANS_FILE
+
+    @property
+    def has_model(self) -> bool:
+        """Whether there is something to draw."""
+        return self.model.is_file() or self.gaussians.is_file()
 
     @property
     def skinning(self) -> Path:
@@ -223,7 +234,7 @@ def _what_is_saved(folder: Path) -> str:
         parts.append(f"{STATE_FILE} of step {load_state(folder / STATE_FILE).step}")
     except (CheckpointError, OSError):
         parts += []  # Before the first checkpoint, or the disk is gone altogether.
-    names = (MODEL_FILE, SKINNING_FILE, LOG_FILE, MANIFEST_FILE)
+    names = (MODEL_FILE, GAUSSIANS_FILE, SKINNING_FILE, LOG_FILE, MANIFEST_FILE)
     parts += [name for name in names if (folder / name).is_file()]
     if not parts:
         return f"nothing was saved in {folder} before"

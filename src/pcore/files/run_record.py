@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pcore.errors import InputError
+from pcore.files.gaussian_file import GAUSSIANS_FILE
 from pcore.files.manifest import MANIFEST_FILE, read_manifest
 from pcore.files.model_file import MODEL_FILE
 from pcore.files.provenance import Stage
@@ -88,7 +89,8 @@ def finished(path: Path) -> bool:
     """Whether a folder holds a training that came to its end."""
     if not begun(path):
         return False
-    return RunRecord.read(path).notes.get("status") == "finished" and (path / MODEL_FILE).is_file()
+    whole = any((path / name).is_file() for name in (MODEL_FILE, GAUSSIANS_FILE))
+    return RunRecord.read(path).notes.get("status") == "finished" and whole
 
 
 def relative(target: Path, start: Path) -> str:

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 import torch
 from torch import Tensor
 
-from pcore.errors import InputError
+from pcore.errors import DependencyError, InputError
 from pcore.kernels.networks import Layers
 
 BACKENDS = ("reference", "cpu", "triton")
@@ -53,6 +53,12 @@ def has_triton() -> bool:
     return find_spec("triton") is not None
 
 
+@cache
+def has_gsplat() -> bool:
+    """Whether gsplat can be imported, which draws Gaussians on a GPU."""
+    return find_spec("gsplat") is not None
+
+
 def takes_cpu(tensor: Tensor) -> bool:
     """Whether the CPU kernels serve a tensor: they know float32 and no autocast."""
     return (
@@ -88,3 +94,27 @@ def of_attention(positions: Tensor, key: Layers, value: Layers, neighbours: int)
     widest = max(len(bias) for bias in (*key.biases, *value.biases[:-1]))
     fits = widest <= LARGEST_WIDTH and neighbours <= MOST_NEIGHBOURS
     return "triton" if fits else "reference"
+
+
+def of_gaussians(means: Tensor) -> str:
+    """Name of the backend that draws Gaussians: "cpu", "gsplat" or "reference".
+
+    The CPU kernels take float32 and float64. On a GPU everything is drawn by gsplat, which knows
+    float32 alone, unless PCORE_KERNELS=reference asks for the dense formulas.
+
+    Raises:
+        DependencyError: on a GPU without gsplat.
+    """
+    name = backend(means.device)
+    if means.device.type == "cpu":
+        exact = means.dtype in (torch.float32, torch.float64)
+        return "cpu" if name == "cpu" and exact else "reference"
+    if os.environ.get("PCORE_KERNELS") == "reference":
+        return "reference"
+    if not has_gsplat():
+        raise DependencyError(
+            "Gaussians on a GPU need gsplat, which is not installed; install it with: pip install "
+            "'pcore-edit[gsplat]' (its first call compiles CUDA code with nvcc, whose version must "
+            "be that of torch), or draw on the CPU: --device cpu"
+        )
+    return "gsplat"

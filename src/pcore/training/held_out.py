@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
+from torch import Tensor
 
 from pcore.data.images import background_color, composite
 from pcore.data.scene import View
@@ -16,11 +17,23 @@ from pcore.training.trained import Trained
 def validate(model: Trained, views: Sequence[View], background: Background) -> dict[str, float]:
     """Mean PSNR over the views, and of foreground pixels (alpha > 0.5) where there is alpha, dB."""
     color = background_color("white" if background == "random" else background)
+    return mean_scores(views, color, lambda view: render(model.papr, model.cloud, view.camera).rgb)
+
+
+def mean_scores(
+    views: Sequence[View], color: Tensor, draw: Callable[[View], Tensor]
+) -> dict[str, float]:
+    """Figures of `validate` for pictures of any kind.
+
+    Args:
+        views: what is compared with.
+        color: (3,) background of the photos.
+        draw: renders a view over that background, (H, W, 3).
+    """
     found: dict[str, list[float]] = {"psnr": [], "foreground_psnr": []}
     for view in views:
-        rgb = render(model.papr, model.cloud, view.camera).rgb.clamp(0, 1)
         rgba = view.rgba()
-        error = (rgb - composite(rgba, color)).square().mean(dim=-1)
+        error = (draw(view).clamp(0, 1) - composite(rgba, color)).square().mean(dim=-1)
         found["psnr"].append(_decibels(error.mean()))
         solid = rgba[..., 3] > 0.5
         if view.has_alpha and bool(solid.any()):
@@ -28,5 +41,5 @@ def validate(model: Trained, views: Sequence[View], background: Background) -> d
     return {name: sum(values) / len(values) for name, values in found.items() if values}
 
 
-def _decibels(squared_error: torch.Tensor) -> float:
+def _decibels(squared_error: Tensor) -> float:
     return float(-10 * torch.log10(squared_error.clamp_min(1e-12)))

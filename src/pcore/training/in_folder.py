@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
@@ -20,9 +20,9 @@ from pcore.files.run_record import finished, relative
 from pcore.model.papr import Papr
 from pcore.model.papr_config import PaprConfig
 from pcore.training.events import JsonLinesLog, Listener, TensorBoardLog, fan_out
-from pcore.training.trained import Trained
 
-Train = Callable[[RunFolder, Listener], Trained]
+Result = TypeVar("Result")
+Train = Callable[[RunFolder, Listener], Result]
 
 
 def _ignore(text: str) -> None:
@@ -54,7 +54,7 @@ class FolderPlan:
     note: Callable[[str], None] = _ignore
 
 
-def train_in_folder(plan: FolderPlan, train: Train, listener: Listener) -> Trained | None:
+def train_in_folder(plan: FolderPlan, train: Train[Result], listener: Listener) -> Result | None:
     """Train in a folder and log all events there; a finished run is left as it is.
 
     Args:
@@ -87,12 +87,12 @@ def train_in_folder(plan: FolderPlan, train: Train, listener: Listener) -> Train
         try:
             return _train(plan, run, train, listener)
         except PcoreError:
-            if fresh and not run.state.exists() and not run.model.exists():
+            if fresh and not run.state.exists() and not run.has_model:
                 _remove_traces(run, whole=made)
             raise
 
 
-def _train(plan: FolderPlan, run: RunFolder, train: Train, listener: Listener) -> Trained:
+def _train(plan: FolderPlan, run: RunFolder, train: Train[Result], listener: Listener) -> Result:
     step = run.saved_step()
     resumed = None if step is None else (plan.stage, step)
     if plan.resume:

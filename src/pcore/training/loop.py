@@ -6,13 +6,13 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from pcore.data.scene import View
 from pcore.errors import TrainingError
-from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder
 from pcore.training.budget import Budget, largest_part
 from pcore.training.compiling import compiler_errors_explained
@@ -25,12 +25,12 @@ from pcore.training.events import (
     Stopped,
     ValidationReport,
 )
-from pcore.training.held_out import validate
 from pcore.training.interrupt import deferred_interrupt
 from pcore.training.losses import Losses
 from pcore.training.schedule import Schedule
-from pcore.training.trainable import Trainable, restore
-from pcore.training.trained import Trained
+from pcore.training.work import Work
+
+Result = TypeVar("Result")
 
 _REPORT_EVERY = 10
 
@@ -59,7 +59,7 @@ class Plan:
 
 
 def run_loop(
-    work: Trainable,
+    work: Work[Result],
     plan: Plan,
     losses: Callable[[], Losses],
     *,
@@ -67,7 +67,7 @@ def run_loop(
     budget: Budget | None = None,
     folder: RunFolder | None = None,
     listener: Listener,
-) -> Trained:
+) -> Result:
     """Train to the last step; the result meets the budget, where there is one.
 
     Args:
@@ -110,7 +110,7 @@ def run_loop(
     return _result(work)
 
 
-def _finished(work: Trainable) -> Stopped:
+def _finished(work: Work[Any]) -> Stopped:
     """Say how it went on, and whether nothing of it could be kept."""
     message = ""
     if work.best.get("trade", {}).get("share") == 0:
@@ -121,7 +121,7 @@ def _finished(work: Trainable) -> Stopped:
     return Stopped(stage=work.stage, step=work.step, reason="finished", message=message)
 
 
-def _step(work: Trainable, plan: Plan, losses: Callable[[], Losses]) -> Losses:
+def _step(work: Work[Any], plan: Plan, losses: Callable[[], Losses]) -> Losses:
     work.set_rates(plan.rates, plan.steps)
     work.optimizer.zero_grad(set_to_none=True)
     with compiler_errors_explained():
@@ -132,7 +132,7 @@ def _step(work: Trainable, plan: Plan, losses: Callable[[], Losses]) -> Losses:
     return found
 
 
-def _report(work: Trainable, plan: Plan, found: Losses, clock: _Clock) -> StepReport:
+def _report(work: Work[Any], plan: Plan, found: Losses, clock: _Clock) -> StepReport:
     figures = [found.total, found.squared_error, *found.terms.values()]
     # All at once: every transfer from a GPU waits for it.
     loss, error, *terms = torch.stack(figures).detach().tolist()
@@ -148,16 +148,16 @@ def _report(work: Trainable, plan: Plan, found: Losses, clock: _Clock) -> StepRe
         loss=loss,
         losses=dict(zip(found.terms, terms, strict=True)),
         psnr=-10 * math.log10(max(error, 1e-12)),
-        points=len(work.cloud),
+        points=work.points,
         seconds_left=clock.seconds_left(work.step),
         rates={group["name"]: group["lr"] for group in work.optimizer.param_groups},
     )
 
 
-def _validate(work: Trainable, plan: Plan, budget: Budget | None, listener: Listener) -> None:
+def _validate(work: Work[Any], plan: Plan, budget: Budget | None, listener: Listener) -> None:
     if not plan.validation:
         return
-    scores = validate(work.result(), plan.validation, plan.background)
+    scores = work.scores(plan.validation, plan.background)
     psnr = scores["psnr"]
     best = psnr > work.best.get("psnr", -math.inf)
     if best:
@@ -177,14 +177,14 @@ def _validate(work: Trainable, plan: Plan, budget: Budget | None, listener: List
         _keep(work, plan, budget, psnr, listener)
 
 
-def _keep(work: Trainable, plan: Plan, budget: Budget, psnr: float, listener: Listener) -> None:
+def _keep(work: Work[Any], plan: Plan, budget: Budget, psnr: float, listener: Listener) -> None:
     """Keep weights that meet the budget: these or, at the end, a part of the way to them."""
     last = work.step == plan.steps
     if not (last or budget.met_by(psnr)):
         return
 
     def score(weights: Mapping[str, Tensor]) -> float:
-        return validate(work.result(weights), plan.validation, plan.background)["psnr"]
+        return work.scores(plan.validation, plan.background, weights)["psnr"]
 
     part = largest_part(budget, work.weights(), psnr, score)
     work.best["weights"] = {name: t.clone() for name, t in part.weights.items()}
@@ -195,50 +195,34 @@ def _keep(work: Trainable, plan: Plan, budget: Budget, psnr: float, listener: Li
         listener(BudgetReport(stage=work.stage, step=work.step, **work.best["trade"]))
 
 
-def _result(work: Trainable) -> Trained:
+def _result(work: Work[Result]) -> Result:
     """Return the weights that met the budget last, where those are kept, else the last ones."""
     return work.result(work.best.get("weights"))
 
 
-def _resume(work: Trainable, folder: RunFolder | None) -> None:
+def _resume(work: Work[Any], folder: RunFolder | None) -> None:
     state = folder.load_state() if folder is not None else None
     if state is not None:
-        restore(work, state)
+        work.restore(state)
 
 
 def _save(
-    work: Trainable, plan: Plan, folder: RunFolder | None, listener: Listener, *, finished: bool
+    work: Work[Any], plan: Plan, folder: RunFolder | None, listener: Listener, *, finished: bool
 ) -> None:
     _check_finite(work)
     if folder is None:
         return
     folder.save_state(work.state())
     listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
-    result = _result(work)
-    config = result.papr.config
-    folder.save_model(
-        result.papr.state_dict(),
-        result.cloud,
-        config,
-        provenance_of(
-            result.cloud,
-            config,
-            scene=plan.scene,
-            stage="pretrain" if work.stage == "pretrain" else "finetune",
-            step=work.best.get("kept_step", work.step),
-        ),
-    )
-    listener(Saved(stage=work.stage, step=work.step, path=str(folder.model)))
-    if result.skinning is not None:
-        folder.save_skinning(result.skinning)
-        listener(Saved(stage=work.stage, step=work.step, path=str(folder.skinning)))
+    for path in work.save(folder, plan.scene):
+        listener(Saved(stage=work.stage, step=work.step, path=path))
     best = {key: value for key, value in work.best.items() if isinstance(value, int | float)}
     trade = {"trade": work.best["trade"]} if "trade" in work.best else {}
     status = "finished" if finished else "running"
     folder.update(status=status, step=work.step, validation=best, **trade)
 
 
-def _check_finite(work: Trainable) -> None:
+def _check_finite(work: Work[Any]) -> None:
     """Raise TrainingError before weights that are not finite replace good ones on the disk."""
     bad = [name for name, t in work.weights().items() if not bool(torch.isfinite(t).all())]
     if bad:
@@ -248,7 +232,7 @@ def _check_finite(work: Trainable) -> None:
         )
 
 
-def _stop(work: Trainable, folder: RunFolder | None, listener: Listener) -> None:
+def _stop(work: Work[Any], folder: RunFolder | None, listener: Listener) -> None:
     listener(Stopped(stage=work.stage, step=work.step, reason="interrupted"))
     if folder is not None:
         folder.update(status="stopped")

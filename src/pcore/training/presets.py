@@ -19,6 +19,7 @@ from pcore.training.config import (
     Rates,
     SkinningTrainConfig,
 )
+from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from pcore.training.schedule import Schedule
 
 _PAPER_RATES = Rates(
@@ -125,6 +126,31 @@ def preset(name: PretrainName) -> PretrainConfig:
     if name not in _PRESETS:
         raise InputError(f"preset: expected one of {', '.join(_PRESETS)}, got {name!r}")
     return _PRESETS[name]
+
+
+_GAUSSIANS: dict[str, GaussianConfig] = {
+    "tiny": GaussianConfig(),
+    "fast": GaussianConfig(
+        steps=15_000,
+        points=50_000,
+        density=DensityConfig(every=100, first=500, limit=300_000),
+        validate_every=2500,
+        save_every=2500,
+    ),
+}
+
+
+def gaussian_preset(name: PretrainName) -> GaussianConfig:
+    """Return the settings of Gaussians that go with a name: "tiny" (CPU) or "fast" (one GPU).
+
+    Raises:
+        InputError: Gaussians have no settings of that name.
+    """
+    if name not in _GAUSSIANS:
+        raise InputError(
+            f"preset of Gaussians: expected one of {', '.join(_GAUSSIANS)}, got {name!r}"
+        )
+    return _GAUSSIANS[name]
 
 
 def preset_of(config: PretrainConfig) -> PretrainName | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,11 +11,15 @@ import torch
 from torch import Tensor, nn
 
 from pcore.contrib.learned_skinning import Skinning
+from pcore.data.scene import View
 from pcore.errors import CheckpointError
+from pcore.files.provenance import provenance_of
+from pcore.files.run_folder import RunFolder
 from pcore.files.training_state import TrainingState, generator_states, restore_generators
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
-from pcore.training.config import Rates
+from pcore.training.config import Background, Rates
+from pcore.training.held_out import validate
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
 
@@ -46,6 +50,11 @@ class Trainable:
     step: int = 0
     best: dict[str, Any] = field(default_factory=dict[str, Any])
 
+    @property
+    def points(self) -> int:
+        """How many points there are."""
+        return len(self.cloud)
+
     def weights(self) -> dict[str, Tensor]:
         """All weights by name, sharing memory with the training."""
         cloud = {f"cloud.{name}": getattr(self.cloud, name).detach() for name in _CLOUD}
@@ -70,6 +79,32 @@ class Trainable:
         chosen = weights or self.weights()
         return rebuild(self.papr, chosen, self.step, skinning=self.skinning)
 
+    def scores(
+        self,
+        views: Sequence[View],
+        background: Background,
+        weights: Mapping[str, Tensor] | None = None,
+    ) -> dict[str, float]:
+        """Figures on held-out training views, see `held_out.validate`."""
+        return validate(self.result(weights), views, background)
+
+    def save(self, folder: RunFolder, scene: str) -> list[str]:
+        """Write the weights that validation accepted last, where those are kept, else the last."""
+        result = self.result(self.best.get("weights"))
+        config = result.papr.config
+        provenance = provenance_of(
+            result.cloud,
+            config,
+            scene=scene,
+            stage="pretrain" if self.stage == "pretrain" else "finetune",
+            step=self.best.get("kept_step", self.step),
+        )
+        folder.save_model(result.papr.state_dict(), result.cloud, config, provenance)
+        if result.skinning is None:
+            return [str(folder.model)]
+        folder.save_skinning(result.skinning)
+        return [str(folder.model), str(folder.skinning)]
+
     def state(self) -> TrainingState:
         """What `restore` needs to go on exactly."""
         return TrainingState(
@@ -82,6 +117,14 @@ class Trainable:
             best=self.best,
             skinning=self._skinning_state(),
         )
+
+    def restore(self, state: TrainingState) -> None:
+        """Put this into a saved state, exactly.
+
+        Raises:
+            CheckpointError: the state belongs to another stage or another architecture.
+        """
+        _restore(self, state)
 
 
 def trainable(
@@ -122,12 +165,7 @@ def trainable(
     )
 
 
-def restore(work: Trainable, state: TrainingState) -> None:
-    """Put `work` into a saved state, exactly.
-
-    Raises:
-        CheckpointError: the state belongs to another stage or another architecture.
-    """
+def _restore(work: Trainable, state: TrainingState) -> None:
     if state.stage != work.stage:
         raise CheckpointError(
             f"training state: expected one of stage {work.stage!r}, got {state.stage!r}; "

@@ -1,0 +1,173 @@
+"""`pcore import gaussians`: make a run of a file of another trainer's Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rich.console import Console
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from pcore.cli.options import Count, Folder, optional
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.data.splat_file import SplatFile
+    from pcore.gaussians.gaussians import Gaussians
+    from pcore.gaussians.render import Footprint
+    from pcore.training.splat_check import Agreement
+
+_FAR = 1e4
+"""Single precision has seven digits: so many times its size from the origin an object has three."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportGaussiansCommand:
+    """Make a run of the Gaussians of a 3DGS file; it is then used like one of our own."""
+
+    file: Annotated[Positional[Path], arg(metavar="FILE")]
+    """The .ply of INRIA's trainer, gsplat, nerfstudio, 2DGS or SuperSplat; a .splat, .spz, .sog."""
+
+    output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
+    """Folder to make; it must be new or empty."""
+
+    scene: Folder = None
+    """Folder of the photos it was trained on: some are compared with what the Gaussians show, so
+    that a wrong world is found out."""
+
+    factor: Annotated[int, arg(metavar="N")] = 1
+    """Down-scale the photos by this whole number."""
+
+    transform: Annotated[Path | None, optional("FILE")] = None
+    """Trainers may move the world: nerfstudio's dataparser_transforms.json, whose map is undone."""
+
+    variance: Annotated[float, arg(metavar="X")] = 0.3
+    """Variance of the screen filter of its trainer, pixels squared."""
+
+    antialiased: bool = False
+    """It was trained with opacities that make up for the filter (gsplat's "antialiased")."""
+
+    threads: Count = None
+    """Threads of the CPU; default: all cores."""
+
+    def run(self) -> None:
+        """Import; raises InputError, SceneError or TrainingError and then leaves no run."""
+        import_gaussians(self, Console())
+
+
+def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
+    """Read the Gaussians, look at the photos if there are any, write a run.
+
+    Raises:
+        InputError: the file cannot be read, or does not show what the photos show.
+        DependencyError: a compressed file, and the package that decodes it is missing.
+        SceneError: the scene is damaged.
+        TrainingError: the run cannot be written.
+    """
+    from pcore.cli.runtime import prepare_torch
+    from pcore.data.splat_formats import read_splats
+    from pcore.gaussians.render import Footprint
+
+    prepare_torch(command.threads)
+    footprint = Footprint(variance=command.variance, antialiased=command.antialiased)
+    file = read_splats(command.file)
+    gaussians = _single(_in_world(file.gaussians, command.transform))
+    agreement = _compared(gaussians, footprint, command)
+    _write(command, gaussians, footprint, agreement)
+    lines = [f"{command.output}: {len(gaussians):,} Gaussians of degree {gaussians.degree}"]
+    if agreement is not None:
+        lines.append(f"  {agreement.views} photos are met by {agreement.psnr:.1f} dB")
+    lines += [f"  note: {line}" for line in [*file.notes, *_notes(file, gaussians)]]
+    for line in lines:
+        console.print(Text(line), soft_wrap=True)
+
+
+def _in_world(gaussians: Gaussians, transform: Path | None) -> Gaussians:
+    """Take the Gaussians back to the world that their trainer moved."""
+    from pcore.data.world_transform import load_world_transform
+    from pcore.gaussians.carry import deformed
+
+    if transform is None:
+        return gaussians
+    return deformed(gaussians, load_world_transform(transform).inverse())
+
+
+def _single(gaussians: Gaussians) -> Gaussians:
+    import torch
+
+    return gaussians.to(dtype=torch.float32)
+
+
+def _compared(
+    gaussians: Gaussians, footprint: Footprint, command: ImportGaussiansCommand
+) -> Agreement | None:
+    from pcore.data.load import load_scene
+    from pcore.training.splat_check import agreement_with, check_agreement
+
+    if command.scene is None:
+        return None
+    views = load_scene(command.scene, factor=command.factor).split("train")
+    found = agreement_with(gaussians, footprint, views)
+    check_agreement(found, where=str(command.file), scene=str(command.scene))
+    return found
+
+
+def _write(
+    command: ImportGaussiansCommand,
+    gaussians: Gaussians,
+    footprint: Footprint,
+    agreement: Agreement | None,
+) -> None:
+    from pcore.files.gaussian_file import SavedGaussians, save_gaussians
+    from pcore.files.provenance import Provenance, pcore_version
+    from pcore.files.records import to_dict
+    from pcore.files.run_folder import RunFolder, bytes_needed, write_guard
+
+    scene = str(command.scene or command.file)
+    lower, upper = gaussians.means.amin(dim=0).tolist(), gaussians.means.amax(dim=0).tolist()
+    provenance = Provenance(
+        scene=scene,
+        stage="import",
+        step=0,
+        background=(1.0, 1.0, 1.0) if agreement is None else agreement.background,
+        extent=((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])),
+        pcore=pcore_version(),
+    )
+    source = {"file": str(command.file), "footprint": to_dict(footprint)}
+    with RunFolder.create(
+        command.output,
+        stage="import",
+        scene=scene,
+        config={"model": "gaussians", "source": source},
+        needed=bytes_needed(sum(tensor.numel() for tensor in vars(gaussians).values())),
+    ) as run:
+        saved = SavedGaussians(gaussians=gaussians, footprint=footprint, provenance=provenance)
+        with write_guard(run.gaussians):
+            save_gaussians(run.gaussians, saved)
+        run.update(status="finished", step=0)
+
+
+def _notes(file: SplatFile, gaussians: Gaussians) -> list[str]:
+    notes: list[str] = []
+    if file.flat:
+        notes.append("surfels (2DGS) become Gaussians that are as good as flat")
+    lower, upper = gaussians.means.amin(dim=0), gaussians.means.amax(dim=0)
+    if float((lower + upper).norm()) / 2 > _FAR * float((upper - lower).norm()):
+        notes.append(
+            "the object is so far from the origin that single precision, which runs have, blurs "
+            "it; move it to the origin first"
+        )
+    return notes
+
+
+def check_gaussian_run(path: Path) -> None:
+    """Raise InputError unless a folder is a run of Gaussians."""
+    from pcore.files.run_folder import RunFolder
+
+    if not RunFolder.open(path).gaussians.is_file():
+        raise InputError(
+            f"{path}: expected a run of Gaussians, got one of PAPR's points, which have no "
+            "Gaussians; train with `pcore train SCENE --model gaussians`"
+        )

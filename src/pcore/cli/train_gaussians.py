@@ -1,0 +1,103 @@
+"""`pcore train SCENE --model gaussians`: 3D Gaussians from photos."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.text import Text
+
+from pcore.cli.train import TrainCommand, announce
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.training.gaussian_config import GaussianConfig
+
+
+def train_gaussians(command: TrainCommand, console: Console) -> None:
+    """Train as the command line says.
+
+    Raises:
+        InputError: an option that Gaussians do not have.
+        PcoreError: as `fit_gaussians` and the run folder.
+    """
+    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.sessions import shown_training
+    from pcore.data.load import load_scene
+    from pcore.files.records import to_dict
+    from pcore.files.run_folder import bytes_needed
+    from pcore.files.run_record import RunRecord
+    from pcore.training.gaussian_fit import fit_gaussians
+    from pcore.training.in_folder import FolderPlan, train_in_folder
+
+    prepare_torch(command.threads)
+    device = pick_device(command.device)
+    config = _config(command)
+    scene = load_scene(command.scene, factor=command.factor)
+    announce(console, scene, f"Gaussians, {command.preset}, {config.steps:,} steps on {device}")
+    if not all(view.has_alpha for view in scene.split("train")):
+        console.print(
+            Text("images without alpha have no visual hull: Gaussians start before the cameras"),
+            soft_wrap=True,
+        )
+    numbers = 11 + 3 * (config.degree + 1) ** 2
+    with shown_training(console) as (listener, note):
+        plan = FolderPlan(
+            path=command.output,
+            stage="pretrain",
+            scene=command.scene.resolve(),
+            config={
+                "model": "gaussians",
+                "preset": command.preset,
+                "factor": command.factor,
+                "gaussians": to_dict(config),
+            },
+            resume=command.resume,
+            tensorboard=not command.no_tensorboard,
+            needed=bytes_needed(numbers * max(config.points, config.density.limit)),
+            note=note,
+        )
+        train_in_folder(
+            plan,
+            lambda run, tell: fit_gaussians(
+                scene, config, folder=run, listener=tell, device=device
+            ),
+            listener,
+        )
+    validation = RunRecord.read(command.output).notes.get("validation") or {}
+    psnr = validation.get("psnr")
+    quality = "" if psnr is None else f": {psnr:.2f} dB on held-out training views"
+    for line in (f"{command.output}{quality}", f"next: pcore info {command.output}"):
+        console.print(Text(line), soft_wrap=True)
+
+
+def _config(command: TrainCommand) -> GaussianConfig:
+    """Return the preset with what the command changes."""
+    from pcore.training.presets import gaussian_preset
+
+    foreign = {"--origin": command.origin, "--no-compile": command.no_compile or None}
+    foreign |= {f"--{name.replace('_', '-')}": x for name, x in command.losses.changes().items()}
+    given = [name for name, value in foreign.items() if value is not None]
+    if command.init == "grid":
+        given.append("--init grid")
+    if given:
+        raise InputError(
+            f"{', '.join(given)}: expected options of Gaussians (--model gaussians), got some that "
+            "only PAPR has; leave them out, or train with --model papr"
+        )
+    changes: dict[str, Any] = {"seed": command.seed}
+    for name in ("steps", "points", "background"):
+        if getattr(command, name) is not None:
+            changes[name] = getattr(command, name)
+    if command.init in ("hull", "views"):
+        changes["start"] = command.init
+    elif command.init is not None:
+        if command.points is not None:
+            raise InputError(
+                f"--points {command.points}: expected no number where the points come from a file, "
+                f"got --init {command.init} as well; leave one of the options out"
+            )
+        changes["start"] = str(Path(command.init).resolve())
+    return replace(gaussian_preset(command.preset), **changes)

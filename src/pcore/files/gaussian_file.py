@@ -1,0 +1,70 @@
+"""The Gaussians of a run, `gaussians.safetensors`: all that is needed to draw them as trained."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from pcore.errors import CheckpointError, InputError
+from pcore.files.headers import Companion
+from pcore.files.provenance import Provenance
+from pcore.files.records import from_dict, to_dict
+from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.render import Footprint
+
+_FILE = Companion(
+    noun="gaussians", version="1", mend="train them with `pcore train SCENE --model gaussians`"
+)
+GAUSSIANS_FILE = _FILE.name
+_TENSORS = tuple(field.name for field in fields(Gaussians))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SavedGaussians:
+    """What the file holds; tensors on the CPU.
+
+    Attributes:
+        gaussians: at rest, world units.
+        footprint: how they were trained to meet pixels.
+        provenance: where they come from.
+    """
+
+    gaussians: Gaussians
+    footprint: Footprint
+    provenance: Provenance
+
+
+def save_gaussians(path: Path, saved: SavedGaussians) -> None:
+    """Write a file; a crash at any moment leaves the old file or the new one.
+
+    Raises:
+        OSError: the file cannot be written; the old one is untouched.
+    """
+    _FILE.write(
+        path,
+        {name: getattr(saved.gaussians, name) for name in _TENSORS},
+        footprint=json.dumps(to_dict(saved.footprint)),
+        provenance=json.dumps(to_dict(saved.provenance)),
+    )
+
+
+def load_gaussians(path: Path | str) -> SavedGaussians:
+    """Read a file, given it or the run folder that holds it.
+
+    Raises:
+        CheckpointError: missing, damaged, not ours, of another version, or no Gaussians in it.
+    """
+    path = _FILE.path(path)
+    header, tensors = _FILE.read(path)
+    try:
+        gaussians = Gaussians(**{name: tensors[name] for name in _TENSORS}).checked(str(path))
+        footprint = from_dict(
+            Footprint, json.loads(header["footprint"]), where=f"{path}: footprint"
+        )
+        provenance = from_dict(
+            Provenance, json.loads(header["provenance"]), where=f"{path}: provenance"
+        )
+    except (KeyError, ValueError, InputError) as error:
+        raise CheckpointError(f"{path}: expected Gaussians of pcore, got {error}") from error
+    return SavedGaussians(gaussians=gaussians, footprint=footprint, provenance=provenance)

@@ -1,0 +1,221 @@
+"""Pictures of Gaussians by cameras of ours: colours, opacity, depth, with gradients to all of them.
+
+One filter in training and drawing alike: what a pixel is, a square of one pixel, whose variance is
+1 / 12 along each side. The opacity gives up what the filter adds to the area, so that small
+Gaussians fade instead of growing (Yu et al. 2024).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from pcore.errors import InputError
+from pcore.gaussians.carry import carried_covariances, polar
+from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.spherical_harmonics import colors, rotated
+from pcore.geometry.camera import Camera
+from pcore.kernels.gaussian_rasterization import rasterization
+
+PIXEL = 1 / 12
+"""Variance of a pixel, pixels squared."""
+_NEAR = 0.02
+"""Gaussians nearer than this share of the mean distance are not drawn: at the camera itself the
+picture of a Gaussian is no Gaussian."""
+_OPENCV = (1.0, -1.0, -1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Footprint:
+    """How a Gaussian meets pixels; the same in training and drawing.
+
+    Files of other trainers were made with a variance of 0.3 and mostly without `antialiased`.
+    """
+
+    variance: float = PIXEL
+    """Of the screen filter, pixels squared."""
+    antialiased: bool = True
+    """Whether the opacity gives up what the filter adds to the area."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.variance < float("inf"):
+            raise InputError(
+                f"footprint: expected a finite variance above 0, got {self.variance} pixels squared"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosedGaussians:
+    """Gaussians as they are drawn.
+
+    Attributes:
+        gaussians: means, opacities and colours where they are now; also the shapes, if there are no
+            covariances.
+        covariances: (N, 3, 3) world units squared; None takes scales and quaternions.
+        gains: (N, 1) or (N, 3) factors on the colours, for a light; None leaves them.
+    """
+
+    gaussians: Gaussians
+    covariances: Tensor | None = None
+    gains: Tensor | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussianPictures:
+    """What C cameras see.
+
+    Attributes:
+        rgb: (C, H, W, 3) over the background, not clamped.
+        alpha: (C, H, W) opacity.
+        depth: (C, H, W) expected camera z of what is drawn, world units; 0 where nothing is.
+        means2d: (C, N, 2) columns and rows of the centres, pixels; its gradient can be retained.
+    """
+
+    rgb: Tensor
+    alpha: Tensor
+    depth: Tensor
+    means2d: Tensor
+
+
+def pose(
+    gaussians: Gaussians, positions: Tensor, local_maps: Tensor, gains: Tensor | None = None
+) -> PosedGaussians:
+    """Gaussians carried along by a map of space that is known at their means.
+
+    Unlike `carried` this is differentiable in positions and local maps (but for the turn of the
+    colours), and knows no scales and quaternions of the result.
+
+    Args:
+        gaussians: N of them at rest.
+        positions: (N, 3) where their means go, world units.
+        local_maps: (N, 3, 3) Jacobians J there; covariances become J S J^T.
+        gains: (N, 1) or (N, 3) factors on the colours.
+    """
+    sh = gaussians.sh
+    if gaussians.degree > 0:
+        sh = rotated(sh, polar(local_maps.detach()))
+    return PosedGaussians(
+        gaussians=replace(gaussians, means=positions, sh=sh),
+        covariances=carried_covariances(gaussians, local_maps),
+        gains=gains,
+    )
+
+
+def render(
+    posed: PosedGaussians,
+    cameras: Sequence[Camera],
+    *,
+    footprint: Footprint,
+    background: Tensor | None = None,
+) -> GaussianPictures:
+    """Draw what cameras of one picture size see.
+
+    Args:
+        posed: N Gaussians; on the CPU or, by gsplat, a GPU.
+        cameras: C of them.
+        footprint: as the Gaussians were trained.
+        background: (3,) or (C, 3) colours; None is white.
+
+    Returns:
+        C pictures, differentiable in the Gaussians, gains, background and poses.
+
+    Raises:
+        InputError: no camera, or cameras of several sizes.
+        DependencyError: on a GPU without gsplat.
+    """
+    sizes = {(camera.width, camera.height) for camera in cameras}
+    if len(sizes) != 1:
+        raise InputError(
+            f"rendering of Gaussians: expected cameras of one picture size, got {sorted(sizes)}"
+        )
+    ((width, height),) = sizes
+    viewmats, intrinsics = view_matrices(cameras, posed.gaussians.means)
+    return render_views(
+        posed, viewmats, intrinsics, (width, height), footprint=footprint, background=background
+    )
+
+
+def render_views(
+    posed: PosedGaussians,
+    viewmats: Tensor,
+    intrinsics: Tensor,
+    size: tuple[int, int],
+    *,
+    footprint: Footprint,
+    background: Tensor | None = None,
+) -> GaussianPictures:
+    """Draw as `render`, by matrices, which gradients reach: pose and focal length.
+
+    Args:
+        posed: N Gaussians.
+        viewmats: (C, 4, 4) camera from world, OpenCV axes; rigid.
+        intrinsics: (C, 3, 3) without skew, pixels.
+        size: width and height, pixels.
+        footprint: as the Gaussians were trained.
+        background: (3,) or (C, 3) colours; None is white.
+    """
+    gaussians, gains = posed.gaussians, posed.gains
+    rotation, shift = viewmats[:, :3, :3], viewmats[:, :3, 3:]
+    centers = -(rotation.mT @ shift).squeeze(-1)
+    offsets = gaussians.means - centers.unsqueeze(1)
+    distances = offsets.norm(dim=-1, keepdim=True)
+    if gaussians.degree > 0:
+        directions = offsets / distances.clamp_min(torch.finfo(distances.dtype).tiny)
+        rgb = colors(gaussians.sh, directions)
+    else:
+        rgb = colors(gaussians.sh, gaussians.means)  # The same from everywhere.
+    if gains is not None:
+        rgb = rgb * gains
+    if background is None:
+        background = gaussians.means.new_ones(3)
+    near = _NEAR * float(distances.detach().mean()) if len(gaussians) else _NEAR
+    image, alpha, meta = rasterization(
+        gaussians.means,
+        gaussians.quats,
+        gaussians.scales,
+        gaussians.opacities,
+        rgb,
+        viewmats,
+        intrinsics,
+        *size,
+        near_plane=near,
+        eps2d=footprint.variance,
+        rasterize_mode="antialiased" if footprint.antialiased else "classic",
+        backgrounds=background.to(gaussians.means).expand(len(viewmats), 3),
+        render_mode="RGB+ED",
+        covars=posed.covariances,
+    )
+    return GaussianPictures(
+        rgb=image[..., :3], alpha=alpha[..., 0], depth=image[..., 3], means2d=meta["means2d"]
+    )
+
+
+def view_matrices(cameras: Sequence[Camera], like: Tensor) -> tuple[Tensor, Tensor]:
+    """Camera from world (C, 4, 4) in OpenCV axes, and pinhole matrices (C, 3, 3).
+
+    Args:
+        cameras: C of them; gradients go to their poses.
+        like: gives device and type.
+    """
+    poses = torch.stack([camera.world_from_camera for camera in cameras]).to(like)
+    axes = like.new_tensor(_OPENCV)
+    # The inverse of a rigid map; rows are the axes right, down, forward.
+    rotation = axes[:, None] * poses[:, :3, :3].mT
+    shift = -rotation @ poses[:, :3, 3:]
+    bottom = like.new_tensor([[0.0, 0.0, 0.0, 1.0]]).expand(len(cameras), 1, 4)
+    viewmats = torch.cat([torch.cat([rotation, shift], dim=-1), bottom], dim=-2)
+    intrinsics = [
+        [[one.fx, 0.0, one.cx], [0.0, one.fy, one.cy], [0.0, 0.0, 1.0]] for one in cameras
+    ]
+    return viewmats, like.new_tensor(intrinsics)
+
+
+def surface_points(depth: Tensor, camera: Camera) -> Tensor:
+    """World points (H, W, 3) at a camera z (H, W) along the rays through the pixels' centres."""
+    rays = camera.rays()
+    forward = -camera.world_from_camera[:3, 2]
+    steps = depth / (rays.directions @ forward).to(depth)
+    return rays.origins.to(depth) + rays.directions.to(depth) * steps.unsqueeze(-1)

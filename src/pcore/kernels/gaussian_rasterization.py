@@ -1,0 +1,181 @@
+"""Public face of the Gaussian kernels: gsplat's signature, the backend chosen by `backends`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from pcore.errors import InputError
+from pcore.kernels import cpu_gaussians, gaussian_projection, reference_gaussians
+from pcore.kernels.backends import of_gaussians
+
+RasterizeMode = Literal["classic", "antialiased"]
+RenderMode = Literal["RGB", "RGB+ED"]
+_LEAST_ALPHA = 1e-10
+
+
+def rasterization(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,  # noqa: N803 (gsplat's name)
+    width: int,
+    height: int,
+    *,
+    near_plane: float = 0.01,
+    eps2d: float = 0.3,
+    rasterize_mode: RasterizeMode = "classic",
+    backgrounds: Tensor | None = None,
+    render_mode: RenderMode = "RGB",
+    covars: Tensor | None = None,
+) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """Draw Gaussians in space by C cameras (Kerbl et al. 2023).
+
+    Names, order, defaults and shapes are those of `gsplat.rasterization`; of its other options
+    there is none, because not every backend has them. Everything is differentiable: means, quats,
+    scales, covars, opacities, colours, backgrounds, viewmats (pose) and Ks (focal length). On a CPU
+    pictures and gradients are the same bit for bit for any number of threads.
+
+    Args:
+        means: (N, 3) world units.
+        quats: (N, 4) w x y z, of any length but zero; unused with covars.
+        scales: (N, 3) standard deviations, world units; unused with covars.
+        opacities: (N,) between 0 and 1.
+        colors: (N, D), or (C, N, D) for colours that depend on the camera.
+        viewmats: (C, 4, 4) camera from world, OpenCV axes: x right, y down, z forward.
+        Ks: (C, 3, 3) pinhole matrices without skew, pixels; centres of pixels lie at +0.5.
+        width: of the pictures, pixels.
+        height: of the pictures, pixels.
+        near_plane: what is nearer is not drawn, world units.
+        eps2d: variance of the screen filter, pixels squared; that of a square pixel is 1 / 12.
+        rasterize_mode: "antialiased" takes from the opacity what the filter adds to the area (Yu et
+            al. 2024), "classic" does not.
+        backgrounds: (C, D) colours behind; None is black.
+        render_mode: "RGB+ED" appends the expected camera z, world units.
+        covars: (N, 3, 3) covariances, world units squared, in the place of quats and scales.
+
+    Returns:
+        Pictures (C, H, W, D) or (C, H, W, D + 1), alphas (C, H, W, 1), and a dict of `means2d`
+        (C, N, 2) in pixels, whose gradient can be retained, `width`, `height` and `n_cameras`.
+
+    Raises:
+        InputError: shapes that do not go together.
+        DependencyError: on a GPU without gsplat.
+    """
+    _check(means, quats, scales, opacities, colors, viewmats, Ks, covars)
+    if width < 1 or height < 1:
+        raise InputError(f"rasterization: expected a positive size, got {width} x {height}")
+    name = of_gaussians(means)
+    if name == "gsplat":
+        # gsplat is an extra: it is looked for where it is used.
+        from pcore.kernels.gsplat_gaussians import rasterization as by_gsplat
+
+        return by_gsplat(
+            means,
+            quats,
+            scales,
+            opacities,
+            colors,
+            viewmats,
+            Ks,
+            width,
+            height,
+            near_plane=near_plane,
+            eps2d=eps2d,
+            rasterize_mode=rasterize_mode,
+            backgrounds=backgrounds,
+            render_mode=render_mode,
+            covars=covars,
+        )
+    work, shapes = cpu_gaussians, gaussian_projection
+    if name == "reference":
+        work = shapes = reference_gaussians
+    projected = shapes.project(
+        means,
+        _covariances(shapes, quats, scales, covars),
+        viewmats,
+        Ks,
+        (width, height),
+        near_plane=near_plane,
+        eps2d=eps2d,
+    )
+    seen = opacities.expand_as(projected.shares)
+    if rasterize_mode == "antialiased":
+        seen = seen * projected.shares
+    colors = colors.expand(len(viewmats), *colors.shape[-2:])
+    if render_mode == "RGB+ED":
+        colors = torch.cat([colors, projected.depths.unsqueeze(-1)], dim=-1)
+    image, alpha = work.blended(
+        projected.means,
+        projected.conics,
+        seen,
+        colors,
+        projected.depths,
+        (width, height),
+        near_plane,
+    )
+    meta = {
+        "means2d": projected.means,
+        "width": width,
+        "height": height,
+        "n_cameras": len(viewmats),
+    }
+    return _finished(image, alpha.unsqueeze(-1), backgrounds, render_mode), alpha[..., None], meta
+
+
+def _finished(
+    image: Tensor, alpha: Tensor, backgrounds: Tensor | None, render_mode: RenderMode
+) -> Tensor:
+    """Put the background behind and turn sums of depths into means."""
+    depth = None
+    if render_mode == "RGB+ED":
+        image, depth = image[..., :-1], image[..., -1:] / alpha.clamp_min(_LEAST_ALPHA)
+    if backgrounds is not None:
+        image = image + (1 - alpha) * backgrounds[:, None, None]
+    return image if depth is None else torch.cat([image, depth], dim=-1)
+
+
+def _covariances(
+    shapes: ModuleType, quats: Tensor | None, scales: Tensor | None, covars: Tensor | None
+) -> Any:
+    """Covariances in the form that a module's `project` takes."""
+    return shapes.entries_of(covars) if covars is not None else shapes.covariances_of(quats, scales)
+
+
+def _check(
+    means: Tensor,
+    quats: Tensor | None,
+    scales: Tensor | None,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    intrinsics: Tensor,
+    covars: Tensor | None,
+) -> None:
+    count, cameras = len(means), len(viewmats)
+    if covars is None and (quats is None or scales is None):
+        raise InputError("rasterization: expected quats and scales, or covars; got neither")
+    channels = colors.shape[-1] if colors.ndim else 0
+    found: list[tuple[str, Tensor | None, Sequence[tuple[int, ...]]]] = [
+        ("means", means, [(count, 3)]),
+        ("opacities", opacities, [(count,)]),
+        ("colors", colors, [(count, channels), (cameras, count, channels)]),
+        ("viewmats", viewmats, [(cameras, 4, 4)]),
+        ("Ks", intrinsics, [(cameras, 3, 3)]),
+        ("covars", covars, [(count, 3, 3)]),
+    ]
+    if covars is None:
+        found += [("quats", quats, [(count, 4)]), ("scales", scales, [(count, 3)])]
+    for name, tensor, allowed in found:
+        if tensor is not None and tuple(tensor.shape) not in allowed:
+            raise InputError(
+                f"rasterization: expected {name} of shape "
+                f"{' or '.join(map(str, allowed))}, got {tuple(tensor.shape)}"
+            )

@@ -1,0 +1,125 @@
+"""Settings of the training of Gaussians; nothing in them is an absolute length."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from pcore.errors import InputError
+from pcore.gaussians.render import Footprint
+from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE
+from pcore.training.config import Background
+from pcore.training.schedule import Schedule
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussianRates:
+    """Learning rates of Adam; those of 3D Gaussian Splatting, but for the fading."""
+
+    means: Schedule = field(default_factory=lambda: Schedule(base=1.6e-4, final=0.01))
+    """In distances of the cameras from the scene's centre (the median)."""
+    scales: Schedule = field(default_factory=lambda: Schedule(base=5e-3))
+    """Of the logarithms."""
+    quats: Schedule = field(default_factory=lambda: Schedule(base=1e-3))
+    opacities: Schedule = field(default_factory=lambda: Schedule(base=5e-2))
+    """Of the logits."""
+    colors: Schedule = field(default_factory=lambda: Schedule(base=2.5e-3))
+    """Of the harmonics of degree 0."""
+    harmonics: Schedule = field(default_factory=lambda: Schedule(base=1.25e-4))
+    """Of the others."""
+
+    def named(self) -> dict[str, Schedule]:
+        """Schedules by parameter group."""
+        return {
+            "means": self.means,
+            "scales": self.scales,
+            "quats": self.quats,
+            "opacities": self.opacities,
+            "colors": self.colors,
+            "harmonics": self.harmonics,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class DensityConfig:
+    """When Gaussians come and go."""
+
+    every: int = 100
+    first: int = 300
+    last: float = 0.5
+    """Share of the steps after which the number stays."""
+    gradient: float = 2e-4
+    """Gaussians whose mean gradient of the centre on the screen (per half a picture) is above this
+    are doubled: small ones by a copy, large ones by two parts."""
+    large: float = 0.01
+    """Standard deviation of large ones, in distances of the cameras."""
+    shrink: float = 1.6
+    """The parts of a large one are smaller by this factor."""
+    limit: int = 10_000
+    """No more than this in all."""
+    faint: float = 0.005
+    """Fainter ones go."""
+    huge: float = 0.1
+    """Larger ones go, in distances of the cameras; only where masks say how large the object is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussianConfig:
+    """Training of Gaussians on one scene."""
+
+    steps: int = 2400
+    """Optimiser steps, one picture each."""
+    points: int = 4000
+    """Gaussians at the start."""
+    start: str = "auto"
+    """"hull" (visual hull of the training masks), "views" (in front of the cameras, near ones and
+    far ones), a PLY or NPY file of points, or "auto": hull where there are masks, else views."""
+    degree: int = 3
+    """Of the spherical harmonics."""
+    degree_every: float = 1 / 6
+    """Share of the steps after which the next degree of the harmonics begins to learn."""
+    rates: GaussianRates = field(default_factory=GaussianRates)
+    """Learning rates."""
+    density: DensityConfig = field(default_factory=DensityConfig)
+    """When Gaussians come and go."""
+    footprint: Footprint = field(default_factory=Footprint)
+    """How Gaussians meet pixels, in training and for good."""
+    opacity_start: float = 0.1
+    """Opacity of every Gaussian at the start."""
+    ssim_weight: float = 0.2
+    """Share of 1 - SSIM in the loss; the rest is the absolute error."""
+    background: Background = "random"
+    """Behind images with alpha; "random" draws another colour every step and renders on white."""
+    hold_out: int = 10
+    """Every so-manieth training view is kept for validation."""
+    validate_every: int = 600
+    """Steps between validations."""
+    save_every: int = 600
+    """Steps between saves."""
+    seed: int = 0
+    """Of every random draw."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "points", "validate_every", "save_every"):
+            if getattr(self, name) < 1:
+                raise InputError(
+                    f"training of Gaussians: expected {name} >= 1, got {getattr(self, name)}"
+                )
+        if self.hold_out < 2:
+            raise InputError(
+                f"training of Gaussians: expected hold_out of at least 2, got {self.hold_out}"
+            )
+        if not 0 <= self.degree <= HIGHEST_DEGREE:
+            raise InputError(
+                f"training of Gaussians: expected harmonics of degree 0 to {HIGHEST_DEGREE}, got "
+                f"{self.degree}"
+            )
+        if not (0 < self.opacity_start < 1 and 0 <= self.ssim_weight <= 1):
+            raise InputError(
+                "training of Gaussians: expected an opacity between 0 and 1 and a weight of the "
+                f"SSIM from 0 to 1, got {self.opacity_start} and {self.ssim_weight}"
+            )
+        if not 0 <= self.seed < 2**63 - 1 or not math.isfinite(self.degree_every):
+            raise InputError(
+                f"training of Gaussians: expected a seed from 0 to 2**63 - 2, got {self.seed}"
+            )

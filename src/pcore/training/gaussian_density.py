@@ -1,0 +1,77 @@
+"""Which Gaussians come and go (Kerbl et al. 2023, "adaptive control")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pcore.gaussians.covariance import rotations
+from pcore.training.gaussian_config import DensityConfig
+
+Rows = dict[str, Tensor]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """How a population changes.
+
+    Attributes:
+        keep: (N,) bool.
+        new: rows to append by name.
+        cloned: how many of them are copies; the others are parts.
+    """
+
+    keep: Tensor
+    new: Rows
+    cloned: int
+
+
+def changes(
+    raw: Rows,
+    gradients: Tensor,
+    config: DensityConfig,
+    distance: float,
+    *,
+    masked: bool,
+    generator: torch.Generator,
+) -> Change:
+    """Decide on one change of the population.
+
+    Args:
+        raw: parameters (N, ...) as they are trained: `means`, `scales` (logarithms), `quats`,
+            `opacities` (logits), and others, which are copied.
+        gradients: (N,) mean length of the gradient of the centre on the screen.
+        config: thresholds.
+        distance: of the cameras, world units.
+        masked: whether photos separate object from background.
+        generator: of the draws.
+    """
+    largest = raw["scales"].exp().amax(dim=-1)
+    gone = raw["opacities"].sigmoid() < config.faint
+    if masked:
+        gone = gone | (largest > config.huge * distance)
+    room = config.limit - int((~gone).sum())
+    wanted = (gradients > config.gradient) & ~gone
+    if int(wanted.sum()) > room:
+        # Those with the largest gradients; stable, so that equal ones are no matter of chance.
+        order = torch.argsort(gradients.where(wanted, -1.0), descending=True, stable=True)
+        wanted = torch.zeros_like(wanted)
+        wanted[order[: max(0, room)]] = True
+    large = largest > config.large * distance
+    copied, parted = wanted & ~large, wanted & large
+    parts = _parts(raw, parted, config.shrink, generator)
+    new = {name: torch.cat([rows[copied], parts[name]]) for name, rows in raw.items()}
+    return Change(keep=~gone & ~parted, new=new, cloned=int(copied.sum()))
+
+
+def _parts(raw: Rows, chosen: Tensor, shrink: float, generator: torch.Generator) -> Rows:
+    """Two smaller ones, drawn from it, in the place of each."""
+    twice = {name: rows[chosen].repeat(2, *[1] * (rows.ndim - 1)) for name, rows in raw.items()}
+    scales = twice["scales"].exp()
+    offsets = scales * torch.randn(scales.shape, generator=generator).to(scales)
+    turned = (rotations(twice["quats"]) @ offsets.unsqueeze(-1)).squeeze(-1)
+    twice["means"] = twice["means"] + turned
+    twice["scales"] = (scales / shrink).log()
+    return twice

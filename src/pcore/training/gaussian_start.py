@@ -1,0 +1,121 @@
+"""Where Gaussians begin: in the visual hull, in front of the cameras, or at points of a file."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from pcore.data.scene import Scene, View
+from pcore.errors import InputError
+from pcore.gaussians.gaussians import Gaussians
+from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.population import hull_points
+
+_NEIGHBOURS = 3
+_NEAREST, _FARTHEST = 0.3, 30.0
+"""Depths of the start "views", in distances of the cameras."""
+_CONSTANT = 0.28209479177387814
+"""The harmonic of degree 0."""
+
+
+def camera_distance(scene: Scene) -> float:
+    """Median distance of the training cameras from the scene's centre, world units."""
+    distances = [float((view.camera.center - scene.center).norm()) for view in scene.split("train")]
+    return statistics.median(distances)
+
+
+def start_gaussians(
+    scene: Scene, views: Sequence[View], config: GaussianConfig, generator: torch.Generator
+) -> Gaussians:
+    """Round Gaussians of the distance to their neighbours, coloured as the photos show them.
+
+    Args:
+        scene: says where the object is.
+        views: training views that are not held out.
+        config: how many and where.
+        generator: of the draws.
+
+    Raises:
+        InputError: "hull" without masks, or a bad file of points.
+        TrainingError: masks without a common inside.
+    """
+    masked = all(view.has_alpha for view in views)
+    start = config.start
+    if start == "auto":
+        start = "hull" if masked else "views"
+    if start == "hull":
+        if not masked:
+            raise InputError(
+                f"scene {scene.name}: expected images with an alpha channel for a visual hull, got "
+                'photos without one; start from "views" or from a PLY or NPY file of points'
+            )
+        positions = hull_points(config.points, views, scene.lower, scene.upper, generator=generator)
+    elif start == "views":
+        positions = _before_cameras(config.points, views, camera_distance(scene), generator)
+    else:
+        # Reading such files takes a package that no other training needs.
+        from pcore.data.points import load_points
+
+        positions = load_points(Path(start))
+    spacing = _spacing(positions).clamp_min(1e-6 * camera_distance(scene))
+    count, coefficients = len(positions), (config.degree + 1) ** 2
+    sh = torch.zeros(count, coefficients, 3)
+    sh[:, 0] = (mean_colors(positions, views) - 0.5) / _CONSTANT
+    quats = torch.zeros(count, 4)
+    quats[:, 0] = 1.0
+    return Gaussians(
+        means=positions,
+        quats=quats,
+        scales=spacing[:, None].expand(-1, 3).clone(),
+        opacities=torch.full((count,), config.opacity_start),
+        sh=sh,
+    )
+
+
+def mean_colors(positions: Tensor, views: Sequence[View]) -> Tensor:
+    """Mean colour (N, 3) of the pixels that points project to, weighted by alpha; grey for none."""
+    total, weight = torch.zeros(len(positions), 3), torch.zeros(len(positions), 1)
+    for view in views:
+        camera = view.camera
+        across, down, depth = camera.project(positions)
+        seen = (depth > 0) & (across >= 0) & (across < camera.width)
+        seen &= (down >= 0) & (down < camera.height)
+        pixels = view.rgba()[down[seen].long(), across[seen].long()]
+        total[seen] += pixels[:, :3] * pixels[:, 3:]
+        weight[seen] += pixels[:, 3:]
+    return torch.where(weight > 0, total / weight.clamp_min(1e-6), 0.5)
+
+
+def _before_cameras(
+    count: int, views: Sequence[View], distance: float, generator: torch.Generator
+) -> Tensor:
+    """Points (count, 3) on random rays of random views, evenly in the inverse of the depth."""
+    which = torch.randint(len(views), (count,), generator=generator)
+    places, inverse = (
+        torch.rand(count, 2, generator=generator),
+        torch.rand(count, generator=generator),
+    )
+    depths = distance / (1 / _FARTHEST + inverse * (1 / _NEAREST - 1 / _FARTHEST))
+    positions = torch.empty(count, 3)
+    for index, view in enumerate(views):
+        chosen, camera = which == index, view.camera
+        size = torch.tensor([camera.width, camera.height])
+        across, down = (places[chosen] * size).unbind(-1)
+        x, y = (across - camera.cx) / camera.fx, -(down - camera.cy) / camera.fy
+        local = torch.stack([x, y, -torch.ones_like(x)], dim=-1) * depths[chosen, None]
+        positions[chosen] = local @ camera.world_from_camera[:3, :3].T + camera.center
+    return positions
+
+
+def _spacing(positions: Tensor) -> Tensor:
+    """Root mean square distance (N,) to the nearest other points."""
+    neighbours = min(_NEIGHBOURS, len(positions) - 1)
+    if neighbours < 1:
+        raise InputError("training of Gaussians: expected at least two points to start with")
+    distances, _ = KDTree(positions.numpy()).query(positions.numpy(), k=neighbours + 1)
+    return torch.from_numpy(distances[:, 1:]).float().square().mean(dim=-1).sqrt()

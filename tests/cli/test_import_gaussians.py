@@ -1,0 +1,108 @@
+"""`pcore import gaussians` and `pcore export`: files of Gaussians and runs."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+import tyro
+from rich.console import Console
+from tests.data.splat_files import write_ply
+from tests.gaussians.some import some_gaussians
+
+from pcore.cli.deform import DeformCommand, deform
+from pcore.cli.export import ExportCommand, export
+from pcore.cli.import_gaussians import ImportGaussiansCommand, import_gaussians
+from pcore.data.splat_formats import read_splats
+from pcore.errors import CheckpointError, InputError
+from pcore.files.gaussian_file import load_gaussians
+from pcore.files.run_folder import RunFolder
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_ply(tmp_path / "gs.ply", some_gaussians(40))
+    return tmp_path
+
+
+def imported(folder: Path, **options) -> Path:
+    run = folder / "run"
+    command = ImportGaussiansCommand(file=folder / "gs.ply", output=run, threads=1, **options)
+    import_gaussians(command, Console(quiet=True))
+    return run
+
+
+def exported(run: Path, name: str, **options) -> Path:
+    output = run.parent / name
+    export(ExportCommand(run_folder=run, output=output, threads=1, **options), Console(quiet=True))
+    return output
+
+
+def test_parse_as_command_lines():
+    words = ["gs.ply", "-o", "run", "--variance", "0.1", "--antialiased"]
+    command = tyro.cli(ImportGaussiansCommand, args=words)
+    assert (command.variance, command.antialiased, command.output) == (0.1, True, Path("run"))
+    assert tyro.cli(ExportCommand, args=["run", "--to", "splats", "-o", "a.ply"]).to == "splats"
+
+
+def test_a_run_holds_what_the_file_holds(folder: Path):
+    run = imported(folder)
+    saved = load_gaussians(run)
+    expected = read_splats(folder / "gs.ply").gaussians
+    for name, value in vars(expected).items():
+        torch.testing.assert_close(getattr(saved.gaussians, name), value.float(), msg=name)
+    assert saved.footprint.variance == 0.3  # Of other trainers.
+    assert not saved.footprint.antialiased
+    opened = RunFolder.open(run)
+    assert (opened.stage, opened.notes["status"]) == ("import", "finished")
+
+
+def test_the_world_that_a_trainer_moved_comes_back(folder: Path):
+    rows = [[1, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0]]
+    (folder / "t.json").write_text(json.dumps({"transform": rows, "scale": 2.0}))
+    own = read_splats(folder / "gs.ply").gaussians
+    saved = load_gaussians(imported(folder, transform=folder / "t.json")).gaussians
+    torch.testing.assert_close(saved.means[:, 0], (own.means[:, 0] / 2 - 5).float())
+    torch.testing.assert_close(saved.scales, (own.scales / 2).float())
+
+
+def test_what_goes_out_is_what_came_in(folder: Path):
+    run = imported(folder)
+    again = read_splats(exported(run, "out.ply")).gaussians
+    for name, value in vars(read_splats(folder / "gs.ply").gaussians).items():
+        got = getattr(again, name)
+        torch.testing.assert_close(got, value, atol=1e-6, rtol=1e-5, msg=name)
+    assert len(exported(run, "out.splat").read_bytes()) == 40 * 32
+    assert exported(run, "out.glb").read_bytes()[:4] == b"glTF"
+
+
+def test_an_edited_run_is_exported_as_the_file_is_deformed(folder: Path):
+    twist = {"type": "twist", "axis": "z", "angle_deg": {"keyframes": [[0, 0], [1, 50]]}}
+    edit = folder / "edit.json"
+    edit.write_text(json.dumps({"version": 2, "edits": [twist]}))
+    out = exported(imported(folder), "out.ply", edit=edit, time=0.5)
+    other = folder / "other.ply"
+    deform(DeformCommand(input=folder / "gs.ply", edit=edit, output=other, time=0.5))
+    one, two = (read_splats(path).gaussians for path in (out, other))
+    for name, value in vars(one).items():
+        torch.testing.assert_close(getattr(two, name), value, atol=2e-6, rtol=2e-5, msg=name)
+
+
+def test_what_cannot_be_is_refused_and_leaves_nothing(folder: Path):
+    with pytest.raises(InputError, match="no such file"):
+        import_gaussians(
+            ImportGaussiansCommand(file=folder / "no.ply", output=folder / "run", threads=1),
+            Console(quiet=True),
+        )
+    assert not (folder / "run").exists()
+    with pytest.raises(CheckpointError):
+        exported(folder / "nowhere", "out.ply")
+    run = imported(folder)
+    with pytest.raises(InputError, match="run already"):
+        imported(folder)
+    with pytest.raises(InputError, match="ends in"):
+        exported(run, "out.obj")
+    load_gaussians(run)
+    (run / "gaussians.safetensors").unlink()
+    with pytest.raises(InputError, match="run of Gaussians"):
+        exported(run, "out.ply")

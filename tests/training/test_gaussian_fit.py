@@ -1,0 +1,171 @@
+"""Training of Gaussians: it learns, is the same every time, goes on where it stopped."""
+
+from __future__ import annotations
+
+import json
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from pcore.data.load import load_scene
+from pcore.data.points import save_points
+from pcore.data.scene import Scene
+from pcore.errors import CheckpointError, InputError
+from pcore.files.gaussian_file import load_gaussians
+from pcore.files.run_folder import RunFolder
+from pcore.training.events import Event, PopulationReport, StepReport, ValidationReport
+from pcore.training.gaussian_config import DensityConfig, GaussianConfig
+from pcore.training.gaussian_fit import fit_gaussians
+from pcore.training.gaussian_start import camera_distance, mean_colors, start_gaussians
+from pcore.training.presets import gaussian_preset
+from pcore.training.trainable_gaussians import TrainedGaussians
+from small_training import Heard, assert_same, box_work
+from tiny_scene import write_scene
+
+DENSITY = DensityConfig(every=10, first=10, last=0.8, gradient=1e-6, limit=150)
+
+
+def config(**changes: Any) -> GaussianConfig:
+    settings: dict[str, Any] = {
+        "steps": 40,
+        "points": 100,
+        "density": DENSITY,
+        "validate_every": 20,
+        "save_every": 15,
+        "hold_out": 3,
+        "seed": 3,
+    }
+    return GaussianConfig(**{**settings, **changes})
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    return load_scene(write_scene(tmp_path / "box", states=False))
+
+
+def tensors(found: TrainedGaussians) -> dict[str, torch.Tensor]:
+    return {
+        name: getattr(found.gaussians, name)
+        for name in ("means", "quats", "scales", "opacities", "sh")
+    }
+
+
+def test_it_learns_a_box(scene: Scene) -> None:
+    heard = Heard()
+    found = fit_gaussians(scene, config(steps=120, validate_every=120), listener=heard)
+    first, *_, last = heard.of(StepReport)
+    assert last.loss < 0.75 * first.loss
+    (validation,) = heard.of(ValidationReport)
+    assert {*validation.scores} == {"psnr", "foreground_psnr"}
+    # Two views of six were held out; the background alone would give 12.
+    assert validation.psnr > 17
+    assert len(found.gaussians) == DENSITY.limit
+    assert heard.of(PopulationReport)[-1].points == DENSITY.limit
+    assert {*first.losses} == {"l1", "ssim"}
+    # On the object's surface, not around it.
+    solid = found.gaussians.opacities > 0.5
+    assert float(found.gaussians.means[solid].abs().amax()) < 0.75
+
+
+def test_the_same_seed_gives_the_same_gaussians(scene: Scene) -> None:
+    first, second = (fit_gaussians(scene, config()) for _ in range(2))
+    assert_same(tensors(first), tensors(second))
+    other = fit_gaussians(scene, config(seed=4))
+    assert not torch.equal(first.gaussians.means[:50], other.gaussians.means[:50])
+
+
+def test_an_interrupted_run_ends_as_one_that_was_not(scene: Scene, tmp_path: Path) -> None:
+    whole = fit_gaussians(scene, config())
+
+    def folder(*, resume: bool) -> RunFolder:
+        return RunFolder.create(
+            tmp_path / "run", stage="pretrain", scene="box", config={}, resume=resume
+        )
+
+    def stop(event: Event) -> None:
+        if isinstance(event, StepReport) and event.step == 20:
+            signal.raise_signal(signal.SIGINT)
+
+    with folder(resume=False) as run, pytest.raises(KeyboardInterrupt):
+        fit_gaussians(scene, config(), folder=run, listener=stop)
+    with folder(resume=True) as run:
+        assert run.saved_step() == 20
+        found = fit_gaussians(scene, config(), folder=run)
+    assert_same(tensors(found), tensors(whole))
+    saved = load_gaussians(tmp_path / "run")
+    assert torch.equal(saved.gaussians.sh, whole.gaussians.sh)
+    assert saved.footprint == config().footprint
+    assert (saved.provenance.step, saved.provenance.scene) == (40, "box")
+    assert RunFolder.open(tmp_path / "run").notes["status"] == "finished"
+
+
+def test_units_do_not_matter(tmp_path: Path) -> None:
+    """A world of other units trains to the same picture."""
+    psnr: list[float] = []
+    for name, factor in (("one", 1.0), ("small", 1e-3), ("large", 1e3)):
+        root = write_scene(tmp_path / name, states=False)
+        path = root / "transforms_train.json"
+        content = json.loads(path.read_text())
+        for frame in content["frames"]:
+            for row in frame["transform_matrix"][:3]:
+                row[3] *= factor
+        path.write_text(json.dumps(content))
+        heard = Heard()
+        fit_gaussians(load_scene(root), config(), listener=heard)
+        psnr.append(heard.of(ValidationReport)[-1].psnr)
+    # Rounding differs, and training amplifies it.
+    assert max(psnr) - min(psnr) < 1.0
+
+
+def test_photos_without_masks_start_before_the_cameras(scene: Scene) -> None:
+    views, settings = scene.split("train"), config(start="views", points=3000)
+    start = start_gaussians(scene, views, settings, torch.Generator().manual_seed(0))
+    seen = torch.zeros(len(start), dtype=torch.bool)
+    for view in views:
+        column, row, depth = view.camera.project(start.means)
+        inside = (column >= 0) & (column < view.camera.width) & (row >= 0)
+        seen |= inside & (row < view.camera.height) & (depth > 0)
+    assert seen.all()
+    distance = camera_distance(scene)
+    assert float(start.means.norm(dim=-1).amax()) > 5 * distance
+    heard = Heard()
+    fit_gaussians(scene, replace(settings, points=100), listener=heard)
+    assert heard.of(StepReport)[-1].loss < heard.of(StepReport)[0].loss
+
+
+def test_colours_begin_as_the_photos_show_them(scene: Scene) -> None:
+    """The box has one colour; a point that no photo shows is grey."""
+    positions = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 90.0]])
+    found = mean_colors(positions, scene.split("train"))
+    torch.testing.assert_close(found[0], torch.tensor([204, 102, 51]) / 255, atol=1e-3, rtol=0)
+    assert torch.equal(found[1], torch.full((3,), 0.5))
+
+
+def test_points_of_a_file_are_a_start(scene: Scene, tmp_path: Path) -> None:
+    points = torch.rand(30, 3) - 0.5
+    save_points(tmp_path / "points.npy", points)
+    settings = config(start=str(tmp_path / "points.npy"))
+    start = start_gaussians(scene, scene.split("train"), settings, torch.Generator())
+    torch.testing.assert_close(start.means, points)
+
+
+def test_a_state_of_another_kind_is_refused(scene: Scene, tmp_path: Path) -> None:
+    with RunFolder.create(tmp_path / "run", stage="pretrain", scene="box", config={}) as run:
+        run.save_state(box_work().state())
+        with pytest.raises(CheckpointError, match="another kind of object"):
+            fit_gaussians(scene, config(), folder=run)
+
+
+def test_settings_that_cannot_be_are_refused() -> None:
+    with pytest.raises(InputError, match="steps >= 1"):
+        config(steps=0)
+    with pytest.raises(InputError, match="degree 0 to"):
+        config(degree=9)
+    with pytest.raises(InputError, match="opacity between 0 and 1"):
+        config(opacity_start=1.0)
+    with pytest.raises(InputError, match="expected one of tiny, fast"):
+        gaussian_preset("paper")

@@ -1,0 +1,79 @@
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+from tests.gaussians.some import some_gaussians
+
+from pcore.errors import InputError
+from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.render import Footprint, PosedGaussians, render
+from pcore.geometry.camera import Camera
+from pcore.training.splat_check import agreement_with, check_agreement
+
+FOOTPRINT = Footprint(variance=0.3, antialiased=False)
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A view of a scene that shows what Gaussians show."""
+
+    camera: Camera
+    image: torch.Tensor
+    has_alpha: bool = True
+
+    def rgba(self) -> torch.Tensor:
+        return self.image
+
+
+def camera(distance: float) -> Camera:
+    pose = torch.eye(4)
+    pose[2, 3] = distance
+    return Camera(width=32, height=24, fx=30.0, fy=30.0, cx=16.0, cy=12.0, world_from_camera=pose)
+
+
+def solid() -> Gaussians:
+    return replace(some_gaussians(300), opacities=torch.full((300,), 0.9))
+
+
+def photos_of(gaussians: Gaussians) -> list[Photo]:
+    """On black, as a trainer composites them."""
+    result = []
+    for distance in (3.0, 3.5, 4.0):
+        seen = render(
+            PosedGaussians(gaussians=gaussians),
+            [camera(distance)],
+            footprint=FOOTPRINT,
+            background=torch.zeros(3),
+        )
+        alpha = seen.alpha[0][..., None]
+        color = seen.rgb[0].clamp(0, 1) / alpha.clamp_min(1e-6)
+        result.append(Photo(camera(distance), torch.cat([color.clamp(0, 1), alpha], dim=-1)))
+    return result
+
+
+def test_gaussians_agree_with_their_own_photos():
+    gaussians = solid()
+    found = agreement_with(gaussians, FOOTPRINT, photos_of(gaussians))
+    assert found.views == 3
+    assert found.psnr > 30
+    assert found.overlap is not None
+    assert found.overlap > 0.95
+    check_agreement(found, where="a.ply", scene="s")
+
+
+def test_a_moved_world_is_found_out():
+    gaussians = solid()
+    moved = replace(gaussians, means=gaussians.means + torch.tensor([1.5, 0.0, 0.0]))
+    found = agreement_with(moved, FOOTPRINT, photos_of(gaussians))
+    with pytest.raises(InputError, match=r"overlap by .*--transform"):
+        check_agreement(found, where="a.ply", scene="s")
+
+
+def test_photos_without_masks_are_judged_by_their_colours():
+    gaussians = solid()
+    photos = [replace(one, has_alpha=False) for one in photos_of(gaussians)]
+    found = agreement_with(gaussians, FOOTPRINT, photos)
+    assert found.overlap is None
+    check_agreement(found, where="a.ply", scene="s")
+    with pytest.raises(InputError, match=r"14\.0 dB: they are"):
+        check_agreement(replace(found, psnr=14.0), where="a.ply", scene="s")
