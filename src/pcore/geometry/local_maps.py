@@ -19,7 +19,7 @@ class LocalMaps:
     """The rest state of N deformed points.
 
     Near point i a deformation is affine: x' = p'_i + A_i (x - p_i). A ray of the deformed scene is
-    therefore, seen from point i, a ray of the rest state (docs/guide/deformation-aware.md).
+    therefore, seen from point i, a ray of the rest state (docs/concepts/deformation-aware-rays.md).
 
     Attributes:
         rest: (N, 3) positions p_i before the deformation, world units.

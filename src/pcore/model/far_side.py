@@ -3,7 +3,7 @@
 A line through a closed object is opaque from either end. Attention has learned opacity from the
 outside only: where an arm that was lifted leaves a gap in the shoulder, a ray enters the body, and
 the points of its far side, which no photo has shown from within, may not answer. Such a line is
-looked at from its other end (docs/guide/deformation-aware.md).
+looked at from its other end (docs/concepts/deformation-aware-rays.md).
 """
 
 from __future__ import annotations

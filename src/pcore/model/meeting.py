@@ -4,7 +4,7 @@ The colours of a ray are sharper than its points are apart, since attention has 
 between them an edge runs. A mean over points by attention is not: it lies too deep, because points
 do, and it knows nothing of the edge that light makes. So a ray looks for the place where it meets
 the planes over its points, and takes the light of those around that place which face it
-(docs/guide/light.md).
+(docs/concepts/light.md).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Attention has learned from photos which point of a ray hides which. It knows not
 never met one ray at rest: an arm that was lowered and the hip behind it. Seen from the hip's points
 the ray of the rest state passes nowhere near the arm. Such points are strangers to the foremost
 point of the ray, and the order along the ray decides: the foremost and its like are attended to
-first, the strangers get what light those let through (docs/guide/deformation-aware.md).
+first, the strangers get what light those let through (docs/concepts/deformation-aware-rays.md).
 """
 
 from __future__ import annotations
