@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from baked_light import face_frames
+from pcore.relight.photos import Observed
 from reprojected_truth import look_up
 from torch import Tensor
 from torch.nn import functional as F
@@ -29,7 +30,6 @@ from pcore.evaluation.ground_truth import mesh_depth
 from pcore.evaluation.states import CANONICAL, open_states
 from pcore.geometry.local_maps import LocalMaps
 from pcore.relight.estimate import shading_from
-from pcore.relight.photos import Observed
 from pcore.sample.sample_render import MeshCaster, sample_surface
 
 _FACING = 0.3

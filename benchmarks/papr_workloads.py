@@ -19,7 +19,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
-from pcore.model.render import FAST_THRESHOLD, render
+from pcore.render.picture import FAST_THRESHOLD, render
 from pcore.training.presets import preset
 
 _KEPT = 0.5

@@ -22,7 +22,7 @@ from pcore.geometry.rays import RayBundle
 from pcore.kernels import cpu_search, functional, reference
 from pcore.kernels.backends import usable
 from pcore.model.papr import Papr
-from pcore.model.render import FAST_THRESHOLD
+from pcore.render.picture import FAST_THRESHOLD
 from pcore.training.loop import autocast
 from pcore.training.presets import preset
 

@@ -37,7 +37,7 @@ from pcore.deform.anchor_distance import (
     distance_weigher,
     path_distance,
 )
-from pcore.deform.jacobian import estimated_frames
+from pcore.deform.jacobian import estimated_maps
 from pcore.deform.sampler import DeformationRanges, sample_deformation
 from pcore.deform.skinning import Weigher, skin
 from pcore.editing.anchors import SIGMA, anchor_graph, pose_from_places
@@ -206,7 +206,7 @@ def score_object(
                 "error": float((places - carried).norm(dim=1).mean()),
             }
             # The same rule for all methods: what is around a point is told by its neighbours.
-            frames = estimated_frames(points, places) if aware else None
+            frames = estimated_maps(points, places) if aware else None
             drawn = pcore.MovedPoints(positions=places, local_maps=frames)
             for show in shows:
                 if method not in show.methods:

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 import pcore
-from pcore.deform.jacobian import estimated_frames
+from pcore.deform.jacobian import estimated_maps
 
 CUTS = (
     (0, 0.35, 50, (0.0, 0.0, 0.0)),
@@ -53,7 +53,7 @@ def seam_errors(
     pivot[axis] = place
     part = points[:, axis] > place
     gone = (points - pivot) @ turn.T + pivot + torch.tensor(shift, dtype=torch.float64)
-    frames = estimated_frames(points, torch.where(part[:, None], gone, points))
+    frames = estimated_maps(points, torch.where(part[:, None], gone, points))
     still = torch.eye(3, dtype=torch.float64)
     true = torch.where(part[:, None, None], turn, still)
     wrong = (torch.linalg.inv(frames.to_rest.double()) - true).norm(dim=(1, 2))

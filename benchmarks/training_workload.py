@@ -23,7 +23,7 @@ from pcore.data.scene import Scene
 from pcore.geometry.point_cloud import PointCloud
 from pcore.metrics.perceptual import find_weights
 from pcore.model.papr import Papr
-from pcore.model.render import FAST_THRESHOLD, render
+from pcore.render.picture import FAST_THRESHOLD, render
 from pcore.training.config import PatchConfig, PretrainConfig
 from pcore.training.events import Event, StepReport, ValidationReport
 from pcore.training.presets import preset

@@ -27,8 +27,8 @@ _MADE = "This page is made from the code by `scripts/make_reference.py`."
 def names_page() -> str:
     """Every public name, by the module it is from."""
     parts = ["# Public names", f"{_MADE}\nAn example of each: [the tour](index.md)."]
-    homes = {name: getattr(pcore, name) for name in pcore.__all__ if name != "__version__"}
-    parts += [f"::: {thing.__module__}.{name}" for name, thing in homes.items()]
+    homes = {name: pcore._HOMES[name] for name in pcore.__all__ if name != "__version__"}
+    parts += [f"::: {home}.{name}" for name, home in homes.items()]
     return "\n\n".join(parts) + "\n"
 
 

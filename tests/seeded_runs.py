@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tests.cli.toys import write_run, write_scene
+from tests.cli.toys import toy_surfels, write_run, write_scene
 
 from pcore.contrib.learned_skinning import SkinningConfig, untrained_skinning
 from pcore.deform.anchor_distance import path_distance
 from pcore.files.skinning_file import SKINNING_FILE, save_skinning
 from pcore.geometry.farthest_points import farthest_points
 from pcore.relight.lamps import Light, sphere
-from pcore.relight.light_file import LIGHT_FILE, save_shading
-from pcore.relight.shading import Shading
+from pcore.relight.light_file import LIGHT_FILE, save_light
+from pcore.relight.relighting import Relighting
 
 TWIST: dict[str, Any] = {"type": "twist", "axis": "z", "angle_deg": 60}
 TURN: dict[str, Any] = {"type": "rigid", "axis": "x", "angle_deg": 120}
@@ -32,7 +32,7 @@ def write_runs(folder: Path) -> dict[str, Path]:
     write_scene(folder / SCENE)
     runs = {name: folder / name for name in RUNS}
     for name, path in runs.items():
-        _, cloud = write_run(path, scene=f"../{SCENE}", points=80, factor=1)
+        _, cloud = write_run(path, scene=f"../{SCENE}", points=80, surfels=name == "lit", factor=1)
         if name == "lit":
             _write_light(path, cloud.positions)
         if name == "rigged":
@@ -70,14 +70,8 @@ def _write_light(run: Path, positions: torch.Tensor) -> None:
         nearness=torch.zeros(40),
         center=torch.zeros(3),
     )
-    shading = Shading(
-        light=light,
-        normals=torch.nn.functional.normalize(positions, dim=1),
-        positions=positions,
-        brightness=torch.full((len(positions),), 0.3),
-        lift=0.01,
-    )
-    save_shading(run / LIGHT_FILE, shading)
+    bright = torch.full((len(positions),), 0.3)
+    save_light(run / LIGHT_FILE, Relighting.of(light, positions, toy_surfels(positions), bright))
 
 
 def _write_weights(run: Path, positions: torch.Tensor) -> None:

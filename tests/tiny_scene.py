@@ -16,9 +16,10 @@ from pcore.files.run_folder import RunFolder
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
-from pcore.model.render import Picture
+from pcore.render.image import Image as Drawn
 
 SIZE, ANGLE = 24, 0.7
 CONFIG = PaprConfig(
@@ -75,11 +76,11 @@ def see(vertices: np.ndarray, camera: Camera) -> tuple[Tensor, Tensor]:
     return torch.cat([alpha[..., None] * color, alpha[..., None]], dim=-1), depth
 
 
-def draw_box(asset: Asset, posed: Posed, camera: Camera) -> Picture:
+def draw_box(asset: Asset, posed: Posed, camera: Camera) -> Drawn:
     """Renderer that is perfect when the points are the corners of the box."""
     rgba, depth = see(posed.points.double().numpy(), camera)
     alpha = rgba[..., 3:]
-    return Picture(
+    return Drawn(
         rgb=rgba[..., :3] + 1 - alpha,
         alpha=alpha[..., 0],
         depth=torch.where(depth.isfinite(), depth, torch.nan),
@@ -123,15 +124,22 @@ def corner_cloud() -> PointCloud:
     )
 
 
-def write_run(path: Path, scene: Path, *, stage: str = "pretrain", **config: Any) -> Path:
-    """Write a finished run of a random model whose points lie about the box."""
+def write_run(
+    path: Path, scene: Path, *, stage: str = "pretrain", surfels: bool = False, **config: Any
+) -> Path:
+    """Write a finished run of a random model whose points lie about the box.
+
+    With `surfels` they face outwards.
+    """
     positions = (torch.rand(60, 3) - 0.5) * torch.tensor([1.2, 0.9, 0.7])
     cloud = PointCloud(
         positions=positions, features=torch.randn(60, 4), influence=1 + torch.rand(60)
     )
     with RunFolder.create(path, stage=stage, scene=str(scene), config=config) as run:
         came = provenance_of(cloud, CONFIG, scene=scene.name, stage=stage, step=1)
-        run.save_model(Papr(CONFIG).state_dict(), cloud, CONFIG, came)
+        normals = torch.nn.functional.normalize(positions, dim=1)
+        over = Surfels.at_rest(positions, normals, torch.full((60,), 0.01)) if surfels else None
+        run.save_model(Papr(CONFIG).state_dict(), cloud, CONFIG, came, over)
         run.update(status="finished")
     return path
 

@@ -27,9 +27,11 @@ if TYPE_CHECKING:
     from pcore.geometry.camera import Camera
     from pcore.geometry.orbit import orbit_around
     from pcore.geometry.point_cloud import PointCloud
+    from pcore.geometry.posed import PosedCloud
     from pcore.geometry.rays import RayBundle
-    from pcore.model.papr import Papr, Rendering
-    from pcore.model.render import render
+    from pcore.model.papr import Papr
+    from pcore.render.image import Image
+    from pcore.render.picture import render, render_rays
     from pcore.training.config import FinetuneConfig, PretrainConfig
     from pcore.training.presets import finetune_preset, preset
     from pcore.training.pretrain import pretrain
@@ -43,14 +45,15 @@ __all__ = [
     "EditScript",
     "EditSession",
     "FinetuneConfig",
+    "Image",
     "MovedPoints",
     "Papr",
     "PcoreError",
     "PointCloud",
     "Posed",
+    "PosedCloud",
     "PretrainConfig",
     "RayBundle",
-    "Rendering",
     "RunOptions",
     "Scene",
     "__version__",
@@ -70,6 +73,7 @@ __all__ = [
     "preset",
     "pretrain",
     "render",
+    "render_rays",
     "train",
 ]
 
@@ -80,14 +84,15 @@ _HOMES = {
     "EditScript": "pcore.editing.script",
     "EditSession": "pcore.editing.session",
     "FinetuneConfig": "pcore.training.config",
+    "Image": "pcore.render.image",
     "MovedPoints": "pcore.asset.content",
     "Papr": "pcore.model.papr",
     "PcoreError": "pcore.errors",
     "PointCloud": "pcore.geometry.point_cloud",
     "Posed": "pcore.asset.asset",
+    "PosedCloud": "pcore.geometry.posed",
     "PretrainConfig": "pcore.training.config",
     "RayBundle": "pcore.geometry.rays",
-    "Rendering": "pcore.model.papr",
     "RunOptions": "pcore.asset.training",
     "Scene": "pcore.data.scene",
     "asset_of": "pcore.asset.saving",
@@ -105,7 +110,8 @@ _HOMES = {
     "parse_edit": "pcore.editing.script",
     "preset": "pcore.training.presets",
     "pretrain": "pcore.training.pretrain",
-    "render": "pcore.model.render",
+    "render": "pcore.render.picture",
+    "render_rays": "pcore.render.picture",
     "train": "pcore.asset.training",
 }
 

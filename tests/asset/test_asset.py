@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import pytest
 import torch
 from tests.cli.toys import CONFIG, toy_cameras, toy_cloud
 from tests.seeded_runs import RUNS, TWIST, write_edits, write_moving_edit, write_runs
+from torch import Tensor
 
 import pcore
 from pcore.asset.neural_points import NeuralPoints
@@ -21,6 +22,7 @@ from pcore.errors import CheckpointError, EditError, InputError
 from pcore.files.model_file import MODEL_FILE
 from pcore.files.skinning_file import SKINNING_FILE
 from pcore.geometry.camera import Camera
+from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
 from pcore.relight.light_file import LIGHT_FILE
 
@@ -194,14 +196,50 @@ def test_rays_have_gradients(runs: dict[str, Path], camera: Camera) -> None:
     assert isinstance(content, NeuralPoints)
     positions = content.cloud.positions.clone().requires_grad_()
     cloud = replace(content.cloud, positions=positions)
-    posed = replace(asset.pose(), content=cloud)
-    rendering = asset.trace(posed, camera.rays())
-    torch.testing.assert_close(
-        rendering.rgb.detach(), asset.render(None, camera, samples=1).rgb, atol=1e-5, rtol=0
-    )
-    rendering.rgb.sum().backward()
-    assert positions.grad is not None
-    assert float(positions.grad.abs().max()) > 0
+    posed = replace(asset.pose(), content=PosedCloud.at_rest(cloud))
+    traced = asset.trace(posed, camera.rays())
+    drawn = asset.render(posed, camera, samples=1)
+    torch.testing.assert_close(traced.rgb, drawn.rgb, atol=1e-5, rtol=0)
+    for image in (traced, drawn):
+        (gradient,) = torch.autograd.grad(image.rgb.sum(), positions)
+        assert float(gradient.abs().max()) > 0
+
+
+def test_a_deformation_is_fitted_through_the_door(runs: dict[str, Path], camera: Camera) -> None:
+    """Gradients reach a parameter of a deformation, and a batch of cameras."""
+    asset = pcore.load(runs["lit"])
+    angle = torch.tensor(0.2, dtype=torch.float64, requires_grad=True)
+    cameras = Camera.stack(toy_cameras(3, size=8))
+    image = asset.render(asset.pose(Swirl(angle), light="baked"), cameras, samples=1)
+    assert image.rgb.shape == (3, 8, 8, 3)
+    (gradient,) = torch.autograd.grad(image.rgb.square().mean(), angle)
+    assert float(gradient.abs()) > 0
+    with pytest.raises(InputError, match="a gradient is asked for, and shadows have none"):
+        asset.pose(Swirl(angle))
+
+
+def test_depth_does_not_depend_on_the_light(runs: dict[str, Path], camera: Camera) -> None:
+    asset, swirl = pcore.load(runs["lit"]), Swirl(torch.tensor(0.4))
+    for motion in (None, swirl):
+        lit, baked = (
+            asset.render(asset.pose(motion, light=light), camera) for light in ("still", "baked")
+        )
+        assert (motion is None) == torch.equal(lit.rgb, baked.rgb)
+        for name in ("alpha", "depth", "surface"):
+            one, other = getattr(lit, name), getattr(baked, name)
+            assert torch.equal(one.nan_to_num(7.0), other.nan_to_num(7.0)), name
+
+
+@dataclass(frozen=True)
+class Swirl(pcore.Deformation):
+    """A twist about z whose angle, radians per unit, is a parameter."""
+
+    angle: Tensor
+
+    def __call__(self, points: Tensor) -> Tensor:
+        x, y, z = points.unbind(dim=-1)
+        cos, sin = (self.angle * z).cos(), (self.angle * z).sin()
+        return torch.stack([cos * x - sin * y, sin * x + cos * y, z], dim=-1)
 
 
 def test_an_asset_says_how_it_is_tuned(runs: dict[str, Path]) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from tests.cli.toys import write_scene
+from tests.cli.toys import toy_surfels, write_scene
+from torch import Tensor
 
 import pcore
 from pcore.asset.asset import Asset
@@ -15,10 +16,10 @@ from pcore.asset.neural_points import NeuralPoints
 from pcore.cli.main import main
 from pcore.errors import InputError
 from pcore.files.run_record import RunRecord
-from pcore.model.papr import Papr
 from pcore.relight.lamps import Light, sphere
 from pcore.relight.light_file import LIGHT_FILE
-from pcore.relight.shading import Shading
+from pcore.relight.relighting import Relighting
+from pcore.render.surfel_fit import Observed
 from pcore.training.presets import finetune_preset, preset, skinning_preset
 
 STEPS, POINTS = 4, 200
@@ -46,32 +47,34 @@ def assert_same(first: Asset, second: Asset) -> None:
         assert torch.equal(tensor, other.papr.state_dict()[name]), name
     for name in ("positions", "features", "influence"):
         assert torch.equal(getattr(one.cloud, name), getattr(other.cloud, name)), name
+    assert one.surfels is not None
+    assert other.surfels is not None
+    for name in ("places", "normals", "heights", "beside"):
+        assert torch.equal(getattr(one.surfels, name), getattr(other.surfels, name)), name
     assert (first.light is None) == (second.light is None)
     if first.light is not None and second.light is not None:
         assert torch.equal(first.light.light.radiance, second.light.light.radiance)
-        assert torch.equal(first.light.normals, second.light.normals)
+        assert torch.equal(first.light.received, second.light.received)
     assert (first.skinning is None) == (second.skinning is None)
 
 
-def ball_light(papr: Papr, cloud: pcore.PointCloud, views: object, **options: object) -> Shading:
+def ball_light(observed: Observed, positions: Tensor) -> Relighting:
     """A light from above on a ball; what a real one needs is longer training."""
     directions = sphere(40)
     light = Light(
         directions=directions,
-        radiance=0.1 + (directions[:, 2] + float(cloud.influence.mean())).exp(),
+        radiance=0.1 + (directions[:, 2] + float(observed.attention.mean()) / 1e3).exp(),
         nearness=torch.zeros(40),
         center=torch.zeros(3),
     )
-    positions = cloud.positions
     bright = torch.full((len(positions),), 0.3)
-    normals = torch.nn.functional.normalize(positions, dim=1)
-    return Shading(light=light, normals=normals, positions=positions, brightness=bright, lift=0.01)
+    return Relighting.of(light, positions, toy_surfels(positions), bright)
 
 
 def test_training_and_tuning_make_what_the_commands_make(
     scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pcore.asset.training.fit_shading", ball_light)
+    monkeypatch.setattr("pcore.asset.training.fit_light", ball_light)
     words = ["--device", "cpu", "--threads", "1", "--no-tensorboard"]
     steps = ["--steps", str(STEPS), "--points", str(POINTS)]
     run, tuned = tmp_path / "run", tmp_path / "run-pcore"

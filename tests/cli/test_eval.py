@@ -13,7 +13,7 @@ from torch import Tensor
 
 import tiny_scene
 from pcore.cli.main import main
-from pcore.deform.jacobian import estimated_frames
+from pcore.deform.jacobian import estimated_maps
 from pcore.evaluation import states
 from pcore.geometry.local_maps import LocalMaps
 
@@ -181,9 +181,9 @@ def test_frames_that_had_to_be_replaced_are_in_the_notes(
     run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def folded(rest: Tensor, moved: Tensor) -> LocalMaps:
-        return replace(estimated_frames(rest, moved), mended=torch.tensor([1, 3]))
+        return replace(estimated_maps(rest, moved), mended=torch.tensor([1, 3]))
 
-    monkeypatch.setattr(states, "estimated_frames", folded)
+    monkeypatch.setattr(states, "estimated_maps", folded)
     assert main(["eval", str(run), "--state", "walk", "--protocol", "standard"]) == 0
     notes = json.loads((run / "eval" / "summary.json").read_text())["notes"]
     (note,) = [one for one in notes if "inside out" in one]

@@ -13,10 +13,12 @@ from pcore.files.official import to_official_state
 from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels import backends
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
+from pcore.render.trace import trace
 
 CONFIG = PaprConfig(
     neighbours=3,
@@ -221,9 +223,11 @@ def test_an_import_may_slide_all_origins(tmp_path: Path, cloud: PointCloud) -> N
     for run, same in (("slid", True), ("run", False)):
         saved = load_model(tmp_path / run)
         near, away = (
-            saved.papr()
-            .attend(saved.cloud, RayBundle(origins=-distance * ray, directions=ray))[0]
-            .features.detach()
+            trace(
+                saved.papr(),
+                PosedCloud.at_rest(saved.cloud),
+                RayBundle(origins=-distance * ray, directions=ray),
+            ).features
             for distance in (3.0, 6.0)
         )
         assert torch.allclose(near, away, atol=1e-4) == same

@@ -8,19 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from toys import toy_cameras, write_cameras, write_run, write_scene
+from toys import toy_cameras, toy_surfels, write_cameras, write_run, write_scene
 
 import tiny_scene
 from pcore.cli.main import main
 from pcore.deform.base import Identity
-from pcore.editing.apply import deformed_cloud
+from pcore.deform.pose import pose
 from pcore.editing.script import load_edit
+from pcore.files.model_file import describe_model
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
-from pcore.model.render import render
 from pcore.relight.lamps import Light, sphere
-from pcore.relight.light_file import LIGHT_FILE, load_shading, save_shading
-from pcore.relight.shading import Shading
+from pcore.relight.light_file import LIGHT_FILE, load_light, save_light
+from pcore.relight.relighting import Relighting
+from pcore.render.picture import render
 
 TURN = {"version": 2, "edits": [{"type": "rigid", "axis": "x", "angle_deg": 120}]}
 
@@ -35,21 +37,18 @@ def lamp_from_above() -> Light:
     )
 
 
-def write_light(run: Path, cloud: PointCloud) -> Shading:
+def write_light(run: Path, cloud: PointCloud) -> Relighting:
     """A light from above; the points lie on a ball, which says how they face."""
-    normals = torch.nn.functional.normalize(cloud.positions, dim=1)
     positions = cloud.positions.detach()
     bright = torch.full((len(positions),), 0.3)
-    shading = Shading(
-        light=lamp_from_above(), normals=normals, positions=positions, brightness=bright, lift=0.01
-    )
-    save_shading(run / LIGHT_FILE, shading)
-    return shading
+    light = Relighting.of(lamp_from_above(), positions, toy_surfels(positions), bright)
+    save_light(run / LIGHT_FILE, light)
+    return light
 
 
 @pytest.fixture
-def made(tmp_path: Path) -> tuple[Path, Papr, PointCloud, Shading]:
-    papr, cloud = write_run(tmp_path / "run")
+def made(tmp_path: Path) -> tuple[Path, Papr, PointCloud, Relighting]:
+    papr, cloud = write_run(tmp_path / "run", surfels=True)
     return tmp_path / "run", papr, cloud, write_light(tmp_path / "run", cloud)
 
 
@@ -72,65 +71,61 @@ def picture_of(run: Path, tmp_path: Path, *options: str, what: str = "rgb") -> n
     ],
 )
 def test_a_light_stands_still_unless_asked_otherwise(
-    made: tuple[Path, Papr, PointCloud, Shading],
+    made: tuple[Path, Papr, PointCloud, Relighting],
     tmp_path: Path,
     options: tuple[str, ...],
     aware: bool,
     lit: bool,
 ) -> None:
-    run, papr, cloud, shading = made
+    run, papr, cloud, light = made
     found = picture_of(run, tmp_path, "--edit", str(tmp_path / "turn.json"), *options)
     deformation = load_edit(tmp_path / "turn.json").bind(cloud.positions)
+    dark = pose(cloud, deformation, surfels=toy_surfels(cloud.positions), aware=aware)
+    bright = replace(dark, gains=light.gains(dark))
     expected, other = (
-        render(
-            papr,
-            deformed_cloud(cloud, deformation, aware=aware, shading=one),
-            toy_cameras(1, size=8)[0],
-        ).rgb.numpy()
-        for one in ((shading, None) if lit else (None, shading))
+        render(papr, one, toy_cameras(1, size=8)[0]).rgb.numpy()
+        for one in ((bright, dark) if lit else (dark, bright))
     )
     np.testing.assert_allclose(found, expected, atol=1e-5)
     assert np.abs(expected - other).max() > 0.02
 
 
-def test_without_an_edit_a_light_changes_depths_alone(
-    made: tuple[Path, Papr, PointCloud, Shading], tmp_path: Path
+def test_pictures_are_as_deep_as_the_surface_whatever_the_light(
+    made: tuple[Path, Papr, PointCloud, Relighting], tmp_path: Path
 ) -> None:
-    run, papr, cloud, shading = made
-    bare = render(papr, cloud, toy_cameras(1, size=8)[0])
-    covered = render(papr, cloud.covered(shading.rest), toy_cameras(1, size=8)[0])
+    run, papr, cloud, _ = made
+    camera, surfels = toy_cameras(1, size=8)[0], toy_surfels(cloud.positions)
+    bare = render(papr, PosedCloud.at_rest(cloud), camera)
+    covered = render(papr, PosedCloud.at_rest(cloud, surfels), camera)
     met = torch.isfinite(bare.depth)
     assert float((covered.depth - bare.depth)[met].abs().max()) > 0.05
     np.testing.assert_allclose(picture_of(run, tmp_path), bare.rgb.numpy(), atol=1e-6)
-    for options, expected in (
-        ((), covered),
-        (("--light", "still"), covered),
-        (("--light", "baked"), bare),
-        (("--rays", "plain"), bare),
-    ):
+    for options in ((), ("--light", "still"), ("--light", "baked"), ("--rays", "plain")):
         found = picture_of(run, tmp_path, *options, what="depth")
-        np.testing.assert_allclose(found, expected.depth.numpy(), atol=1e-5)
+        np.testing.assert_allclose(found, covered.depth.numpy(), atol=1e-5)
 
 
 def test_an_edit_that_moves_nothing_is_as_deep_as_none(
-    made: tuple[Path, Papr, PointCloud, Shading],
+    made: tuple[Path, Papr, PointCloud, Relighting],
 ) -> None:
-    _, papr, cloud, shading = made
-    still = deformed_cloud(cloud, Identity(), shading=shading)
-    camera = toy_cameras(1, size=8)[0]
-    found, expected = (render(papr, one, camera) for one in (still, cloud.covered(shading.rest)))
+    _, papr, cloud, _ = made
+    surfels, camera = toy_surfels(cloud.positions), toy_cameras(1, size=8)[0]
+    still = pose(cloud, Identity(), surfels=surfels)
+    found, expected = (
+        render(papr, one, camera) for one in (still, PosedCloud.at_rest(cloud, surfels))
+    )
     torch.testing.assert_close(found.depth, expected.depth, rtol=0, atol=0, equal_nan=True)
     assert torch.equal(found.rgb, expected.rgb)
-    assert deformed_cloud(cloud, Identity()).skin is None
+    assert pose(cloud, Identity()).surfels is None
 
 
 def test_a_light_that_cannot_be_read_can_be_done_without(
-    made: tuple[Path, Papr, PointCloud, Shading],
+    made: tuple[Path, Papr, PointCloud, Relighting],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    run, _, _, shading = made
-    save_shading(run / LIGHT_FILE, replace(shading, positions=shading.positions + 1))
+    run, _, _, light = made
+    save_light(run / LIGHT_FILE, replace(light, positions=light.positions + 1))
     assert main(["render", str(run), "--orbit", "2", "-o", str(tmp_path / "film")]) == 2
     assert "`pcore light RUN`" in capsys.readouterr().err
     picture_of(run, tmp_path, "--light", "baked")
@@ -147,7 +142,7 @@ def test_a_light_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture
 
 @pytest.mark.parametrize("verb", ["render", "animate", "eval"])
 def test_rays_per_pixel_are_checked_first(
-    made: tuple[Path, Papr, PointCloud, Shading],
+    made: tuple[Path, Papr, PointCloud, Relighting],
     tmp_path: Path,
     verb: str,
     capsys: pytest.CaptureFixture[str],
@@ -163,29 +158,29 @@ def test_rays_per_pixel_are_checked_first(
 
 
 def test_info_tells_of_the_light(
-    made: tuple[Path, Papr, PointCloud, Shading], capsys: pytest.CaptureFixture[str]
+    made: tuple[Path, Papr, PointCloud, Relighting], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run, _, _, shading = made
+    run, _, _, light = made
     assert main(["info", str(run)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "brightest on surfaces that face" in said
     assert "lamps are far away" in said
-    size = float((shading.positions.amax(dim=0) - shading.positions.amin(dim=0)).norm())
-    near = replace(shading.light, nearness=torch.full((40,), 1 / (2.5 * size)))
-    save_shading(run / LIGHT_FILE, replace(shading, light=near))
+    size = float((light.positions.amax(dim=0) - light.positions.amin(dim=0)).norm())
+    near = replace(light.light, nearness=torch.full((40,), 1 / (2.5 * size)))
+    save_light(run / LIGHT_FILE, replace(light, light=near))
     assert main(["info", str(run)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "lamps are 2.5 times the object's size away" in said
-    save_shading(run / LIGHT_FILE, replace(shading, positions=shading.positions + 1))
+    save_light(run / LIGHT_FILE, replace(light, positions=light.positions + 1))
     assert main(["info", str(run)]) == 0, "a stale light is no reason to say nothing"
     assert "cannot be used" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_light_of_other_points_is_an_error(
-    made: tuple[Path, Papr, PointCloud, Shading], capsys: pytest.CaptureFixture[str]
+    made: tuple[Path, Papr, PointCloud, Relighting], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run, _, _, shading = made
-    save_shading(run / LIGHT_FILE, replace(shading, positions=shading.positions + 1))
+    run, _, _, light = made
+    save_light(run / LIGHT_FILE, replace(light, positions=light.positions + 1))
     edit = run / "turn.json"
     edit.write_text(json.dumps(TURN))
     assert main(["render", str(run), "--orbit", "2", "--edit", str(edit)]) == 2
@@ -199,18 +194,28 @@ def test_a_random_run_has_no_normals_to_speak_of(
     write_scene(tmp_path / "scene")
     write_run(tmp_path / "run", scene="../scene")
     assert main(["light", str(tmp_path / "run")]) == 2
-    assert "at least 50 points with a normal" in " ".join(capsys.readouterr().err.split())
+    said = capsys.readouterr()
+    assert "at least 50 points with a normal" in " ".join(said.err.split())
     assert not (tmp_path / "run" / LIGHT_FILE).exists()
+    # What was not known of the surface is kept all the same.
+    model = tmp_path / "run" / "model.safetensors"
+    assert f"{model}: the surface over the points was not known; estimated now" in said.out
+    assert describe_model(model).surfels
+    assert main(["light", str(tmp_path / "run")]) == 2
+    assert "estimated now" not in capsys.readouterr().out
 
 
 def test_an_evaluation_shows_pictures_with_the_light_and_without(tmp_path: Path) -> None:
     scene = tiny_scene.write_scene(tmp_path / "box")
-    run = tiny_scene.write_run(tmp_path / "run", scene)
+    run = tiny_scene.write_run(tmp_path / "run", scene, surfels=True)
     from pcore.files.model_file import load_model
 
-    cloud = load_model(run).cloud
-    write_light(run, cloud)
-    assert len(load_shading(run, cloud.positions).normals) == len(cloud)
+    saved = load_model(run)
+    cloud, surfels = saved.cloud, saved.surfels
+    assert surfels is not None
+    bright = torch.full((len(cloud),), 0.3)
+    light = Relighting.of(lamp_from_above(), cloud.positions, surfels, bright)
+    save_light(run / LIGHT_FILE, light)
     assert main(["eval", str(run), "--protocol", "standard"]) == 0
     with (run / "eval" / "images.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -225,9 +230,8 @@ def test_an_evaluation_shows_pictures_with_the_light_and_without(tmp_path: Path)
     for state, view, method in list(deep):
         if method == "aware + light":
             assert deep[state, view, method] == deep[state, view, "aware"], "one kind of depth"
-    shading = load_shading(run, cloud.positions)
-    near = replace(shading.light, nearness=torch.full((40,), 0.2))
-    save_shading(run / LIGHT_FILE, replace(shading, light=near))
+    near = replace(light.light, nearness=torch.full((40,), 0.2))
+    save_light(run / LIGHT_FILE, Relighting.of(near, cloud.positions, surfels, bright))
     words = ["eval", str(run), "--protocol", "standard", "--state", "scale:2", "grown"]
     assert main([*words, "-o", str(tmp_path / "near")]) == 0
     with (tmp_path / "near" / "images.csv").open(newline="") as file:
@@ -241,7 +245,7 @@ def test_an_evaluation_shows_pictures_with_the_light_and_without(tmp_path: Path)
     assert psnr["grown", "aware + light"] != pytest.approx(psnr["grown", "aware"], abs=1e-3)
     assert main(["eval", str(run), "--light", "baked", "-o", str(tmp_path / "baked")]) == 0
     assert "aware + light" not in (tmp_path / "baked" / "images.csv").read_text()
-    shading = load_shading(run, cloud.positions)
-    save_shading(run / LIGHT_FILE, replace(shading, positions=shading.positions + 1))
+    light = load_light(run, cloud.positions)
+    save_light(run / LIGHT_FILE, replace(light, positions=light.positions + 1))
     assert main(["eval", str(run), "--rays", "plain"]) == 0, "plain rays ask for no light"
     assert main(["eval", str(run)]) == 2

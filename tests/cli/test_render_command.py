@@ -19,7 +19,7 @@ from pcore.cli.main import main
 from pcore.contrib.learned_skinning import SkinningConfig, untrained_skinning
 from pcore.data.load import load_cameras, load_scene
 from pcore.deform.anchor_distance import path_distance
-from pcore.deform.jacobian import estimated_frames
+from pcore.deform.jacobian import estimated_maps
 from pcore.editing.anchors import rig_with
 from pcore.editing.script import load_edit
 from pcore.errors import EditError
@@ -27,8 +27,10 @@ from pcore.files.skinning_file import SKINNING_FILE, save_skinning
 from pcore.geometry.farthest_points import farthest_points
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
-from pcore.model.render import FAST_THRESHOLD, normals, render
+from pcore.render.image import normals
+from pcore.render.picture import FAST_THRESHOLD, render
 
 Made = tuple[Path, Papr, PointCloud]
 
@@ -80,7 +82,9 @@ def test_a_split_gives_pictures_named_like_its_views(
     folder = run / "renders" / "test"
     assert names(folder) == ["r_0.png", "r_1.png"]
     assert f"2 views of 8 x 8 pixels in {folder}: r_0.png, r_1.png" in capsys.readouterr().out
-    expected = render(papr, cloud, toy_cameras(2, size=8, elevation=0.1)[1]).rgb.clamp(0, 1)
+    expected = render(
+        papr, PosedCloud.at_rest(cloud), toy_cameras(2, size=8, elevation=0.1)[1]
+    ).rgb.clamp(0, 1)
     shown = pixels(folder / "r_1.png")
     assert shown.dtype == np.uint8
     assert np.abs(shown - expected.numpy() * 255).max() <= 0.51
@@ -97,7 +101,7 @@ def test_raw_files_hold_what_the_library_renders(made: Made, tmp_path: Path) -> 
         for ending in (".png", "_depth.png", "_normals.png", ".npz")
     )
     camera = load_cameras(cameras)[2][1]
-    picture = render(papr, cloud, camera)
+    picture = render(papr, PosedCloud.at_rest(cloud), camera)
     with np.load(out / "r_2.npz") as raw:
         assert sorted(raw) == ["alpha", "depth", "normals", "rgb", "surface"]
         for name in ("rgb", "alpha", "depth", "surface"):
@@ -115,9 +119,11 @@ def test_fast_pictures_leave_out_small_weights(made: Made, tmp_path: Path) -> No
     (archive,) = (item for item in out.iterdir() if item.suffix == ".npz")
     with np.load(archive) as found:
         rgb = torch.from_numpy(found["rgb"])
-    fast = render(papr, cloud, toy_cameras(1, size=8)[0], threshold=FAST_THRESHOLD)
+    fast = render(
+        papr, PosedCloud.at_rest(cloud), toy_cameras(1, size=8)[0], threshold=FAST_THRESHOLD
+    )
     torch.testing.assert_close(rgb, fast.rgb)
-    exact = render(papr, cloud, toy_cameras(1, size=8)[0])
+    exact = render(papr, PosedCloud.at_rest(cloud), toy_cameras(1, size=8)[0])
     assert float((rgb - exact.rgb).abs().max()) > 0
 
 
@@ -127,11 +133,10 @@ def test_an_edit_moves_the_canonical_points(made: Made, tmp_path: Path, rays: st
     edit = write_edit(tmp_path / "turn.json", {"type": "rigid", "axis": "z", "angle_deg": 90})
     assert call(run, "--split", "test", "--edit", edit, "--raw", "--rays", rays) == 0
     x, y, z = cloud.positions.unbind(dim=-1)
-    moved = cloud.moved(torch.stack([-y, x, z], dim=-1))
-    if rays == "aware":
-        back = torch.tensor([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-        frames = LocalMaps(rest=cloud.positions, to_rest=back.expand(len(cloud), 3, 3))
-        moved = cloud.moved(moved.positions, frames)
+    back = torch.tensor([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    maps = LocalMaps(to_rest=back.expand(len(cloud), 3, 3)) if rays == "aware" else None
+    places = torch.stack([-y, x, z], dim=-1)
+    moved = PosedCloud(cloud=cloud, positions=places, local_maps=maps)
     picture = render(papr, moved, toy_cameras(2, size=8, elevation=0.1)[0])
     with np.load(run / "renders" / "test-turn" / "r_0.npz") as raw:
         np.testing.assert_allclose(raw["surface"], picture.surface, atol=1e-4)
@@ -159,7 +164,8 @@ def test_anchors_move_points_by_the_weights_that_the_run_learned(
     camera, pictures = load_cameras(file)[0][1], list[np.ndarray]()
     for rig in (rig_with(distance, skinning), None):
         deformation = load_edit(edit).bind(cloud.positions, rig=rig)
-        moved = cloud.moved(deformation(cloud.positions.double()).float())
+        places = deformation(cloud.positions.double()).float()
+        moved = PosedCloud(cloud=cloud, positions=places)
         pictures.append(render(papr, moved, camera).rgb.numpy())
     expected, other = pictures if learned else pictures[::-1]
     found = np.load(next(out.glob("*.npz")))["rgb"]
@@ -341,7 +347,7 @@ def test_local_maps_that_were_replaced_are_said(
 def inside_out(rest: Tensor, moved: Tensor) -> int:
     """Number of points whose estimated map had to be replaced; 0 where the move is refused."""
     try:
-        return len(estimated_frames(rest, moved).mended)
+        return len(estimated_maps(rest, moved).mended)
     except EditError:
         return 0
 

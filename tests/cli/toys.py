@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import torch
 from PIL import Image
+from torch import Tensor
 
 from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
 
@@ -87,19 +89,30 @@ def toy_cloud(count: int = 40) -> PointCloud:
     )
 
 
+def toy_surfels(positions: Tensor) -> Surfels:
+    """The surface over points on a ball, which lies a little above them."""
+    normals = torch.nn.functional.normalize(positions, dim=1)
+    return Surfels.at_rest(positions, normals, torch.full((len(positions),), 0.01))
+
+
 def write_run(
     path: Path,
     *,
     scene: str = "",
     config: PaprConfig = CONFIG,
     points: int = 40,
+    surfels: bool = False,
     **settings: object,
 ) -> tuple[Papr, PointCloud]:
-    """Make a run folder of random networks; `settings` go into its run.json."""
-    papr, cloud = Papr(config).eval(), toy_cloud(points)
+    """Make a run folder of random networks; `settings` go into its run.json.
+
+    With `surfels` it knows the surface over its points, as trained runs do.
+    """
+    papr, cloud = Papr(config).requires_grad_(False).eval(), toy_cloud(points)
     with RunFolder.create(path, stage="pretrain", scene=scene, config=settings) as run:
         came = provenance_of(cloud, config, scene="toy", stage="pretrain", step=7)
-        run.save_model(papr.state_dict(), cloud, config, came)
+        over = toy_surfels(cloud.positions) if surfels else None
+        run.save_model(papr.state_dict(), cloud, config, came, over)
         run.update(status="finished", step=7)
     return papr, cloud
 

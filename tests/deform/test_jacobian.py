@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pcore.deform.base import Affine, Compose, Deformation
 from pcore.deform.frame import axis_frame
-from pcore.deform.jacobian import analytic_frames, estimated_frames
+from pcore.deform.jacobian import analytic_maps, estimated_maps
 from pcore.deform.motion import rigid
 from pcore.deform.simple import Stretch, uniform_scale
 from pcore.errors import EditError
@@ -42,7 +42,7 @@ def test_the_formula_gives_the_inverse_jacobian() -> None:
         limits=(0.0, 1.0),
         lock=(False, False),
     )
-    frames = analytic_frames(stretch, rest)
+    frames = analytic_maps(stretch, rest)
     assert torch.equal(frames.rest, rest)
     assert float(errors(frames, stretch).max()) < 1e-5
 
@@ -50,12 +50,12 @@ def test_the_formula_gives_the_inverse_jacobian() -> None:
 def test_a_fold_is_refused_with_the_number_of_points() -> None:
     mirror = Affine(torch.diag(torch.tensor([1.0, 1.0, -1.0])), torch.zeros(3))
     with pytest.raises(EditError, match="at 600 of 600 points"):
-        analytic_frames(mirror, sphere())
+        analytic_maps(mirror, sphere())
 
 
 def test_a_similarity_is_estimated_exactly() -> None:
     rest, move = sphere(), similarity()
-    frames = estimated_frames(rest, move(rest))
+    frames = estimated_maps(rest, move(rest))
     assert float(errors(frames, move).max()) < 1e-3
     assert len(frames.mended) == 0
 
@@ -63,7 +63,7 @@ def test_a_similarity_is_estimated_exactly() -> None:
 def test_an_affine_map_is_estimated_along_the_surface() -> None:
     rest = sphere(3000)
     move = Affine(torch.diag(torch.tensor([1.0, 1.0, 1.6])), torch.zeros(3))
-    frames = estimated_frames(rest, move(rest))
+    frames = estimated_maps(rest, move(rest))
     tangent = torch.linalg.cross(rest, torch.nn.functional.normalize(torch.randn(3, 1), dim=0).T)
     tangent = torch.nn.functional.normalize(tangent, dim=-1)
     image = tangent @ torch.diag(torch.tensor([1.0, 1.0, 1.6]))
@@ -77,7 +77,7 @@ def test_a_part_that_leaves_keeps_its_own_frame() -> None:
     turn = rigid("z", math.radians(40), (0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
     part = rest[:, 0] > 0
     moved = torch.where(part[:, None], turn(rest), rest)
-    frames = estimated_frames(rest, moved)
+    frames = estimated_maps(rest, moved)
     seam = rest[:, 0].abs() < 0.05
     still = torch.eye(3, dtype=torch.float64)
     wrong = torch.where(
@@ -93,7 +93,7 @@ def test_parts_torn_apart_are_drawn_out_nowhere() -> None:
     rest = sphere(4000)
     gone = rigid("z", math.radians(50), (0.0, 0.0, 0.0), (0.3, 0.0, 0.2))
     part = rest[:, 0] > 0
-    frames = estimated_frames(rest, torch.where(part[:, None], gone(rest), rest))
+    frames = estimated_maps(rest, torch.where(part[:, None], gone(rest), rest))
     still = torch.eye(3, dtype=torch.float64)
     wrong = torch.where(
         part, errors(frames, gone), torch.linalg.matrix_norm(frames.to_rest.double() - still)
@@ -106,14 +106,14 @@ def test_parts_torn_apart_are_drawn_out_nowhere() -> None:
 @pytest.mark.parametrize("rest", [sphere(2000), torch.rand(500, 3)], ids=["surface", "solid"])
 def test_a_mirrored_object_is_refused(rest: Tensor) -> None:
     with pytest.raises(EditError, match="the move mirrors the object"):
-        estimated_frames(rest, rest * torch.tensor([1.0, 1.0, -1.0]))
+        estimated_maps(rest, rest * torch.tensor([1.0, 1.0, -1.0]))
 
 
 def test_a_flattened_part_has_frames_of_bounded_anisotropy() -> None:
     rest = torch.rand(800, 3)
     part = rest[:, 0] > 0.6
     moved = torch.where(part[:, None], rest * torch.tensor([1.0, 1.0, 1e-3]), rest)
-    frames = estimated_frames(rest, moved)
+    frames = estimated_maps(rest, moved)
     sizes = torch.linalg.svdvals(frames.to_rest[part])
     # The exact map squashes by a factor of 1,000.
     assert float((sizes[:, 0] / sizes[:, 2]).max()) < 100
@@ -126,7 +126,7 @@ def test_folds_inside_an_object_are_mended_and_listed() -> None:
     middle = (rest[:, 2] > 0.3) & (rest[:, 2] < 0.7)
     moved = rest.clone()
     moved[middle, 2] = 1.0 - moved[middle, 2]
-    frames = estimated_frames(rest, moved)
+    frames = estimated_maps(rest, moved)
     assert len(frames.mended) > 0
     assert bool(middle[frames.mended].float().mean() > 0.8)
     assert float(torch.linalg.det(frames.to_rest).min()) > 0
@@ -136,7 +136,7 @@ def test_a_collapsed_part_has_finite_frames_and_is_listed() -> None:
     rest = torch.rand(800, 3)
     part = rest[:, 0] > 0.6
     moved = torch.where(part[:, None], torch.tensor([0.9, 0.5, 0.5]), rest)
-    frames = estimated_frames(rest, moved)
+    frames = estimated_maps(rest, moved)
     assert bool(torch.isfinite(frames.to_rest).all())
     assert float(torch.linalg.det(frames.to_rest).min()) > 0
 
@@ -144,7 +144,7 @@ def test_a_collapsed_part_has_finite_frames_and_is_listed() -> None:
 def test_tiny_and_huge_objects_are_estimated_alike() -> None:
     rest = sphere()
     for scale in (1e-5, 1e5):
-        frames = estimated_frames(rest, scale * rest)
+        frames = estimated_maps(rest, scale * rest)
         expected = torch.eye(3).expand(600, 3, 3) / scale
         torch.testing.assert_close(frames.to_rest, expected, rtol=1e-3, atol=1e-3 / scale)
 
@@ -152,7 +152,7 @@ def test_tiny_and_huge_objects_are_estimated_alike() -> None:
 def test_points_that_coincide_have_finite_frames() -> None:
     rest = torch.rand(100, 3)
     rest[40:] = rest[0]
-    frames = estimated_frames(rest, similarity()(rest))
+    frames = estimated_maps(rest, similarity()(rest))
     assert bool(torch.isfinite(frames.to_rest).all())
 
 
@@ -167,4 +167,4 @@ def test_points_that_coincide_have_finite_frames() -> None:
 )
 def test_bad_clouds_are_refused(rest: Tensor, moved: Tensor, message: str) -> None:
     with pytest.raises(EditError, match=message):
-        estimated_frames(rest, moved)
+        estimated_maps(rest, moved)

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from pcore.deform.pose import pose
 from pcore.editing import anchors
-from pcore.editing.apply import deformed_cloud
 from pcore.editing.script import load_edit, parse_one
 from pcore.editing.session import EditSession
 from pcore.errors import EditError
@@ -147,7 +147,7 @@ def test_a_preview_shows_a_fold_and_a_picture_of_it_is_refused():
         positions=cloud(), features=torch.zeros(300, 2), influence=torch.zeros(300)
     )
     with pytest.raises(EditError, match="singular deformation"):
-        deformed_cloud(papr_cloud, shown.deformation)
+        pose(papr_cloud, shown.deformation)
     with pytest.raises(EditError, match="singular deformation"):
         made.do(bend)
 
@@ -206,9 +206,9 @@ def test_many_edits_are_the_one_that_means_the_same_in_points_and_frames():
     for _ in range(24):
         often.do({**TWIST, "angle_deg": 5})
     whole = PointCloud(positions=cloud(), features=torch.zeros(300, 2), influence=torch.zeros(300))
-    one, many = (deformed_cloud(whole, made.state.deformation) for made in (once, often))
+    one, many = (pose(whole, made.state.deformation) for made in (once, often))
     torch.testing.assert_close(many.positions, one.positions, rtol=0, atol=1e-6)
-    assert one.frames is not None
-    assert many.frames is not None
-    torch.testing.assert_close(many.frames.to_rest, one.frames.to_rest, rtol=0, atol=1e-5)
+    assert one.local_maps is not None
+    assert many.local_maps is not None
+    torch.testing.assert_close(many.local_maps.to_rest, one.local_maps.to_rest, rtol=0, atol=1e-5)
     assert float((one.positions - cloud()).norm(dim=1).max()) > 0.3

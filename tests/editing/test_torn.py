@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from pcore.deform.checks import count_folds
-from pcore.deform.jacobian import estimated_frames
+from pcore.deform.jacobian import estimated_maps
 from pcore.deform.motion import rigid
-from pcore.editing.apply import deformed_cloud
+from pcore.deform.pose import pose
 from pcore.editing.script import EditScript, parse_edit
 from pcore.errors import EditError
 from pcore.geometry.point_cloud import PointCloud
@@ -50,12 +50,12 @@ def cloud(points: Tensor) -> PointCloud:
 
 
 @pytest.mark.parametrize("match", ["id", "position"])
-def test_a_hand_that_is_lifted_keeps_its_frames_and_the_hip_its_own(match: str):
+def test_a_hand_that_is_lifted_keeps_its_local_maps_and_the_hip_its_own(match: str):
     points, hand = body_and_hand()
-    moved = deformed_cloud(cloud(points), script(match=match).bind(points))
-    assert moved.frames is not None
+    moved = pose(cloud(points), script(match=match).bind(points))
+    assert moved.local_maps is not None
     truth = torch.where(hand[:, None, None], LIFT.matrix.T.float(), torch.eye(3))
-    off = torch.linalg.matrix_norm(moved.frames.to_rest - truth)
+    off = torch.linalg.matrix_norm(moved.local_maps.to_rest - truth)
     apart = torch.cdist(points[hand], points[~hand]).amin(dim=1) < 0.04
     near = torch.cdist(points[~hand], points[hand]).amin(dim=1) < 0.04
     assert int(apart.sum()) > 50
@@ -66,14 +66,14 @@ def test_a_hand_that_is_lifted_keeps_its_frames_and_the_hip_its_own(match: str):
     assert float(off[~hand][~near].quantile(0.95)) < 0.05
 
 
-def test_the_frames_of_the_edit_are_those_of_the_estimate():
+def test_the_local_maps_of_the_edit_are_those_of_the_estimate():
     points, _ = body_and_hand()
     moved = torch.from_numpy(np.load("after.npy"))
-    frames = deformed_cloud(cloud(points), script().bind(points)).frames
-    assert frames is not None
-    expected = estimated_frames(points, moved)
-    torch.testing.assert_close(frames.to_rest, expected.to_rest, rtol=0, atol=1e-5)
-    assert torch.equal(frames.mended, expected.mended)
+    local_maps = pose(cloud(points), script().bind(points)).local_maps
+    assert local_maps is not None
+    expected = estimated_maps(points, moved)
+    torch.testing.assert_close(local_maps.to_rest, expected.to_rest, rtol=0, atol=1e-5)
+    assert torch.equal(local_maps.mended, expected.mended)
 
 
 def folded() -> Tensor:
@@ -91,15 +91,15 @@ def folded() -> Tensor:
 def test_maps_that_fold_are_mended_and_said(amount: float):
     points = folded()
     bound = script(amount=amount).bound(points)
-    frames = deformed_cloud(cloud(points), bound.deformation).frames
-    assert frames is not None
-    assert len(frames.mended) > 100
-    assert float(torch.linalg.det(frames.to_rest).min()) > 0
+    local_maps = pose(cloud(points), bound.deformation).local_maps
+    assert local_maps is not None
+    assert len(local_maps.mended) > 100
+    assert float(torch.linalg.det(local_maps.to_rest).min()) > 0
     (note,) = bound.notes
-    first = ", ".join(str(int(number)) for number in frames.mended[:5])
+    first = ", ".join(str(int(number)) for number in local_maps.mended[:5])
     assert note.startswith(
-        f"edit 1 (displacement): at {len(frames.mended)} of 1500 points (numbers {first}, ...) the "
-        "local map turns space inside out"
+        f"edit 1 (displacement): at {len(local_maps.mended)} of 1500 points (numbers {first}, ...) "
+        "the local map turns space inside out"
     )
     quiet = script(region={"shape": "sphere", "center": [0.5, 0.5, 0], "radius": 0.2, "falloff": 0})
     assert quiet.bound(points).notes == ()
@@ -116,6 +116,6 @@ def test_a_mirrored_object_is_refused_with_advice_that_fits_and_drawn_with_plain
     assert "plain rays can draw it" in text
     assert "angle" not in text
     deformation = script().bound(points, check=False).deformation
-    moved = deformed_cloud(cloud(points), deformation, aware=False)
+    moved = pose(cloud(points), deformation, aware=False)
     assert torch.equal(moved.positions, points * torch.tensor([1.0, 1.0, -1.0]))
     assert count_folds(deformation, points.double()).folded == 400

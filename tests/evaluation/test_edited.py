@@ -36,10 +36,10 @@ def test_every_cloud_is_moved_by_the_edit_as_bound_to_it() -> None:
     for points in clouds:
         deformation = taper.bind(points)
         assert torch.equal(state.move(points), deformation(points.double()).float())
-        frames = state.frames(points, state.move(points))
-        assert frames is not None
+        maps = state.local_maps(points, state.move(points))
+        assert maps is not None
         expected = torch.linalg.inv(deformation.jacobian(points.double())).float()
-        torch.testing.assert_close(frames.to_rest, expected, rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(maps.to_rest, expected, rtol=1e-4, atol=1e-5)
     with pytest.raises(InputError, match="expected points that the edit was bound to"):
         state.move(cloud(3))
 

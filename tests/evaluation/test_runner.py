@@ -12,11 +12,14 @@ from pcore.asset.asset import Asset, Posed
 from pcore.asset.saving import asset_of
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual
-from pcore.evaluation.runner import ImageRow, Method, Taken, evaluate
-from pcore.evaluation.states import SceneStates, open_states
+from pcore.evaluation.runner import ImageRow, Method, Taken, carry, evaluate
+from pcore.evaluation.states import CANONICAL, SceneStates, open_states
 from pcore.geometry.camera import Camera
+from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
-from pcore.model.render import Picture
+from pcore.relight.lamps import Light, sphere
+from pcore.relight.relighting import Relighting
+from pcore.render.image import Image
 from tiny_scene import draw_box
 
 
@@ -61,7 +64,7 @@ def test_a_perfect_renderer_is_perfect_in_every_state(states: SceneStates, perfe
 def test_points_are_carried_and_cameras_scaled(states: SceneStates, perfect: Method) -> None:
     seen: list[tuple[Posed, Camera]] = []
 
-    def draw(asset: Asset, posed: Posed, camera: Camera) -> Picture:
+    def draw(asset: Asset, posed: Posed, camera: Camera) -> Image:
         seen.append((posed, camera))
         return draw_box(asset, posed, camera)
 
@@ -76,13 +79,13 @@ def test_points_are_carried_and_cameras_scaled(states: SceneStates, perfect: Met
 
 
 def test_holes_show_in_both_kinds_of_figures(states: SceneStates, perfect: Method) -> None:
-    def torn(asset: Asset, posed: Posed, camera: Camera) -> Picture:
+    def torn(asset: Asset, posed: Posed, camera: Camera) -> Image:
         whole = draw_box(asset, posed, camera)
         alpha = whole.alpha.clone()
         alpha[:, : alpha.shape[1] // 2] = 0
         white = torch.ones_like(whole.rgb)
         rgb = torch.where(alpha[..., None] > 0, whole.rgb, white)
-        return Picture(rgb=rgb, alpha=alpha, depth=whole.depth, surface=whole.surface)
+        return Image(rgb=rgb, alpha=alpha, depth=whole.depth, surface=whole.surface)
 
     (row,) = evaluate([perfect], states.select([])[:1], draw=torn, protocols=[PAPR])[:1]
     hole, psnr = row.scores["hole_rate"], row.scores["foreground_psnr"]
@@ -184,3 +187,32 @@ def test_methods_need_different_names(states: SceneStates, perfect: Method) -> N
         evaluate([perfect, perfect], states.select([]), draw=draw_box)
     with pytest.raises(InputError, match="at least one and no name twice, got none"):
         evaluate([], states.select([]), draw=draw_box)
+
+
+def test_one_kind_of_depth_whatever_rays_and_light(states: SceneStates) -> None:
+    """Surfels follow every method's points, so that hole rates compare."""
+    rest = tiny_scene.corner_cloud().positions
+    normals = torch.nn.functional.normalize(rest, dim=1)
+    surfels = Surfels.at_rest(rest, normals, torch.full((8,), 0.05))
+    light = Light(
+        directions=sphere(9),
+        radiance=torch.ones(9),
+        nearness=torch.zeros(9),
+        center=torch.zeros(3),
+    )
+    lit = Relighting.of(light, rest, surfels, torch.ones(8))
+    asset = asset_of(Papr(tiny_scene.CONFIG), tiny_scene.corner_cloud(), surfels=surfels, light=lit)
+    methods = [
+        Method(name="plain", asset=asset, rays="plain"),
+        Method(name="aware", asset=asset, rays="aware"),
+        Method(name="lit", asset=asset, rays="aware", light="still"),
+    ]
+    for state in states.select(["grown", "walk"]):
+        posed = {name: one.content for name, one in carry(methods, state).items()}
+        for one in posed.values():
+            assert torch.equal(one.surfels.places, posed["aware"].surfels.places)
+        moved = state.name != CANONICAL
+        assert posed["plain"].local_maps is None
+        assert (posed["aware"].local_maps is not None) is moved
+        assert (posed["lit"].gains is not None) is moved
+        assert posed["aware"].gains is None

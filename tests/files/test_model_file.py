@@ -15,6 +15,7 @@ from pcore.files import atomic
 from pcore.files.model_file import describe_model, load_model, save_model
 from pcore.files.provenance import pcore_version, provenance_of
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
 
@@ -90,6 +91,8 @@ def test_the_header_alone_tells_what_it_is(saved: tuple[Path, Papr, PointCloud])
     summary = describe_model(path)
     assert describe_model(str(path)) == summary
     assert summary.points == 5
+    assert not summary.surfels
+    assert load_model(path).surfels is None
     expected = sum(p.numel() for p in papr.state_dict().values()) + 5 * (3 + 6 + 1)
     assert summary.parameters == expected
     assert summary.provenance.scene == "lego"
@@ -139,12 +142,34 @@ def test_safetensors_of_somebody_else(tmp_path: Path) -> None:
     assert "not a model of pcore: expected the format 'pcore-model'" in error_of(path)
 
 
-@pytest.mark.parametrize("version", ["4", "6"])
+@pytest.mark.parametrize("version", ["5", "7"])
 def test_another_version(saved: tuple[Path, Papr, PointCloud], version: str) -> None:
     rewrite(saved[0], header={"version": version})
     message = error_of(saved[0])
     assert f"version '{version}'" in message
-    assert "reads version 5" in message
+    assert "reads version 6 alone; train the scene again (`pcore train`)" in message
+    assert "`pcore import papr`" in message
+
+
+def test_the_surface_comes_back_bitwise_where_it_is_known(tmp_path: Path) -> None:
+    papr, cloud, path = Papr(CONFIG), make_cloud(), tmp_path / "model.safetensors"
+    normals = torch.nn.functional.normalize(torch.randn(5, 3), dim=1)
+    normals[2] = 0
+    surfels = Surfels.at_rest(cloud.positions, normals, torch.rand(5))
+    came = provenance_of(cloud, CONFIG, scene="lego", stage="pretrain", step=70)
+    save_model(path, papr.state_dict(), cloud, CONFIG, came, surfels)
+    found = load_model(path).surfels
+    assert found is not None
+    for name in ("places", "normals", "heights", "beside"):
+        assert torch.equal(getattr(found, name), getattr(surfels, name)), name
+    assert found.spacing == surfels.spacing
+    assert describe_model(path).surfels
+    rewrite(path, tensors={"surfels.heights": None})
+    assert "missing tensor 'surfels.heights'" in error_of(path)
+    rewrite(path, tensors={"surfels.heights": torch.zeros(5), "surfels.normals": torch.ones(5, 3)})
+    assert "normals of unit length" in error_of(path)
+    rewrite(path, tensors={"surfels.normals": torch.zeros(4, 3)})
+    assert "'surfels.normals': expected F32 (5, 3), got F32 (4, 3)" in error_of(path)
 
 
 def test_a_changed_configuration(saved: tuple[Path, Papr, PointCloud]) -> None:

@@ -20,6 +20,7 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, PaprConfig
+from ray_pictures import picture_of
 
 EMBED = "proximity_attn.embed.embed_"
 WIDTH, FEATURES, POINTS = 16, 6, 50
@@ -119,9 +120,9 @@ def render(model: OfficialModel, rays: RayBundle) -> dict[str, np.ndarray]:
     papr = Papr(model.config)
     papr.load_state_dict(model.state)
     with torch.no_grad():
-        out = papr(model.cloud, rays)
-    names = ("rgb", "alpha", "features", "surface", "neighbours")
-    return {name: getattr(out, name).numpy() for name in names}
+        out = picture_of(papr, model.cloud, rays)
+    names = ("rgb", "alpha", "features", "neighbours")
+    return {name: getattr(out, name).numpy() for name in names} | {"surface": out.centroid.numpy()}
 
 
 @pytest.mark.parametrize("variant", ["chair", "lego"])
@@ -141,8 +142,9 @@ def test_import_renders_as_the_description_says(tmp_path: Path, variant: str) ->
     )
     found = render(model, rays)
     assert np.array_equal(np.sort(found["neighbours"], -1), expected["neighbours"])
-    for name in ("rgb", "alpha", "features", "surface"):
-        assert np.abs(found[name] - expected[name]).max() < 1e-4, name
+    # Features are sums of many: rounding moves them by 5e-5 to 8.5e-5, the others by 2e-5 at most.
+    for name, most in {"rgb": 1e-4, "alpha": 1e-4, "features": 3e-4, "surface": 1e-4}.items():
+        assert np.abs(found[name] - expected[name]).max() < most, name
     assert 0.05 < expected["alpha"].mean() < 0.95
     assert expected["rgb"].std() > 0.01
 
@@ -217,7 +219,7 @@ def test_round_trip_renders_identically(tmp_path: Path, lego: bool) -> None:
     model = load(tmp_path, {"17": to_official_state(papr, cloud)}, tree)
     assert model.config == config
     with torch.no_grad():
-        expected = papr(cloud, view()).rgb.numpy()
+        expected = picture_of(papr, cloud, view()).rgb.numpy()
     assert np.array_equal(render(model, view())["rgb"], expected)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -11,13 +11,29 @@ import torch
 from torch import Tensor
 
 from pcore.kernels import cpu_networks, functional
-from pcore.kernels.functional import Attention, AttentionRules, proximity_attention
+from pcore.kernels.functional import AttentionRules
 from pcore.kernels.networks import Layers, standardise
 
 LEAVES = ("positions", "features", "influence", "queries", "constants")
-RULES = AttentionRules(scale=2.0, frequencies=(3, 1, 4), background_score=0.5, cutoff=1.0)
+RULES = AttentionRules(
+    scale=2.0, frequencies=(3, 1, 4), background_score=0.5, cutoff=1.0, stop_encoding=True
+)
 OWN, WAVES = 3 * (1 + 2 * 3), 3 * (1 + 2 * 1) + 3 * (1 + 2 * 4)
 TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True)
+class Attention:
+    """What `proximity_attention` returns, by name."""
+
+    features: Tensor
+    background: Tensor
+    weights: Tensor
+    answering: Tensor
+
+
+def proximity_attention(**inputs: Any) -> Attention:
+    return Attention(*functional.proximity_attention(**inputs))
 
 
 def network(
@@ -325,6 +341,56 @@ def test_nothing_is_kept_without_gradient_and_what_is_kept_is_bounded(
     # Twice what may be kept, and what grows with the pairs but not with the networks' width.
     table = 4 * 400 * 8 * (WAVES + 10)
     assert sum(saved) < 2 * 200_000 + 3 * table
+
+
+@pytest.mark.parametrize("each", [True, False])
+def test_gradients_of_rays_and_encoded_positions(each: bool) -> None:
+    """Which training leaves out; in float32 by the kernels as far as they know them."""
+    inputs, rules = scene(20, 30, 4, each=each), replace(RULES, stop_encoding=False, cutoff=None)
+    leaves = ("positions", "origins", "directions", "queries")
+
+    def gradients_of(given: dict[str, Any]) -> list[Tensor]:
+        given = given | {name: given[name].clone().requires_grad_() for name in leaves}
+        out = proximity_attention(**given, rules=rules)
+        loss = out.features.square().sum() + out.background.square().sum()
+        return list(torch.autograd.grad(loss, [given[name] for name in leaves]))
+
+    exact = double(inputs)
+    expected = gradients_of(exact)
+    for one, other in zip(gradients_of(inputs), expected, strict=True):
+        largest = float(other.abs().max())
+        torch.testing.assert_close(one.double(), other, rtol=0, atol=1e-3 * largest)
+    step = 1e-6
+    for name, gradient in zip(leaves, expected, strict=True):
+        change = torch.randn(exact[name].shape, dtype=torch.float64)
+        losses: list[float] = []
+        for sign in (-1, 1):
+            out = proximity_attention(
+                **(exact | {name: exact[name] + sign * step * change}), rules=rules
+            )
+            losses.append(float(out.features.square().sum() + out.background.square().sum()))
+        slope = (losses[1] - losses[0]) / (2 * step)
+        assert float((gradient * change).sum()) == pytest.approx(slope, rel=1e-4, abs=1e-6), name
+
+
+@pytest.mark.parametrize("each", [True, False])
+def test_origins_alone_keep_the_kernels(each: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rays of posed points in a training: offsets are encoded by the kernel as points are."""
+    inputs = scene(20, 30, 4, each=each)
+    names = ("positions", "origins", "directions", "neighbours")
+    given = {name: inputs[name] for name in names}
+    expected, _ = functional.encode_pairs(**given, scale=2.0, frequencies=(1, 4))
+    monkeypatch.setattr(functional.reference, "encode_pairs", None)
+    given["origins"] = inputs["origins"].clone().requires_grad_()
+    given["positions"] = inputs["positions"].clone().requires_grad_()
+    found, _ = functional.encode_pairs(**given, scale=2.0, frequencies=(1, 4))
+    torch.testing.assert_close(found, expected)
+    to_origins, to_positions = torch.autograd.grad(
+        found.square().sum(), (given["origins"], given["positions"])
+    )
+    torch.testing.assert_close(
+        to_origins.reshape(-1, 3).sum(dim=0), -to_positions.sum(dim=0), rtol=1e-3, atol=1e-3
+    )
 
 
 # --- the networks --------------------------------------------------------------------------

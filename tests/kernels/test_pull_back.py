@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from pcore.geometry.rays import RayBundle
 from pcore.kernels import cpu, cpu_pull_back, functional, reference
-from pcore.kernels.ray_layers import LayerRules
 
 
 def scene(rays: int, points: int, candidates: int) -> dict[str, Tensor]:
@@ -27,14 +27,14 @@ def scene(rays: int, points: int, candidates: int) -> dict[str, Tensor]:
     }
 
 
-@pytest.mark.parametrize("hidden", [False, True])
+@pytest.mark.parametrize("back_layer", [False, True])
 @pytest.mark.parametrize(
     "layers",
     [
         None,
-        LayerRules(close=0.6, apart=0.7, cutoff=1.5),
-        LayerRules(close=2.0, apart=0.3, cutoff=0.8),
-        LayerRules(close=0.0, apart=0.3, cutoff=0.8),
+        (0.6, 0.7, 1.5),
+        (2.0, 0.3, 0.8),
+        (0.0, 0.3, 0.8),
     ],
 )
 @pytest.mark.parametrize(
@@ -42,33 +42,45 @@ def scene(rays: int, points: int, candidates: int) -> dict[str, Tensor]:
     [(37, 123, 11, 5), (300, 123, 40, 5), (1, 1, 1, 1), (0, 9, 4, 2), (5, 8, 8, 8)],
 )
 def test_backends_agree(
-    rays: int, points: int, candidates: int, k: int, layers: LayerRules | None, hidden: bool
+    rays: int,
+    points: int,
+    candidates: int,
+    k: int,
+    layers: tuple[float, float, float] | None,
+    back_layer: bool,
 ) -> None:
     inputs = scene(rays, points, candidates)
-    expected = reference.pull_back(**inputs, k=k, layers=layers, hidden=hidden)
-    found = cpu_pull_back.pull_back(**inputs, k=k, layers=layers, hidden=hidden)
-    for name in ("neighbours", "counts", "strangers"):
-        assert torch.equal(getattr(found, name), getattr(expected, name)), name
-    for name in ("origins", "directions"):
-        torch.testing.assert_close(
-            getattr(found, name), getattr(expected, name), rtol=1e-4, atol=1e-4
-        )
+    expected = reference.pull_back(**inputs, k=k, layers=layers, back_layer=back_layer)
+    found = cpu_pull_back.pull_back(**inputs, k=k, layers=layers, back_layer=back_layer)
+    for name, one, other in zip(
+        ("neighbours", "", "counts", "has_back"), found, expected, strict=True
+    ):
+        if isinstance(one, RayBundle):
+            assert isinstance(other, RayBundle)
+            torch.testing.assert_close(one.origins, other.origins, rtol=1e-4, atol=1e-4)
+            torch.testing.assert_close(one.directions, other.directions, rtol=1e-4, atol=1e-4)
+        else:
+            assert torch.equal(one, other), name
 
 
 def test_a_pair_sees_the_ray_through_its_own_map() -> None:
     inputs = scene(4, 20, 7)
-    found = functional.pull_back(**inputs, k=3)
-    assert found.counts.tolist() == [3] * 4
-    assert not found.strangers.any()
+    neighbours, seen, counts, has_back = functional.pull_back(**inputs, k=3)
+    assert counts.tolist() == [3] * 4
+    assert not has_back.any()
+    points = [inputs[name] for name in ("positions", "rest", "to_rest")]
+    again = functional.rays_at_rest(inputs["origins"], inputs["directions"], *points, neighbours)
+    torch.testing.assert_close(again.origins, seen.origins)
+    torch.testing.assert_close(again.directions, seen.directions)
     for ray in range(4):
         for slot in range(3):
-            point = int(found.neighbours[ray, slot])
+            point = int(neighbours[ray, slot])
             back = inputs["to_rest"][point]
             offset = inputs["origins"][ray] - inputs["positions"][point]
             turned = back @ inputs["directions"][ray]
             origin = inputs["rest"][point] + back @ offset
-            torch.testing.assert_close(found.origins[ray, slot], origin)
-            torch.testing.assert_close(found.directions[ray, slot], turned / turned.norm())
+            torch.testing.assert_close(seen.origins[ray, slot], origin)
+            torch.testing.assert_close(seen.directions[ray, slot], turned / turned.norm())
 
 
 def side_by_side(front: float) -> dict[str, Tensor]:
@@ -94,45 +106,45 @@ def side_by_side(front: float) -> dict[str, Tensor]:
 @pytest.mark.parametrize("work", [cpu_pull_back, reference])
 def test_the_foremost_and_its_like_come_first(work: ModuleType) -> None:
     """However near to the ray the points behind them are."""
-    rules = LayerRules(close=0.15, apart=1.0, cutoff=0.35)
-    found = work.pull_back(**side_by_side(3.0), k=3, layers=rules)
-    assert found.neighbours.tolist() == [[4, 5, 6]]
-    assert found.strangers.tolist() == [True]
-    behind = work.pull_back(**side_by_side(3.0), k=3, layers=rules, hidden=True)
-    assert behind.neighbours.tolist() == [[0, 1, 2]]
-    assert behind.counts.tolist() == [3]
-    # The farthest of them is beyond the cut-off: nobody's stranger, and no slot behind is its.
-    four = work.pull_back(**side_by_side(3.0), k=5, layers=rules, hidden=True)
-    assert four.counts.tolist() == [3]
-    assert four.neighbours.tolist() == [[0, 1, 2, 0, 0]], "empty slots repeat the nearest"
+    rules = (0.15, 1.0, 0.35)
+    neighbours, _, _, has_back = work.pull_back(**side_by_side(3.0), k=3, layers=rules)
+    assert neighbours.tolist() == [[4, 5, 6]]
+    assert has_back.tolist() == [True]
+    behind, _, counts, _ = work.pull_back(**side_by_side(3.0), k=3, layers=rules, back_layer=True)
+    assert behind.tolist() == [[0, 1, 2]]
+    assert counts.tolist() == [3]
+    # The farthest of them is beyond the cut-off: of no layer behind, and no slot there is its.
+    four, _, counts, _ = work.pull_back(**side_by_side(3.0), k=5, layers=rules, back_layer=True)
+    assert counts.tolist() == [3]
+    assert four.tolist() == [[0, 1, 2, 0, 0]], "empty slots repeat the nearest"
     # From the other side of the points that stayed they are themselves the foremost.
-    assert work.pull_back(**side_by_side(7.0), k=3, layers=rules).neighbours.tolist() == [[0, 1, 2]]
-    # What is behind the origin hides nothing; it is nobody's stranger either.
-    found = work.pull_back(**side_by_side(-1.0), k=3, layers=rules)
-    assert found.neighbours.tolist() == [[0, 4, 1]]
-    assert found.strangers.tolist() == [False]
+    assert work.pull_back(**side_by_side(7.0), k=3, layers=rules)[0].tolist() == [[0, 1, 2]]
+    # What is behind the origin hides nothing; nothing is behind it either.
+    neighbours, _, _, has_back = work.pull_back(**side_by_side(-1.0), k=3, layers=rules)
+    assert neighbours.tolist() == [[0, 4, 1]]
+    assert has_back.tolist() == [False]
 
 
 @pytest.mark.parametrize("work", [cpu_pull_back, reference])
 @pytest.mark.parametrize(
     "rules",
     [
-        LayerRules(close=0.05, apart=1.0, cutoff=0.35),  # No point is close.
-        LayerRules(close=0.15, apart=11.0, cutoff=0.35),  # All met the same rays at rest.
+        (0.05, 1.0, 0.35),  # No point is close.
+        (0.15, 11.0, 0.35),  # All met the same rays at rest.
         None,
     ],
 )
 def test_where_nothing_tells_layers_apart_the_nearest_are_kept(
-    work: ModuleType, rules: LayerRules | None
+    work: ModuleType, rules: tuple[float, float, float] | None
 ) -> None:
-    found = work.pull_back(**side_by_side(3.0), k=4, layers=rules)
-    assert found.neighbours.tolist() == [[0, 4, 1, 5]]
-    assert found.strangers.tolist() == [False]
+    neighbours, _, _, has_back = work.pull_back(**side_by_side(3.0), k=4, layers=rules)
+    assert neighbours.tolist() == [[0, 4, 1, 5]]
+    assert has_back.tolist() == [False]
 
 
 def test_neighbours_are_the_nearest_in_the_rest_state() -> None:
     inputs = scene(6, 30, 30)
-    chosen = functional.pull_back(**inputs, k=4).neighbours
+    chosen = functional.pull_back(**inputs, k=4)[0]
     for ray in range(6):
         distances: list[float] = []
         for point in range(30):

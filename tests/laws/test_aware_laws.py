@@ -9,22 +9,26 @@ import torch
 from torch import Tensor
 
 from pcore.deform.base import Affine, Compose, Deformation, Identity
-from pcore.deform.jacobian import analytic_frames, estimated_frames, unchecked_frames
+from pcore.deform.jacobian import analytic_maps, estimated_maps, unchecked_maps
 from pcore.deform.motion import rigid
+from pcore.deform.pose import pose
 from pcore.deform.simple import uniform_scale
-from pcore.editing.apply import deformed_cloud
 from pcore.errors import EditError, InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
+from pcore.geometry.surfels import Surfels
 from pcore.kernels.reference import encode
-from pcore.model.papr import Papr, Rendering
+from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig, ReferenceOrigin
-from pcore.model.render import render
-from pcore.model.surface import surface_of
 from pcore.relight.lamps import Light, sphere
-from pcore.relight.shading import Shading
+from pcore.relight.relighting import Relighting
+from pcore.render.picture import render
+from pcore.render.surface import surface_of
+from pcore.render.trace import trace
+from ray_pictures import RayPicture, moved, picture_of
 
 CONFIG = PaprConfig(
     neighbours=5,
@@ -60,7 +64,7 @@ def camera(width: int = 16, height: int = 12) -> Camera:
 
 
 def network(reference: ReferenceOrigin | None) -> Papr:
-    return Papr(replace(CONFIG, reference=reference)).eval()
+    return Papr(replace(CONFIG, reference=reference)).requires_grad_(False).eval()
 
 
 def carried(rays: RayBundle, matrix: Tensor, offset: Tensor) -> RayBundle:
@@ -77,11 +81,11 @@ def affine(deformation: Deformation) -> tuple[Tensor, Tensor]:
 
 
 @torch.no_grad()
-def both(papr: Papr, cloud: PointCloud, deformation: Deformation) -> tuple[Rendering, Rendering]:
+def both(papr: Papr, cloud: PointCloud, deformation: Deformation) -> tuple[RayPicture, RayPicture]:
     """The canonical picture, and the deformed one from the correspondingly moved camera."""
     rays = camera().rays()
-    moved = deformed_cloud(cloud, deformation)
-    return papr(cloud, rays), papr(moved, carried(rays, *affine(deformation)))
+    seen = carried(rays, *affine(deformation))
+    return picture_of(papr, cloud, rays), picture_of(papr, pose(cloud, deformation), seen)
 
 
 @ORIGINS
@@ -98,8 +102,8 @@ def test_similarities_give_the_canonical_picture(
             getattr(deformed, name), getattr(canonical, name), rtol=0, atol=1e-4
         )
     hit = canonical.weights.sum(dim=-1) > 0
-    expected = deformation(canonical.surface)
-    torch.testing.assert_close(deformed.surface[hit], expected[hit], rtol=0, atol=1e-4)
+    expected = deformation(canonical.centroid)
+    torch.testing.assert_close(deformed.centroid[hit], expected[hit], rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
@@ -109,16 +113,16 @@ def test_similarities_move_the_surface_that_pictures_show(scale: float) -> None:
     turn = rigid((0.2, 1.0, -0.4), 0.9, (0.3, -0.2, 0.1), (0.1, 0.0, 0.0))
     deformation = Compose(uniform_scale(scale), turn)
     papr = Papr(replace(CONFIG, neighbours=8, cutoff=0.3, reference=REFERENCE)).eval()
-    rest, moved = ball(), deformed_cloud(ball(), deformation)
+    rest, turned = PosedCloud.at_rest(ball()), pose(ball(), deformation)
     rays = camera().rays().flat()
     seen = carried(rays, *affine(deformation))
     found, expected = (
-        surface_of(cloud, lines, *papr.attend(cloud, lines), 0.3).surface
-        for cloud, lines in ((moved, seen), (rest, rays))
+        surface_of(posed, lines, trace(papr, posed, lines), 0.3)[0]
+        for posed, lines in ((turned, seen), (rest, rays))
     )
     hit = ~expected.isnan().any(dim=1)
     assert torch.equal(found.isnan(), expected.isnan())
-    means = papr.attend(rest, rays)[0].surface
+    means = trace(papr, rest, rays).centroid
     layered = (means - expected)[hit].norm(dim=1) > 0.05
     assert 0.05 < float(layered.float().mean()) < 0.95, "front and back answer some of the rays"
     torch.testing.assert_close(found[hit], deformation(expected)[hit], rtol=0, atol=1e-4)
@@ -126,7 +130,7 @@ def test_similarities_move_the_surface_that_pictures_show(scale: float) -> None:
 
 @pytest.mark.parametrize("scale", [0.5, 2.0])
 @torch.no_grad()
-def test_similarities_move_the_skin(scale: float) -> None:
+def test_similarities_move_the_surfels(scale: float) -> None:
     """And in light from everywhere change no brightness: nothing of a ball shades itself."""
     turn = rigid((0.2, 1.0, -0.4), 0.9, (0.3, -0.2, 0.1), (0.1, 0.0, 0.0))
     deformation = Compose(uniform_scale(scale), turn)
@@ -139,28 +143,22 @@ def test_similarities_move_the_skin(scale: float) -> None:
         nearness=torch.zeros(60),
         center=torch.zeros(3),
     )
-    shading = Shading(
-        light=even,
-        normals=normals,
-        positions=points,
-        brightness=torch.full((len(points),), 0.3),
-        lift=0.02,
-    )
-    moved = deformed_cloud(ball(), deformation, shading=shading)
+    surfels = Surfels.at_rest(points, normals, torch.full((len(points),), 0.02))
+    relighting = Relighting.of(even, points, surfels, torch.full((len(points),), 0.3))
+    turned = pose(ball(), deformation, surfels=surfels)
+    turned = replace(turned, gains=relighting.gains(turned))
     rays = camera().rays().flat()
     seen = carried(rays, *affine(deformation))
-    found, expected = (
-        surface_of(cloud, lines, *papr.attend(cloud, lines), 0.3)
-        for cloud, lines in ((moved, seen), (ball().covered(shading.rest), rays))
-    )
-    hit = ~expected.surface.isnan().any(dim=1)
-    moved_surface = deformation(expected.surface)[hit]
-    torch.testing.assert_close(found.surface[hit], moved_surface, rtol=0, atol=1e-4)
-    bare = surface_of(ball(), rays, *papr.attend(ball(), rays), 0.3).surface
-    assert float((bare - expected.surface)[hit].norm(dim=1).mean()) > 0.01
-    assert expected.gains is None
-    assert found.gains is not None
-    torch.testing.assert_close(found.gains, torch.ones(len(hit)), rtol=0, atol=0.05)
+    rest, bare = PosedCloud.at_rest(ball(), surfels), PosedCloud.at_rest(ball())
+    found, gains = surface_of(turned, seen, trace(papr, turned, seen), 0.3)
+    expected, none = surface_of(rest, rays, trace(papr, rest, rays), 0.3)
+    hit = ~expected.isnan().any(dim=1)
+    torch.testing.assert_close(found[hit], deformation(expected)[hit], rtol=0, atol=1e-4)
+    of_points, _ = surface_of(bare, rays, trace(papr, bare, rays), 0.3)
+    assert float((of_points - expected)[hit].norm(dim=1).mean()) > 0.01
+    assert none is None
+    assert gains is not None
+    torch.testing.assert_close(gains, torch.ones(len(hit)), rtol=0, atol=0.05)
 
 
 @ORIGINS
@@ -216,13 +214,13 @@ def test_few_neighbours_of_many_are_found_and_give_the_canonical_features(name: 
     cloud.positions[-1] = torch.tensor([0.0, 0.0, -40.0])
     deformation = Affine(torch.tensor(STRONG[name]), torch.tensor([0.2, -0.1, 0.3]))
     papr = Papr(replace(CONFIG, neighbours=6, cutoff=0.1, reference=REFERENCE)).eval()
-    rays, moved = camera().rays(), deformed_cloud(cloud, deformation)
-    assert moved.frames is not None
-    moved.frames.to_rest[-1] *= 1.5
-    assert not moved.moved_as_one
+    rays, posed = camera().rays(), pose(cloud, deformation)
+    assert posed.local_maps is not None
+    posed.local_maps.to_rest[-1] *= 1.5
+    assert not posed.moved_as_one
     with torch.no_grad():
-        canonical = papr(cloud, rays)
-        deformed = papr(moved, carried(rays, *affine(deformation)))
+        canonical = picture_of(papr, cloud, rays)
+        deformed = picture_of(papr, posed, carried(rays, *affine(deformation)))
     hit = canonical.weights.sum(dim=-1) > 0
     right = deformed.neighbours[..., :, None] == canonical.neighbours[..., None, :]
     recall = right.any(dim=-2).float().mean(dim=-1)[hit]
@@ -245,16 +243,16 @@ def test_the_query_sees_the_mean_direction_of_the_neighbours() -> None:
     papr, seen = Papr(replace(CONFIG, neighbours=2)).eval(), list[Tensor]()
     papr.attention.query.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
     with torch.no_grad():
-        papr.attend(cloud.moved(places, LocalMaps(rest=places, to_rest=turns)), rays.flat())
+        trace(papr, moved(cloud, places, turns), rays)
     expected = encode(rays.flat().directions, CONFIG.octaves.direction)
     torch.testing.assert_close(seen[0], expected, rtol=0, atol=1e-6)
 
 
 def test_the_anisotropy_of_an_edit_is_that_of_most_points() -> None:
-    rest, eye = torch.rand(100, 3), torch.eye(3).repeat(100, 1, 1)
+    eye = torch.eye(3).repeat(100, 1, 1)
     flat = eye * torch.tensor([1.0, 1.0, 0.1])
     few = torch.where((torch.arange(100) < 3)[:, None, None], flat, eye)
-    found = [LocalMaps(rest=rest, to_rest=maps).anisotropy for maps in (eye, 3 * flat, few)]
+    found = [LocalMaps(to_rest=maps).anisotropy for maps in (eye, 3 * flat, few)]
     assert found == pytest.approx([1.0, 10.0, 1.0])
 
 
@@ -263,24 +261,24 @@ def test_without_frames_a_scaled_object_looks_different(cloud: PointCloud) -> No
     papr, rays = network(REFERENCE), camera().rays()
     scaled = RayBundle(origins=2 * rays.origins, directions=rays.directions)
     with torch.no_grad():
-        difference = papr(cloud.moved(2 * cloud.positions), scaled).features
-        difference = difference - papr(cloud, rays).features
+        difference = picture_of(papr, moved(cloud, 2 * cloud.positions), scaled).features
+        difference = difference - picture_of(papr, cloud, rays).features
     assert float(difference.abs().max()) > 1e-2
 
 
 def test_the_identity_edit_is_the_identical_picture(cloud: PointCloud) -> None:
     papr, rays = network(REFERENCE), camera().rays()
-    still = deformed_cloud(cloud, Compose(uniform_scale(1.0), Identity()))
+    still = pose(cloud, Compose(uniform_scale(1.0), Identity()))
     with torch.no_grad():
-        assert torch.equal(papr(still, rays).rgb, papr(cloud, rays).rgb)
+        assert torch.equal(picture_of(papr, still, rays).rgb, picture_of(papr, cloud, rays).rgb)
 
 
 def test_frames_of_the_identity_change_nothing_that_is_seen(cloud: PointCloud) -> None:
     papr, rays = network(REFERENCE), camera().rays()
-    frames = LocalMaps(rest=cloud.positions, to_rest=torch.eye(3).expand(200, 3, 3))
+    still = moved(cloud, cloud.positions, torch.eye(3).expand(200, 3, 3))
     with torch.no_grad():
-        plain, framed = papr(cloud, rays), papr(cloud.moved(cloud.positions, frames), rays)
-    torch.testing.assert_close(framed.rgb, plain.rgb, rtol=0, atol=1e-4)
+        plain, mapped = picture_of(papr, cloud, rays), picture_of(papr, still, rays)
+    torch.testing.assert_close(mapped.rgb, plain.rgb, rtol=0, atol=1e-4)
 
 
 def test_the_origin_on_a_ray_does_not_matter_with_a_reference(cloud: PointCloud) -> None:
@@ -288,22 +286,32 @@ def test_the_origin_on_a_ray_does_not_matter_with_a_reference(cloud: PointCloud)
     slid = RayBundle(origins=rays.origins - 3.0 * rays.directions, directions=rays.directions)
     with torch.no_grad():
         near, far = (
-            network_(cloud, one).rgb for network_ in [network(REFERENCE)] for one in (rays, slid)
+            picture_of(network_, cloud, one).rgb
+            for network_ in [network(REFERENCE)]
+            for one in (rays, slid)
         )
         torch.manual_seed(0)
         plain = network(None)
-        assert float((plain(cloud, rays).rgb - plain(cloud, slid).rgb).abs().max()) > 1e-3
+        assert (
+            float(
+                (picture_of(plain, cloud, rays).rgb - picture_of(plain, cloud, slid).rgb)
+                .abs()
+                .max()
+            )
+            > 1e-3
+        )
     torch.testing.assert_close(near, far, rtol=0, atol=1e-4)
 
 
 def test_estimated_frames_obey_the_law_for_similarities(cloud: PointCloud) -> None:
     deformation = uniform_scale(2.0)
-    moved = deformation(cloud.positions)
-    frames = estimated_frames(cloud.positions, moved)
+    places = deformation(cloud.positions)
+    to_rest = estimated_maps(cloud.positions, places).to_rest
     papr, rays = network(REFERENCE), camera().rays()
     with torch.no_grad():
-        canonical = papr(cloud, rays)
-        deformed = papr(cloud.moved(moved, frames), carried(rays, *affine(deformation)))
+        canonical = picture_of(papr, cloud, rays)
+        seen = carried(rays, *affine(deformation))
+        deformed = picture_of(papr, moved(cloud, places, to_rest), seen)
     torch.testing.assert_close(deformed.rgb, canonical.rgb, rtol=0, atol=1e-3)
 
 
@@ -316,10 +324,13 @@ def test_gradients_reach_the_points_through_the_rest_state(cloud: PointCloud) ->
     for aware in (False, True):
         positions = cloud.positions.clone().requires_grad_()
         now = replace(cloud, positions=positions)
+        posed = PosedCloud.at_rest(now)
         if aware:
-            now = now.moved(deformation(positions), unchecked_frames(deformation, positions))
+            to_rest = unchecked_maps(deformation, positions).to_rest
+            posed = moved(now, deformation(positions), to_rest)
         seen = carried(rays, matrix, torch.zeros(3)) if aware else rays
-        gradients.append(torch.autograd.grad(papr(now, seen).features.square().sum(), positions)[0])
+        loss = picture_of(papr, posed, seen).features.square().sum()
+        gradients.append(torch.autograd.grad(loss, positions)[0])
     largest = float(gradients[0].abs().max())
     torch.testing.assert_close(gradients[1], gradients[0], rtol=0, atol=1e-3 * largest)
 
@@ -327,34 +338,34 @@ def test_gradients_reach_the_points_through_the_rest_state(cloud: PointCloud) ->
 def test_a_fold_is_an_error_and_plain_rays_still_move_the_points(cloud: PointCloud) -> None:
     mirror = Affine(torch.diag(torch.tensor([1.0, 1.0, -1.0])), torch.zeros(3))
     with pytest.raises(EditError, match="at 200 of 200 points"):
-        deformed_cloud(cloud, mirror)
-    assert deformed_cloud(cloud, mirror, aware=False).frames is None
+        pose(cloud, mirror)
+    assert pose(cloud, mirror, aware=False).local_maps is None
 
 
 @pytest.mark.parametrize("part", ["position", "rest position", "local map"])
 def test_nan_is_an_error_and_no_black_picture(cloud: PointCloud, part: str) -> None:
-    moved = deformed_cloud(cloud, uniform_scale(2.0))
-    assert moved.frames is not None
+    posed = pose(cloud, uniform_scale(2.0))
+    assert posed.local_maps is not None
     values = {
-        "position": moved.positions,
-        "rest position": moved.frames.rest,
-        "local map": moved.frames.to_rest,
+        "position": posed.positions,
+        "rest position": posed.cloud.positions,
+        "local map": posed.local_maps.to_rest,
     }[part]
     values[3:5] = torch.nan
     with pytest.raises(InputError, match=f"NaN or infinity in the {part} of 2 of 200"):
-        render(network(None), moved, camera())
+        render(network(None), posed, camera())
 
 
 def test_frames_that_fold_space_are_not_drawn(cloud: PointCloud) -> None:
     maps = torch.eye(3).repeat(200, 1, 1)
     maps[7:10, 2, 2] = -1.0
     maps[11] = 0.0
-    folded = cloud.moved(cloud.positions, LocalMaps(rest=cloud.positions, to_rest=maps))
+    folded = moved(cloud, cloud.positions, maps)
     with pytest.raises(InputError, match=r"det > 0\), got 4 of 200 that do not"):
         render(network(None), folded, camera())
 
 
 def test_frames_of_another_cloud_are_refused(cloud: PointCloud) -> None:
-    frames = analytic_frames(uniform_scale(2.0), cloud.positions[:50])
-    with pytest.raises(InputError, match="frames of its 200 points, got frames of 50"):
-        cloud.moved(2 * cloud.positions, frames)
+    to_rest = analytic_maps(uniform_scale(2.0), cloud.positions[:50]).to_rest
+    with pytest.raises(InputError, match="local maps of its 200 points, got 50"):
+        moved(cloud, 2 * cloud.positions, to_rest)

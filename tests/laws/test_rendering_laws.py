@@ -10,9 +10,11 @@ import torch
 from pcore.editing.script import parse_edit
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Papr, Rendering
+from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, PaprConfig
+from ray_pictures import RayPicture, moved, picture_of
 
 CONFIG = PaprConfig(
     neighbours=5,
@@ -47,13 +49,13 @@ def camera(width: int = 12, height: int = 10) -> Camera:
     return Camera.from_fov(pose, width=width, height=height, angle_x=0.9)
 
 
-def render(papr: Papr, cloud: PointCloud, rays: RayBundle | None = None) -> Rendering:
+def render(papr: Papr, cloud: PointCloud | PosedCloud, rays: RayBundle | None = None) -> RayPicture:
     with torch.no_grad():
-        return papr(cloud, camera().rays() if rays is None else rays)
+        return picture_of(papr, cloud, camera().rays() if rays is None else rays)
 
 
-def same(a: Rendering, b: Rendering, tolerance: float) -> bool:
-    names = ("rgb", "alpha", "surface", "features")
+def same(a: RayPicture, b: RayPicture, tolerance: float) -> bool:
+    names = ("rgb", "alpha", "centroid", "features")
     return all(float((getattr(a, n) - getattr(b, n)).abs().max()) <= tolerance for n in names)
 
 
@@ -65,11 +67,11 @@ def rotation() -> torch.Tensor:
     return out
 
 
-def carried(papr: Papr, cloud: PointCloud, motion: torch.Tensor) -> Rendering:
+def carried(papr: Papr, cloud: PointCloud, motion: torch.Tensor) -> RayPicture:
     """Render the cloud and the camera after the same rigid motion."""
     positions = cloud.positions @ motion[:3, :3].T + motion[:3, 3]
-    moved = camera().moved(motion @ camera().world_from_camera)
-    return render(papr, cloud.moved(positions), moved.rays())
+    seen = camera().moved(motion @ camera().world_from_camera)
+    return render(papr, moved(cloud, positions), seen.rays())
 
 
 def test_permuting_the_points_changes_nothing(papr: Papr, cloud: PointCloud) -> None:
@@ -100,7 +102,7 @@ def test_rays_are_independent_before_the_unet(papr: Papr, cloud: PointCloud) -> 
     whole = render(papr, cloud)
     part = render(papr, cloud, camera().rays().crop(2, 4, 6, 5))
     window = (slice(2, 8), slice(4, 9))
-    for name in ("alpha", "surface", "features"):
+    for name in ("alpha", "centroid", "features"):
         assert torch.allclose(getattr(whole, name)[window], getattr(part, name), atol=1e-5)
 
 
@@ -112,11 +114,11 @@ def test_units_do_not_matter(cloud: PointCloud) -> None:
     rays = camera().rays()
     scaled = render(
         other,
-        cloud.moved(cloud.positions * 8),
+        moved(cloud, cloud.positions * 8),
         RayBundle(origins=rays.origins * 8, directions=rays.directions),
     )
     expected = render(papr, cloud)
-    assert same(expected, replace(scaled, surface=scaled.surface / 8), 1e-4)
+    assert same(expected, replace(scaled, centroid=scaled.centroid / 8), 1e-4)
 
 
 def test_rigid_motion_of_camera_and_cloud_together_is_not_promised(
@@ -132,9 +134,9 @@ def test_rigid_motion_of_camera_and_cloud_together_is_not_promised(
     shift = torch.eye(4)
     shift[:3, 3] = torch.tensor([0.4, -0.3, 0.2])
     for motion in (shift, rotation()):
-        moved = carried(papr, cloud, motion)
-        assert torch.equal(moved.neighbours.sort(-1).values, still.neighbours.sort(-1).values)
-        assert float((moved.alpha - still.alpha).abs().max()) > 1e-3
+        after = carried(papr, cloud, motion)
+        assert torch.equal(after.neighbours.sort(-1).values, still.neighbours.sort(-1).values)
+        assert float((after.alpha - still.alpha).abs().max()) > 1e-3
 
 
 def test_values_ignore_where_the_object_stands(papr: Papr, cloud: PointCloud) -> None:
@@ -146,7 +148,7 @@ def test_values_ignore_where_the_object_stands(papr: Papr, cloud: PointCloud) ->
     assert same_features(render(papr, cloud), carried(papr, cloud, shift), 1e-3)
 
 
-def same_features(a: Rendering, b: Rendering, tolerance: float) -> bool:
+def same_features(a: RayPicture, b: RayPicture, tolerance: float) -> bool:
     return float((a.features - b.features).abs().max()) <= tolerance
 
 
@@ -175,7 +177,7 @@ def test_rays_beyond_the_cutoff_are_exactly_background(papr: Papr, cloud: PointC
     assert torch.equal(
         out.rgb[beyond], torch.tensor(CONFIG.background).expand(int(beyond.sum()), 3)
     )
-    for name in ("alpha", "features", "weights", "surface"):
+    for name in ("alpha", "features", "weights", "centroid"):
         assert float(getattr(out, name)[beyond].abs().max()) == 0, name
     assert float(out.alpha[distance < cutoff * 0.999].min()) > 0
 
@@ -203,5 +205,5 @@ def test_the_identity_edit_gives_the_identical_picture(
 ) -> None:
     script = parse_edit({"version": 2, "edits": [edit]})
     deformation = script.bind(cloud.positions)
-    moved = cloud.moved(deformation(cloud.positions.double()).float())
-    assert same(render(papr, moved), render(papr, cloud), 0.0)
+    still = moved(cloud, deformation(cloud.positions.double()).float())
+    assert same(render(papr, still), render(papr, cloud), 0.0)

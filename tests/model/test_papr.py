@@ -11,6 +11,7 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels import reference_attention
 from pcore.kernels.backends import usable
@@ -21,6 +22,8 @@ from pcore.model.encoding import Normalisation, encoded_size
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, PaprConfig, ReferenceOrigin
 from pcore.model.unet import Unet
+from pcore.render.trace import trace
+from ray_pictures import moved, picture_of
 
 
 def small_config(**changes: object) -> PaprConfig:
@@ -56,8 +59,8 @@ def kernels(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_shapes_and_ranges() -> None:
-    out = Papr(small_config())(small_cloud(), view())
-    assert out.rgb.shape == out.surface.shape == (6, 9, 3)
+    out = picture_of(Papr(small_config()), small_cloud(), view())
+    assert out.rgb.shape == out.centroid.shape == (6, 9, 3)
     assert out.alpha.shape == (6, 9)
     assert out.weights.shape == out.neighbours.shape == (6, 9, 4)
     assert out.features.shape == (6, 9, 8)
@@ -67,26 +70,26 @@ def test_shapes_and_ranges() -> None:
 
 def test_surface_is_the_weighted_mean_of_the_neighbours() -> None:
     cloud = small_cloud()
-    out = Papr(small_config())(cloud, view())
+    out = picture_of(Papr(small_config()), cloud, view())
     expected = (out.weights.unsqueeze(-1) * cloud.positions[out.neighbours]).sum(dim=-2)
-    assert torch.allclose(out.surface, expected, atol=1e-6)
+    assert torch.allclose(out.centroid, expected, atol=1e-6)
 
 
 def test_fewer_points_than_neighbours() -> None:
-    out = Papr(small_config(neighbours=20))(small_cloud(3), view())
+    out = picture_of(Papr(small_config(neighbours=20)), small_cloud(3), view())
     assert out.weights.shape == (6, 9, 3)
     assert bool(torch.isfinite(out.rgb).all())
 
 
 def test_empty_cloud() -> None:
     with pytest.raises(InputError, match="expected at least one point and k >= 1, got 0 points"):
-        Papr(small_config())(small_cloud(0), view())
+        picture_of(Papr(small_config()), small_cloud(0), view())
 
 
 def test_zero_influence_leaves_the_opacity_of_equal_scores() -> None:
     """All scores are 0 then: k points share exp(0) each against exp(background)."""
     config = small_config(background_score=1.5)
-    out = Papr(config)(small_cloud(influence=0.0), view())
+    out = picture_of(Papr(config), small_cloud(influence=0.0), view())
     expected = 4 / (4 + math.exp(1.5))
     assert torch.allclose(out.alpha, torch.full((6, 9), expected))
     assert torch.allclose(out.weights, torch.full((6, 9, 4), 0.25))
@@ -94,7 +97,7 @@ def test_zero_influence_leaves_the_opacity_of_equal_scores() -> None:
 
 def test_background_colour_shows_where_nothing_answers() -> None:
     config = small_config(background=(0.1, 0.5, 0.9), background_score=80.0)
-    out = Papr(config)(small_cloud(influence=0.0), view())
+    out = picture_of(Papr(config), small_cloud(influence=0.0), view())
     assert torch.allclose(out.rgb, torch.tensor(config.background).expand(6, 9, 3), atol=1e-6)
 
 
@@ -155,8 +158,8 @@ def leaf_cloud() -> PointCloud:
 
 def test_gradients_reach_points_features_influence_and_networks() -> None:
     papr, cloud = Papr(small_config(background_score=0.0)), leaf_cloud()
-    out = papr(cloud, view())
-    (out.rgb.square().mean() + out.surface.square().mean()).backward()
+    out = picture_of(papr, cloud, view())
+    (out.rgb.square().mean() + out.centroid.square().mean()).backward()
     for tensor in (cloud.positions, cloud.features, cloud.influence):
         assert tensor.grad is not None
         assert float(tensor.grad.abs().max()) > 0
@@ -173,16 +176,19 @@ def bare_keys(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("bare_keys")
-def test_no_gradient_through_the_keys_encoded_position() -> None:
-    """A key that reads nothing but enc(p): points move the opacity, unknown to autograd."""
+def test_training_has_no_gradient_through_the_keys_encoded_position() -> None:
+    """A key that reads nothing but enc(p): points move the opacity, unknown to its autograd."""
     papr, cloud = Papr(small_config(background_score=0.0)), leaf_cloud()
     with torch.no_grad():
         papr.attention.key.mlp.layers[0].weight[:, encoded_size(3, 6) :] = 0
-    alpha = papr(cloud, view()).alpha
+    alpha = picture_of(papr, cloud, view(), stop_encoding=True).alpha
     gradient = torch.autograd.grad(alpha.sum(), cloud.positions)[0]
     assert float(gradient.abs().max()) == 0
-    moved = papr(cloud.moved(cloud.positions + 0.003), view()).alpha
-    assert float((moved - alpha).detach().abs().max()) > 1e-3
+    after = picture_of(papr, moved(cloud, cloud.positions + 0.003), view()).alpha
+    assert float((after - alpha).detach().abs().max()) > 1e-3
+    # Pictures that are not trained on have it.
+    alpha = picture_of(papr, cloud, view()).alpha
+    assert float(torch.autograd.grad(alpha.sum(), cloud.positions)[0].abs().max()) > 0
 
 
 @pytest.mark.usefixtures("bare_keys")
@@ -196,7 +202,7 @@ def test_gradients_flow_through_the_offsets(part: str) -> None:
         keep = torch.zeros_like(weight)
         keep[:, kept] = 1
         weight *= keep
-    gradient = torch.autograd.grad(papr(cloud, view()).alpha.sum(), cloud.positions)[0]
+    gradient = torch.autograd.grad(picture_of(papr, cloud, view()).alpha.sum(), cloud.positions)[0]
     assert float(gradient.abs().max()) > 0
 
 
@@ -206,8 +212,8 @@ def test_extreme_influence_gives_finite_gradients(influence: float) -> None:
     cloud = small_cloud(influence=influence)
     cloud.positions.requires_grad_()
     cloud.influence.requires_grad_()
-    out = papr(cloud, view())
-    (1e3 * (out.rgb.sum() + out.surface.sum() + out.alpha.sum())).backward()
+    out = picture_of(papr, cloud, view())
+    (1e3 * (out.rgb.sum() + out.centroid.sum() + out.alpha.sum())).backward()
     for tensor in (cloud.positions, cloud.influence, *papr.parameters()):
         assert tensor.grad is not None
         assert bool(torch.isfinite(tensor.grad).all())
@@ -222,10 +228,10 @@ def test_all_masked_pairs_give_finite_gradients() -> None:
     papr, cloud = Papr(small_config(cutoff=1e-6)), leaf_cloud()
     rays = view().flat()
     neighbours = torch.zeros(54, 4, dtype=torch.int64)
-    out = papr.attention(cloud, rays, neighbours, rays)
+    out = papr.attention(PosedCloud.at_rest(cloud), rays, neighbours, rays)
     assert torch.equal(out.background, torch.ones(54))
     assert torch.equal(out.weights, torch.zeros(54, 4))
-    (1e3 * (out.features.sum() + out.background.sum() + out.surface.sum())).backward()
+    (1e3 * (out.features.sum() + out.background.sum() + out.centroid.sum())).backward()
     for tensor in (cloud.positions, cloud.features, cloud.influence, *papr.parameters()):
         if tensor.grad is not None:
             assert bool(torch.isfinite(tensor.grad).all())
@@ -234,7 +240,7 @@ def test_all_masked_pairs_give_finite_gradients() -> None:
 def test_no_ray_within_the_cutoff() -> None:
     config = small_config(cutoff=1e-4, background=(0.2, 0.4, 0.6))
     papr, cloud = Papr(config), leaf_cloud()
-    out = papr(cloud.moved(cloud.positions + 5.0), view())
+    out = picture_of(papr, moved(cloud, cloud.positions + 5.0), view())
     assert torch.equal(out.alpha, torch.zeros(6, 9))
     assert torch.equal(out.rgb, torch.tensor(config.background).expand(6, 9, 3))
     out.rgb.sum().backward()
@@ -243,7 +249,7 @@ def test_no_ray_within_the_cutoff() -> None:
 def test_points_beyond_the_cutoff_get_no_weight() -> None:
     cloud = small_cloud()
     rays = view()
-    out = Papr(small_config(cutoff=0.1))(cloud, rays)
+    out = picture_of(Papr(small_config(cutoff=0.1)), cloud, rays)
     offset = cloud.positions[out.neighbours] - rays.origins.unsqueeze(-2)
     distance = torch.linalg.cross(
         offset, rays.directions.unsqueeze(-2).expand_as(offset), dim=-1
@@ -286,10 +292,10 @@ def test_wrong_mlp(layers: int, skip: int | None, message: str) -> None:
 def test_surface_points_keep_full_precision_under_autocast() -> None:
     papr, cloud, rays = Papr(small_config()), small_cloud(), view().flat()
     with torch.no_grad(), torch.autocast("cpu", dtype=torch.bfloat16):
-        found, near = papr.attend(cloud, rays)
-    assert found.surface.dtype == torch.float32
-    weighted = (found.weights.unsqueeze(-1).float() * cloud.positions[near]).sum(dim=1)
-    torch.testing.assert_close(found.surface, weighted, rtol=0, atol=1e-5)
+        found = trace(papr, PosedCloud.at_rest(cloud), rays)
+    assert found.centroid.dtype == torch.float32
+    weighted = (found.weights.unsqueeze(-1).float() * cloud.positions[found.neighbours]).sum(dim=1)
+    torch.testing.assert_close(found.centroid, weighted, rtol=0, atol=1e-5)
 
 
 def test_the_numbers_of_a_configuration_are_sent_to_a_device_once(
@@ -306,8 +312,8 @@ def test_the_numbers_of_a_configuration_are_sent_to_a_device_once(
 
     monkeypatch.setattr(papr_module.torch, "tensor", counted)
     reference = ReferenceOrigin(center=(0.1, 0.2, 0.3), distance=2.0)
-    single = papr_module._constant(reference.center, torch.zeros(1))
-    assert papr_module._constant(reference.center, torch.ones(2)) is single
+    single = papr_module.constant(reference.center, torch.zeros(1))
+    assert papr_module.constant(reference.center, torch.ones(2)) is single
     assert made == [(0.1, 0.2, 0.3)]
-    double = papr_module._constant(reference.center, torch.zeros(1, dtype=torch.float64))
+    double = papr_module.constant(reference.center, torch.zeros(1, dtype=torch.float64))
     assert double.tolist() == [0.1, 0.2, 0.3]

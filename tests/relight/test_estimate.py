@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,13 +9,16 @@ import torch
 from torch.nn import functional as F
 
 from pcore.errors import InputError
-from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.surfels import spacing_of
 from pcore.relight import estimate as light_fit
-from pcore.relight.estimate import DIRECTIONS, brightness_of, fit_light, fit_shading
-from pcore.relight.lamps import ENCODING, Light, sphere
-from pcore.relight.photos import Observed
-from pcore.relight.shading import reaching, spacing_of
+from pcore.relight.config import DEFAULT
+from pcore.relight.estimate import brightness_of, fit_lamps, fit_light
+from pcore.relight.lamps import Light, sphere
+from pcore.relight.relighting import reaching
 from pcore.relight.shadows import Shadows, shadows_of
+from pcore.render.surfel_fit import Observed
+
+ENCODING, DIRECTIONS = DEFAULT.encoding, DEFAULT.directions
 
 PAINTS = torch.tensor([[0.1, 0.1, 0.1], [0.8, 0.8, 0.8], [0.5, 0.2, 0.1], [0.1, 0.3, 0.5]])
 LAMP = F.normalize(torch.tensor([1.0, -2.0, 2.0]), dim=0)
@@ -46,7 +48,12 @@ def painted(
     colors[: count // 20] = torch.rand(count // 20, 3, generator=generator)
     known = torch.ones(count, 1)
     known[-count // 10 :] = 0
-    return Observed(normals=normals * known, colors=colors, attention=torch.ones(count), lift=0.0)
+    return observed_of(normals * known, colors, torch.ones(count))
+
+
+def observed_of(normals: torch.Tensor, colors: torch.Tensor, attention: torch.Tensor) -> Observed:
+    heights = torch.zeros(len(normals))
+    return Observed(normals=normals, colors=colors, attention=attention, heights=heights)
 
 
 def ball(light: Light, count: int = 4000, noise: float = 0.02) -> tuple[Observed, torch.Tensor]:
@@ -63,7 +70,7 @@ def nothing_hidden(observed: Observed) -> Shadows:
 
 
 def found_from(observed: Observed, points: torch.Tensor) -> Light:
-    return fit_light(observed, points, nothing_hidden(observed))
+    return fit_lamps(observed, points, nothing_hidden(observed))
 
 
 def shape_of(light: Light) -> torch.Tensor:
@@ -94,7 +101,7 @@ def test_how_far_away_the_lamps_are_is_found(nearness: float) -> None:
     points = F.normalize(torch.randn(4000, 3, generator=torch.Generator().manual_seed(5)), dim=1)
     places = 0.5 * points + torch.where(torch.arange(4000) % 2 == 0, 0.5, -0.5)[:, None] * LAMP
     observed = painted(places, points, light.falling(places, points).sum(dim=1))
-    found = fit_light(observed, places, nothing_hidden(observed))
+    found = fit_lamps(observed, places, nothing_hidden(observed))
     share = found.radiance / found.radiance.sum()
     # Drawn towards far away, where that costs next to nothing.
     assert nearness - 0.06 < float((share * found.nearness).sum()) < nearness + 0.06
@@ -124,9 +131,9 @@ def test_light_off_other_surfaces_is_told_from_that_of_lamps() -> None:
     for _ in range(8):
         brightness = paint * there.on(brightness)
     colors = brightness[:, None].pow(1 / ENCODING).expand(-1, 3)
-    observed = Observed(normals=normals, colors=colors, attention=torch.ones(len(points)), lift=0.0)
-    told = fit_light(observed, points, shadows)
-    untold = fit_light(observed, points, replace(shadows, open=torch.ones_like(shadows.open)))
+    observed = observed_of(normals, colors, torch.ones(len(points)))
+    told = fit_lamps(observed, points, shadows)
+    untold = fit_lamps(observed, points, replace(shadows, open=torch.ones_like(shadows.open)))
     up = normals[:, 2] > 0.5
     expected = light.irradiance(normals[up]).log()
 
@@ -147,9 +154,7 @@ def test_points_without_a_normal_are_not_compared() -> None:
     colors = observed.colors.clone()
     colors[:half] = torch.rand(half, 3)
     seen = replace(observed, normals=normals, colors=colors)
-    rest = Observed(
-        normals=normals[half:], colors=colors[half:], attention=observed.attention[half:], lift=0.0
-    )
+    rest = observed_of(normals[half:], colors[half:], observed.attention[half:])
     found, expected = found_from(seen, points), found_from(rest, points[half:])
     torch.testing.assert_close(shape_of(found), shape_of(expected), rtol=0, atol=0.02)
 
@@ -159,11 +164,10 @@ def test_a_stray_point_moves_no_lamp() -> None:
     observed, points = ball(studio(1.0, 0.2), count=1500)
     expected = found_from(observed, points)
     with_stray = torch.cat([points, torch.tensor([[20.0, 0.0, 0.0]])])
-    seen = Observed(
-        normals=torch.cat([observed.normals, torch.zeros(1, 3)]),
-        colors=torch.cat([observed.colors, torch.ones(1, 3)]),
-        attention=torch.cat([observed.attention, torch.zeros(1)]),
-        lift=0.0,
+    seen = observed_of(
+        torch.cat([observed.normals, torch.zeros(1, 3)]),
+        torch.cat([observed.colors, torch.ones(1, 3)]),
+        torch.cat([observed.attention, torch.zeros(1)]),
     )
     found = found_from(seen, with_stray)
     for name in ("radiance", "nearness", "center"):
@@ -175,7 +179,7 @@ def test_pairs_that_are_near_count_three_times() -> None:
     points = torch.randn(400, 3, generator=torch.Generator().manual_seed(7))
     points[200:, 0] += 50.0
     colors = torch.where((torch.arange(400) % 2 == 0)[:, None], torch.tensor([0.6, 0.3, 0.2]), 0.4)
-    found = light_fit._pairs(points, colors, np.random.default_rng(0))
+    found = light_fit._pairs(points, colors, np.random.default_rng(0), DEFAULT)
     weights, first, second = (
         one.reshape(400, 16) for one in (found.weights, found.first, found.second)
     )
@@ -199,11 +203,11 @@ def test_points_that_hardly_any_pixel_showed_hardly_count() -> None:
     assert off(found_from(replace(seen, attention=torch.ones(len(points))), points), light) > 0.2
 
 
-def test_many_points_are_as_good_as_some(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_points_are_as_good_as_some() -> None:
     observed, points = ball(studio())
     expected = shape_of(found_from(observed, points))
-    monkeypatch.setattr(light_fit, "_MOST_POINTS", 1500)
-    found = shape_of(found_from(observed, points))
+    few = replace(DEFAULT, most_points=1500)
+    found = shape_of(fit_lamps(observed, points, nothing_hidden(observed), few))
     assert not torch.equal(found, expected)
     assert float((found - expected).square().mean().sqrt()) < 0.1 * float(expected.std())
 
@@ -219,31 +223,25 @@ def test_sizes_and_places_of_objects_do_not_matter() -> None:
 def test_what_no_view_saw_is_as_bright_as_what_lies_beside_it() -> None:
     points = torch.tensor([[0.0, 0, 0], [1.0, 0, 0], [1.1, 0, 0]])
     colors = torch.tensor([[0.2, 0.4, 0.6], [0.9, 0.9, 0.9], [0.0, 0.0, 0.0]])
-    seen = Observed(
-        normals=torch.zeros(3, 3), colors=colors, attention=torch.tensor([1.0, 2.0, 0.0]), lift=0.0
-    )
+    seen = observed_of(torch.zeros(3, 3), colors, torch.tensor([1.0, 2.0, 0.0]))
     expected = [float(colors[0].pow(ENCODING).mean()), 0.9**ENCODING, 0.9**ENCODING]
     assert brightness_of(seen, points).tolist() == pytest.approx(expected)
     blind = replace(seen, attention=torch.zeros(3))
     assert brightness_of(blind, points)[2] == 0
 
 
-def test_a_shading_is_fitted_with_what_points_hide(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_light_is_fitted_with_what_points_hide() -> None:
     """And keeps the points that it belongs to."""
     seen, points = ball(studio(), count=1500)
     # Turned inside out a ball hides all lamps from itself.
-    seen = replace(seen, normals=-seen.normals, lift=0.125)
-    cloud = PointCloud(positions=points, features=torch.zeros(1500, 1), influence=torch.ones(1500))
-    monkeypatch.setattr(light_fit, "observe", lambda *_, **__: seen)
-    papr: Any = None
-    found = fit_shading(papr, cloud, [])
-    assert torch.equal(found.positions, cloud.positions)
-    assert torch.equal(found.normals, seen.normals)
+    seen = replace(seen, normals=-seen.normals)
+    found = fit_light(seen, points)
+    assert torch.equal(found.positions, points)
     assert torch.equal(found.brightness, brightness_of(seen, points))
-    assert found.lift == 0.125
+    assert found.config == DEFAULT
     shadows = shadows_of(points, seen.normals, sphere(DIRECTIONS), spacing_of(points))
     assert float(shadows.open.min()) < 0.5, "half of a ball is hidden from any direction"
-    assert torch.equal(found.light.radiance, fit_light(seen, points, shadows).radiance)
+    assert torch.equal(found.light.radiance, fit_lamps(seen, points, shadows).radiance)
     assert not torch.equal(found.light.radiance, found_from(seen, points).radiance)
 
 
@@ -273,13 +271,13 @@ def test_shadows_of_other_directions_are_an_error() -> None:
     observed, points = ball(studio(), count=400)
     shadows = shadows_of(points, observed.normals, sphere(20), 0.1)
     with pytest.raises(InputError, match=r"expected shadows \(400, 192\), got \(400, 20\)"):
-        fit_light(observed, points, shadows)
+        fit_lamps(observed, points, shadows)
 
 
 def test_one_colour_alone_is_enough() -> None:
     normal, light = sphere(600), studio()
     colors = (0.3 * light.irradiance(normal)[:, None]).pow(1 / ENCODING).expand(600, 3)
-    observed = Observed(normals=normal, colors=colors, attention=torch.ones(600), lift=0.0)
+    observed = observed_of(normal, colors, torch.ones(600))
     assert off(found_from(observed, normal), light) < 0.12
 
 
@@ -288,8 +286,6 @@ def test_black_points_and_no_points_at_all() -> None:
     observed, points = ball(studio(), count=400)
     found = found_from(replace(observed, colors=torch.zeros(400, 3)), points)
     assert bool(torch.isfinite(found.radiance).all())
-    nothing = Observed(
-        normals=torch.zeros(0, 3), colors=torch.zeros(0, 3), attention=torch.zeros(0), lift=0.0
-    )
+    nothing = observed_of(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0))
     with pytest.raises(InputError, match="got 0 of 0"):
         found_from(nothing, torch.zeros(0, 3))

@@ -8,9 +8,10 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from pcore.errors import CheckpointError
+from pcore.relight.config import RelightConfig
 from pcore.relight.lamps import Light
-from pcore.relight.light_file import LIGHT_FILE, load_shading, save_shading
-from pcore.relight.shading import Shading
+from pcore.relight.light_file import LIGHT_FILE, load_light, save_light
+from pcore.relight.relighting import Relighting
 
 POINTS = torch.rand(7, 3, generator=torch.Generator().manual_seed(1))
 
@@ -23,12 +24,14 @@ def path(tmp_path: Path) -> Path:
         nearness=torch.tensor([0.0, 0.1, 0.3]),
         center=torch.tensor([1.0, 2.0, 3.0]),
     )
-    normals = torch.nn.functional.normalize(torch.randn(7, 3), dim=1)
-    normals[2] = 0
-    shading = Shading(
-        light=light, normals=normals, positions=POINTS, brightness=torch.arange(7) / 7, lift=0.25
+    relighting = Relighting(
+        light=light,
+        positions=POINTS,
+        brightness=torch.arange(7) / 7,
+        received=1 + torch.arange(7) / 7,
+        config=RelightConfig(largest_gain=3.0),
     )
-    save_shading(tmp_path / LIGHT_FILE, shading)
+    save_light(tmp_path / LIGHT_FILE, relighting)
     return tmp_path / LIGHT_FILE
 
 
@@ -41,24 +44,22 @@ def rewrite(path: Path, header: dict[str, str] | None = None, **tensors: torch.T
 
 def error_of(path: Path, points: torch.Tensor = POINTS) -> str:
     with pytest.raises(CheckpointError) as caught:
-        load_shading(path, points)
+        load_light(path, points)
     assert str(path) in str(caught.value)
     return str(caught.value)
 
 
 def test_everything_comes_back(path: Path) -> None:
-    with safe_open(path, framework="pt") as file:
-        normals = file.get_tensor("normals")
     for where in (path, path.parent):
-        found = load_shading(where, POINTS)
-        assert torch.equal(found.normals, normals)
+        found = load_light(where, POINTS)
         assert torch.equal(found.positions, POINTS)
         assert torch.equal(found.light.directions, torch.eye(3))
         assert found.light.radiance.tolist() == [0.0, 1.0, 2.0]
         assert torch.equal(found.light.nearness, torch.tensor([0.0, 0.1, 0.3]))
         assert found.light.center.tolist() == [1.0, 2.0, 3.0]
         assert torch.equal(found.brightness, torch.arange(7) / 7)
-        assert found.lift == 0.25
+        assert torch.equal(found.received, 1 + torch.arange(7) / 7)
+        assert found.config == RelightConfig(largest_gain=3.0)
 
 
 def test_missing_and_damaged(path: Path) -> None:
@@ -70,9 +71,9 @@ def test_missing_and_damaged(path: Path) -> None:
 def test_another_format_or_version(path: Path) -> None:
     rewrite(path, {"version": "2"})
     said = error_of(path)
-    assert "version 3, got 'pcore-light' of version '2'" in said
+    assert "version 4, got 'pcore-light' of version '2'" in said
     assert "`pcore light RUN`" in said, "a light of before knows no surface: how to get one"
-    rewrite(path, {"format": "pcore-model", "version": "3"})
+    rewrite(path, {"format": "pcore-model", "version": "4"})
     assert "got 'pcore-model'" in error_of(path)
 
 
@@ -92,9 +93,11 @@ def test_bad_numbers(path: Path) -> None:
     assert "float32 throughout" in error_of(path)
     rewrite(path, radiance=torch.ones(3), nearness=-torch.ones(3))
     assert "nearness of 0 (far away) or more" in error_of(path)
-    rewrite(path, nearness=torch.zeros(3), normals=torch.ones(7, 2))
-    assert "normals (N, 3)" in error_of(path)
-    rewrite(path, normals=torch.zeros(7, 3), lift=torch.ones(7))
-    assert "lift: expected one number, got (7,)" in error_of(path)
-    rewrite(path, lift=torch.tensor(float("inf")))
-    assert "NaN or infinity in lift" in error_of(path)
+    rewrite(path, nearness=torch.zeros(3), brightness=torch.ones(6))
+    assert "brightness (N,) and received light (N,)" in error_of(path)
+    rewrite(path, brightness=torch.ones(7), received=torch.zeros(7))
+    assert "finite light above 0" in error_of(path)
+    rewrite(path, {"config": "{"}, received=torch.ones(7))
+    assert "Expecting property name" in error_of(path)
+    rewrite(path, {"config": "{}"})
+    assert "missing key 'encoding'" in error_of(path)

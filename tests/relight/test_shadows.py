@@ -8,11 +8,13 @@ import pytest
 import torch
 
 from pcore.relight import shadows
+from pcore.relight.config import DEFAULT, RelightConfig
 from pcore.relight.lamps import sphere
 from pcore.relight.shadows import shadows_of
 
 UP = torch.tensor([[0.0, 0.0, 1.0]])
 STEP = 0.05
+COARSE = RelightConfig(shadow_finest=64)
 
 
 def plate(height: float, side: int = 40) -> torch.Tensor:
@@ -26,11 +28,13 @@ def unshadowed(
     points: torch.Tensor,
     directions: torch.Tensor,
     spacing: float,
+    config: RelightConfig = DEFAULT,
+    *,
     normals: torch.Tensor | None = None,
 ) -> torch.Tensor:
     """What is open to points, whose normals are not known unless they are given."""
     normals = torch.zeros_like(points) if normals is None else normals
-    return shadows_of(points, normals, directions, spacing).open
+    return shadows_of(points, normals, directions, spacing, config).open
 
 
 def test_a_lid_hides_what_is_below_it_from_above_only() -> None:
@@ -72,7 +76,7 @@ def test_a_shell_as_thick_as_points_lie_does_not_hide_itself() -> None:
     spacing = 0.06
     directions = sphere(30)
     for normals in (None, torch.nn.functional.normalize(points, dim=1)):
-        check_ball(points, directions, unshadowed(points, directions, spacing, normals))
+        check_ball(points, directions, unshadowed(points, directions, spacing, normals=normals))
 
 
 def check_ball(points: torch.Tensor, directions: torch.Tensor, found: torch.Tensor) -> None:
@@ -109,7 +113,7 @@ def test_what_is_less_deep_than_a_surface_is_thick_is_lit(
     for spacings, share in ((lit, 1.0), (hidden, 0.0)):
         points = torch.cat([plate(0.0), plate(spacings * STEP, side=20)])
         normals = torch.cat([UP.expand(1600, 3), faces * UP.expand(400, 3)])
-        found = unshadowed(points, UP, STEP, normals)[:1600, 0]
+        found = unshadowed(points, UP, STEP, normals=normals)[:1600, 0]
         assert (found[points[:1600, :2].abs().amax(dim=1) < 0.4] == share).all()
 
 
@@ -119,14 +123,14 @@ def test_a_thin_sheet_in_slanting_light_does_not_hide_itself() -> None:
     normals = torch.cat([UP.expand(1600, 3), -UP.expand(1600, 3)])
     for angle in (30.0, 60.0, 80.0):
         light = torch.tensor([[math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle))]])
-        assert (unshadowed(both, light, STEP, normals)[:1600] == 1).all()
+        assert (unshadowed(both, light, STEP, normals=normals)[:1600] == 1).all()
     assert (unshadowed(both, light, STEP)[:1600] < 1).any(), "without normals it does"
 
 
 def test_light_from_behind_a_surface_is_not_looked_for() -> None:
     normals = UP.expand(1600, 3)
-    assert (unshadowed(plate(0.0), -UP, STEP, normals) == 0).all()
-    assert (unshadowed(plate(0.0), UP, STEP, normals) == 1).all()
+    assert (unshadowed(plate(0.0), -UP, STEP, normals=normals) == 0).all()
+    assert (unshadowed(plate(0.0), UP, STEP, normals=normals) == 1).all()
     alone = shadows_of(torch.zeros(1, 3), UP, torch.cat([UP, -UP]), 0.0)
     assert alone.open.tolist() == [[1.0, 0.0]]
 
@@ -159,7 +163,7 @@ def test_it_is_what_loops_over_all_points_find() -> None:
     points = torch.rand(150, 3, generator=generator)
     normals = torch.nn.functional.normalize(torch.randn(150, 3, generator=generator), dim=1)
     normals[::5] = 0
-    spacing, cell = 0.12, shadows._CELL * 0.12
+    spacing, cell = 0.12, DEFAULT.shadow_cell * 0.12
     middle = (points.amin(dim=0) + points.amax(dim=0)) / 2
     directions = sphere(7)
     found = shadows_of(points, normals, directions, spacing)
@@ -170,9 +174,10 @@ def test_it_is_what_loops_over_all_points_find() -> None:
         column = torch.floor(place @ right[look] / cell).long()
         row = torch.floor(place @ up[look] / cell).long()
         facing, height = normals @ direction, place @ direction
-        depth = torch.full((150,), shadows._FRONT)
-        depth[facing < 0] = shadows._BACK
-        depth[::5] = shadows._UNKNOWN
+        back, unknown, front = DEFAULT.shadow_depths
+        depth = torch.full((150,), front)
+        depth[facing < 0] = back
+        depth[::5] = unknown
         for point in range(150):
             if facing[point] <= 0 and point % 5 != 0:
                 assert found.open[point, look] == 0
@@ -207,20 +212,18 @@ def test_threads_change_nothing() -> None:
     assert torch.equal(found.hider, expected.hider)
 
 
-def test_maps_have_no_more_cells_than_that(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_maps_have_no_more_cells_than_that() -> None:
     """With a stray point far away a lid lies within the surface of a coarse map."""
     points = torch.cat([plate(0.0), plate(1.0, side=20)])
     far = torch.cat([points, torch.tensor([[1e3, 0.0, 0.0]])])
     middle = points[:1600, :2].abs().amax(dim=1) < 0.4
     assert (unshadowed(points, UP, STEP)[:1600, 0][middle] == 0).all()
-    monkeypatch.setattr("pcore.relight.shadows._FINEST", 64)
-    assert (unshadowed(far, UP, STEP)[:1600, 0][middle] == 1).all()
+    assert (unshadowed(far, UP, STEP, COARSE)[:1600, 0][middle] == 1).all()
 
 
-def test_a_stray_point_makes_maps_coarse_and_nothing_dark(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stray_point_makes_maps_coarse_and_nothing_dark() -> None:
     """A slope that lies in one cell does not hide itself."""
-    monkeypatch.setattr("pcore.relight.shadows._FINEST", 64)
     slope = plate(0.0)
     slope[:, 2] = slope[:, 0]
     points = torch.cat([slope, torch.tensor([[1e4, 0.0, 0.0]])])
-    assert (unshadowed(points, UP, STEP)[:1600] == 1).all()
+    assert (unshadowed(points, UP, STEP, COARSE)[:1600] == 1).all()

@@ -11,8 +11,11 @@ from torch import Tensor, nn
 from pcore.deform.base import Affine, Deformation, Identity
 from pcore.deform.simple import uniform_scale
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Papr, Rendering
+from pcore.model.papr import Papr
+from pcore.render.image import Image
+from pcore.render.picture import render_rays
 from pcore.training.consistency import (
     Canonical,
     Consistency,
@@ -21,6 +24,7 @@ from pcore.training.consistency import (
     points_only_rays,
     rays_and_points_rays,
 )
+from ray_pictures import moved
 from small_training import box_cloud, box_model
 from tiny_scene import orbit
 
@@ -44,11 +48,11 @@ def model(*, cutoff: float | None = None) -> tuple[Papr, PointCloud]:
     return papr.requires_grad_(False), base.cloud
 
 
-def canonical(papr: Papr, cloud: PointCloud) -> tuple[Canonical, Rendering]:
-    rendering = papr(cloud, rays())
+def canonical(papr: Papr, cloud: PointCloud) -> tuple[Canonical, Image]:
+    image = render_rays(papr, PosedCloud.at_rest(cloud), rays())
     # The median splits the rays of these random networks into object and background.
-    alpha = float(rendering.alpha.detach().median())
-    return canonical_of(rendering, cloud, rays(), rendering.rgb, alpha), rendering
+    alpha = float(image.alpha.detach().median())
+    return canonical_of(image, cloud, rays(), image.rgb, alpha), image
 
 
 def moved_rays(mode: str, known: Canonical, field: Deformation, distance: float = 0.5) -> RayBundle:
@@ -67,9 +71,9 @@ def compare(
     unit: float = UNIT,
     background_rays: bool = True,
 ) -> Consistency:
-    rendering = papr(cloud.moved(field(cloud.positions)), along)
+    image = render_rays(papr, moved(cloud, field(cloud.positions)), along)
     return consistency(
-        rendering, known, field(known.surface), unit=unit, background_rays=background_rays
+        image, known, field(known.surface), unit=unit, background_rays=background_rays
     )
 
 
@@ -79,23 +83,25 @@ def compare(
 @pytest.mark.parametrize("cutoff", [None, 0.15])
 def test_ends_lie_on_their_rays(cutoff: float | None) -> None:
     papr, cloud = model(cutoff=cutoff)
-    known, rendering = canonical(papr, cloud)
+    known, image = canonical(papr, cloud)
     offset = known.ends - rays().origins
     across = torch.linalg.cross(offset, rays().directions)
     assert across.norm(dim=-1).max() < 1e-5
     # Beside the surface point, or the nearest point where there is no surface.
     assert 0 < int(known.foreground.sum()) < known.foreground.numel()
-    nearest = cloud.positions[rendering.neighbours[..., 0]]
-    target = torch.where(known.foreground[..., None], rendering.surface, nearest)
+    hits = image.ray_hits
+    nearest = cloud.positions[hits.neighbours[:, 0]].view_as(known.ends)
+    centroid = hits.centroid.view_as(nearest)
+    target = torch.where(known.foreground[..., None], centroid, nearest)
     beside = ((target - known.ends) * rays().directions).sum(dim=-1)
     assert beside.abs().max() < 1e-5
 
 
 def test_the_foreground_is_what_is_opaque() -> None:
     papr, cloud = model()
-    rendering = papr(cloud, rays())
-    known = canonical_of(rendering, cloud, rays(), rendering.rgb, 0.01)
-    assert torch.equal(known.foreground, rendering.alpha > 0.01)
+    image = render_rays(papr, PosedCloud.at_rest(cloud), rays())
+    known = canonical_of(image, cloud, rays(), image.rgb, 0.01)
+    assert torch.equal(known.foreground, image.alpha > 0.01)
 
 
 # --- the deformed rays ------------------------------------------------------------------------
@@ -177,14 +183,15 @@ def test_the_identity_costs_nothing(mode: str, cutoff: float | None) -> None:
 
 def test_losses_are_the_formulas_of_the_paper() -> None:
     papr, cloud = model()
-    known, rendering = canonical(papr, cloud)
+    known, image = canonical(papr, cloud)
     along = points_only_rays(rays(), known, SHEAR)
     found = compare(papr, cloud, known, along, SHEAR)
-    again = papr(cloud.moved(SHEAR(cloud.positions)), along)
-    offset = (again.surface - SHEAR(rendering.surface))[known.foreground] / UNIT
+    again = render_rays(papr, moved(cloud, SHEAR(cloud.positions)), along)
+    offset = again.ray_hits.centroid - SHEAR(image.ray_hits.centroid)
+    offset = offset.view_as(known.surface)[known.foreground] / UNIT
     assert float(found.geometry) == pytest.approx(float(offset.square().sum(dim=-1).mean()))
     assert float(found.geometry) > 1e-6
-    assert float(found.texture) == pytest.approx(float((again.rgb - rendering.rgb).square().mean()))
+    assert float(found.texture) == pytest.approx(float((again.rgb - image.rgb).square().mean()))
     assert float(found.texture) > 1e-8
 
 
@@ -200,10 +207,10 @@ def test_geometry_is_measured_in_units() -> None:
 
 def test_background_rays_enter_the_texture_loss_or_not() -> None:
     papr, cloud = model()
-    known, rendering = canonical(papr, cloud)
+    known, image = canonical(papr, cloud)
     along = moved_rays("rays", known, Identity(), 1.0)
     # The target is wrong by 0.5 on the background alone.
-    wrong = rendering.rgb.detach() + 0.5 * (~known.foreground).unsqueeze(-1)
+    wrong = image.rgb.detach() + 0.5 * (~known.foreground).unsqueeze(-1)
     known = replace(known, rgb=wrong)
     share = float((~known.foreground).float().mean())
     within = compare(papr, cloud, known, along, Identity(), background_rays=False)

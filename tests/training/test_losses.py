@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,8 +13,12 @@ import pcore.data.images
 from pcore.data.scene import Scene
 from pcore.errors import WeightsError
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Papr, Rendering
+from pcore.model.hits import Hits
+from pcore.model.papr import Papr
+from pcore.render.image import Image
+from pcore.render.trace import trace
 from pcore.training.finetune import finetune
 from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric
 from pcore.training.patches import Patch
@@ -25,10 +29,17 @@ RGB, ALPHA = torch.rand(4, 5, 3), torch.rand(4, 5)
 TRUTH, COVERAGE = torch.rand(4, 5, 3), torch.rand(4, 5)
 
 
-def rendering(rgb: Tensor = RGB, alpha: Tensor = ALPHA) -> Rendering:
-    # Whatever else a rendering says does not matter here.
-    others = {field.name: torch.zeros(4, 5, 3) for field in fields(Rendering)}
-    return Rendering(**{**others, "rgb": rgb, "alpha": alpha})
+def image(rgb: Tensor = RGB, alpha: Tensor = ALPHA, spread: Tensor | None = None) -> Image:
+    """What a loss looks at; whatever else rays hit does not matter here."""
+    hits = Hits(
+        neighbours=torch.zeros(20, 1, dtype=torch.int64),
+        weights=torch.ones(20, 1),
+        background=torch.zeros(20),
+        features=torch.zeros(20, 1),
+        centroid=torch.zeros(20, 3),
+        spread=torch.zeros(20) if spread is None else spread.flatten(),
+    )
+    return Image(rgb=rgb, alpha=alpha, depth=alpha, surface=rgb, hits=hits)
 
 
 def patch(alpha: Tensor | None = COVERAGE) -> Patch:
@@ -38,9 +49,7 @@ def patch(alpha: Tensor | None = COVERAGE) -> Patch:
 
 def test_squared_error_alone() -> None:
     rgb = RGB.clone().requires_grad_()
-    found = photometric(
-        rendering(rgb), patch(), opacity_weight=0.0, lpips_weight=0.0, perceptual=None
-    )
+    found = photometric(image(rgb), patch(), opacity_weight=0.0, lpips_weight=0.0, perceptual=None)
     assert list(found.terms) == ["rgb"]
     expected = (RGB - TRUTH).square().mean()
     assert torch.equal(found.squared_error, expected)
@@ -58,7 +67,7 @@ def test_opacity_and_lpips_enter_with_their_weights() -> None:
         return torch.tensor([0.5])
 
     found = photometric(
-        rendering(), patch(), opacity_weight=0.3, lpips_weight=0.01, perceptual=perceptual
+        image(), patch(), opacity_weight=0.3, lpips_weight=0.01, perceptual=perceptual
     )
     assert float(found.terms["opacity"]) == pytest.approx(
         0.3 * float((ALPHA - COVERAGE).square().mean())
@@ -72,17 +81,15 @@ def test_opacity_and_lpips_enter_with_their_weights() -> None:
 
 
 def test_photos_without_alpha_have_no_opacity_loss() -> None:
-    found = photometric(
-        rendering(), patch(None), opacity_weight=0.3, lpips_weight=0.0, perceptual=None
-    )
+    found = photometric(image(), patch(None), opacity_weight=0.3, lpips_weight=0.0, perceptual=None)
     assert list(found.terms) == ["rgb"]
 
 
 def test_attention_behind_the_first_point_costs_where_the_object_is() -> None:
-    behind = torch.rand(4, 5)
+    spread = torch.rand(4, 5, requires_grad=True)
     alpha = ALPHA.clone().requires_grad_()
     found = photometric(
-        replace(rendering(alpha=alpha), behind=behind.requires_grad_()),
+        image(alpha=alpha, spread=spread),
         patch(),
         opacity_weight=0.0,
         lpips_weight=0.0,
@@ -90,11 +97,11 @@ def test_attention_behind_the_first_point_costs_where_the_object_is() -> None:
         front_weight=0.2,
     )
     term = found.terms["front"]
-    assert term.item() == pytest.approx(0.2 * float((ALPHA * behind.detach()).mean()))
+    assert term.item() == pytest.approx(0.2 * float((ALPHA * spread.detach()).mean()))
     term.backward()
     # Otherwise turning transparent would be a way out.
     assert alpha.grad is None
-    assert behind.grad is not None
+    assert spread.grad is not None
 
 
 def test_points_beyond_the_cut_off_are_not_the_first() -> None:
@@ -107,9 +114,9 @@ def test_points_beyond_the_cut_off_are_not_the_first() -> None:
         influence=torch.ones(2),
     )
     ray = RayBundle(origins=torch.zeros(1, 3), directions=torch.tensor([[0.0, 0.0, 1.0]]))
-    attended, _ = papr.attend(cloud, ray)
-    assert attended.weights.tolist() == [[1.0, 0.0]]
-    assert attended.behind.item() == 0.0
+    hits = trace(papr, PosedCloud.at_rest(cloud), ray)
+    assert hits.weights.tolist() == [[1.0, 0.0]]
+    assert hits.spread.item() == 0.0
 
 
 def test_mean_over_patches() -> None:

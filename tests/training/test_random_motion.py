@@ -47,9 +47,9 @@ def gradient(skinned: SkinnedMotion, loss: torch.Tensor) -> float:
 @pytest.mark.parametrize("aware", [False, True])
 def test_a_field_takes_everything_along(aware: bool) -> None:
     moved = FieldMotion(aware=aware)(CLOUD, canonical(), SHEAR)
-    assert torch.equal(moved.cloud.positions, SHEAR(CLOUD.positions))
+    assert torch.equal(moved.posed.positions, SHEAR(CLOUD.positions))
     assert torch.equal(moved.surface, SHEAR(canonical().surface))
-    assert (moved.cloud.frames is not None) is aware
+    assert (moved.posed.local_maps is not None) is aware
     assert not moved.terms
 
 
@@ -58,25 +58,24 @@ def test_a_rigid_field_is_the_same_by_skinning(aware: bool) -> None:
     by_field = FieldMotion(aware=aware)(CLOUD, canonical(), TURN)
     skinned = motion(aware=aware)(CLOUD, canonical(), TURN)
     close = {"atol": 1e-5, "rtol": 0.0}
-    torch.testing.assert_close(skinned.cloud.positions, by_field.cloud.positions, **close)
+    torch.testing.assert_close(skinned.posed.positions, by_field.posed.positions, **close)
     torch.testing.assert_close(skinned.surface, by_field.surface, **close)
-    if by_field.cloud.frames is not None and skinned.cloud.frames is not None:
-        expected, found = by_field.cloud.frames, skinned.cloud.frames
+    if by_field.posed.local_maps is not None and skinned.posed.local_maps is not None:
+        expected, found = by_field.posed.local_maps, skinned.posed.local_maps
         torch.testing.assert_close(found.to_rest, expected.to_rest, **close)
-        assert torch.equal(found.rest, CLOUD.positions)
     assert float(skinned.terms["skinning"].detach()) < 1e-8
 
 
 def test_surface_points_go_where_the_points_beside_them_go() -> None:
     skinned = motion()
     moved = skinned(CLOUD, canonical(), SHEAR)
-    points = moved.cloud.positions
+    points = moved.posed.positions
     assert float((points - SHEAR(CLOUD.positions)).detach().norm(dim=1).max()) > 0.01
     torch.testing.assert_close(moved.surface[0], points[:5], atol=1e-5, rtol=0)
     # Nothing of the object lies on rays of the background.
     assert torch.equal(moved.surface[1], SHEAR(canonical().surface[1]))
     assert gradient(skinned, moved.surface.sum()) > 0
-    assert gradient(skinned, skinned(CLOUD, canonical(), SHEAR).cloud.positions.sum()) > 0
+    assert gradient(skinned, skinned(CLOUD, canonical(), SHEAR).posed.positions.sum()) > 0
 
 
 def test_the_target_may_be_the_field() -> None:
@@ -84,7 +83,7 @@ def test_the_target_may_be_the_field() -> None:
     moved = skinned(CLOUD, canonical(), SHEAR)
     assert torch.equal(moved.surface, SHEAR(canonical().surface))
     assert not moved.surface.requires_grad
-    assert gradient(skinned, moved.cloud.positions.sum()) > 0
+    assert gradient(skinned, moved.posed.positions.sum()) > 0
 
 
 def test_a_patch_without_the_object() -> None:
@@ -93,7 +92,7 @@ def test_a_patch_without_the_object() -> None:
 
 
 def direct_term(moved: MovedScene, field: Deformation) -> torch.Tensor:
-    return position_loss(moved.cloud.positions, CLOUD.positions, field, UNIT)
+    return position_loss(moved.posed.positions, CLOUD.positions, field, UNIT)
 
 
 def test_the_direct_term_is_weighted_and_optional() -> None:
@@ -104,16 +103,16 @@ def test_the_direct_term_is_weighted_and_optional() -> None:
     assert not motion(replace(SKINNING, position_weight=0.0))(CLOUD, canonical(), SHEAR).terms
 
 
-def test_frames_are_the_blended_rotations() -> None:
+def test_local_maps_are_the_blended_rotations() -> None:
     skinned = motion(aware=True)
-    frames = skinned(CLOUD, canonical(), SHEAR).cloud.frames
-    assert frames is not None
+    maps = skinned(CLOUD, canonical(), SHEAR).posed.local_maps
+    assert maps is not None
     pose = pose_of(SHEAR, skinned.skinning.anchors)
     weights = skinned.skinning.weights(CLOUD.positions, skinned.prior)
     blended = (weights.values[..., None, None] * pose.rotations[weights.anchors]).sum(dim=1)
     expected = torch.linalg.inv(blended.detach())
-    torch.testing.assert_close(frames.to_rest, expected, atol=1e-4, rtol=1e-4)
-    assert not frames.to_rest.requires_grad
+    torch.testing.assert_close(maps.to_rest, expected, atol=1e-4, rtol=1e-4)
+    assert not maps.to_rest.requires_grad
 
 
 def test_the_seed_is_that_of_the_network_not_of_the_anchors() -> None:

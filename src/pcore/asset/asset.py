@@ -23,9 +23,8 @@ from pcore.files.run_record import RunRecord
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Rendering
-from pcore.model.passes import Picture
-from pcore.relight.shading import Shading
+from pcore.relight.relighting import Relighting
+from pcore.render.image import Image
 
 WHITE: Color = (1.0, 1.0, 1.0)
 
@@ -98,7 +97,7 @@ class Asset:
         return None if self.read_skinning is None else self.read_skinning()
 
     @property
-    def light(self) -> Shading | None:
+    def light(self) -> Relighting | None:
         """The light of its photos; None where none was estimated, or for kinds without one.
 
         Raises:
@@ -150,30 +149,34 @@ class Asset:
         )
 
     @overload
-    def render(self, posed: Posed | None, cameras: Camera, **how: Unpack[How]) -> Picture: ...
+    def render(self, posed: Posed | None, cameras: Camera, **how: Unpack[How]) -> Image: ...
 
     @overload
     def render(
         self, posed: Posed | None, cameras: Sequence[Camera], **how: Unpack[How]
-    ) -> list[Picture]: ...
+    ) -> list[Image]: ...
 
     def render(
         self,
         posed: Posed | None,
         cameras: Camera | Sequence[Camera],
         **how: Unpack[How],
-    ) -> Picture | list[Picture]:
-        """Take pictures; float32 on the CPU, without gradients (`trace` has them).
+    ) -> Image | list[Image]:
+        """Take pictures, on the device of the networks.
+
+        Autograd follows the pose and the cameras where they ask for it; the whole picture is then
+        held in memory.
 
         Args:
             posed: from `pose`; None is the object as it was photographed.
-            cameras: one camera, or several, of any sizes of at least 4 x 4 pixels.
+            cameras: a camera or a batch (`Camera.stack`) of at least 4 x 4 pixels, or several
+                cameras of any sizes.
             **how: `samples`, rays per pixel, a square number (those it was trained for);
                 `fast=True`, not exact, in less time; `detail` of `film_detail`; `cancel`, asked now
                 and then, True ends the work; `progress`, told which share of it is done.
 
         Returns:
-            A picture, or one for each of several cameras.
+            A picture (of a batch with its axis in front), or one for each of several cameras.
 
         Raises:
             InputError: a picture that is too small, rays per pixel that make no square, or points
@@ -191,7 +194,7 @@ class Asset:
 
     def film(
         self, frames: Sequence[Posed], cameras: Sequence[Camera], *, samples: int | None = None
-    ) -> Iterator[Picture]:
+    ) -> Iterator[Image]:
         """Take the pictures of a film one by one, all sampled alike, as `pcore animate` does.
 
         Args:
@@ -209,8 +212,10 @@ class Asset:
 
     def trace(
         self, posed: Posed | None, rays: RayBundle, background: Tensor | None = None
-    ) -> Rendering:
-        """What the rays of (H, W) pixels, or (H, W, S) with S per pixel, meet; with gradients.
+    ) -> Image:
+        """Render rays of pixels (..., H, W) in one piece, with what each of them hits.
+
+        Autograd follows the pose and the rays.
 
         Args:
             posed: from `pose`; None is the object as it was photographed.

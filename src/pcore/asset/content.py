@@ -15,9 +15,8 @@ from pcore.files.provenance import Provenance
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Rendering
-from pcore.model.passes import Picture
-from pcore.relight.shading import Shading
+from pcore.relight.relighting import Relighting
+from pcore.render.image import Image
 
 RaysName = Literal["aware", "plain"]
 """How deformed points are seen: aware of the deformation, or plain as in the paper."""
@@ -35,7 +34,7 @@ class MovedPoints:
 
     Attributes:
         positions: (N, 3) of all points of the asset, world units.
-        local_maps: how space moved around every point; None where nothing moved or rays are plain.
+        local_maps: how space moved around every point; None where nothing moved or nobody knows.
         world: factor by which all of the world, lamps too, was scaled about the origin meanwhile.
     """
 
@@ -102,7 +101,7 @@ class Content(Protocol[P]):
         ...
 
     @property
-    def light(self) -> Shading | None:
+    def light(self) -> Relighting | None:
         """The light of its photos; None where none was estimated, and for kinds without one."""
         ...
 
@@ -123,12 +122,12 @@ class Content(Protocol[P]):
         """How space moved around them; None where nothing remembers it."""
         ...
 
-    def trace(self, posed: P, rays: RayBundle, background: Tensor | None) -> Rendering:
-        """What the rays of (H, W) pixels, or (H, W, S), meet; with gradients."""
+    def trace(self, posed: P, rays: RayBundle, background: Tensor | None) -> Image:
+        """Render rays of pixels (..., H, W), with what each hits; autograd follows."""
         ...
 
-    def render(self, posed: P, camera: Camera, sampling: Sampling) -> Picture:
-        """Take a picture; without gradients."""
+    def render(self, posed: P, camera: Camera, sampling: Sampling) -> Image:
+        """Take a picture, or those of a batch of cameras; autograd follows."""
         ...
 
     def film_detail(self, posed: Sequence[P], cameras: Sequence[Camera]) -> float | None:

@@ -1,4 +1,4 @@
-"""The content of an asset that PAPR learned: networks, a canonical cloud, and perhaps a light."""
+"""The content of an asset that PAPR learned: networks, canonical points, surfels, a light."""
 
 from __future__ import annotations
 
@@ -7,41 +7,46 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
 from pcore.asset.content import Color, LightName, Motion, MovedPoints, RaysName, Sampling
-from pcore.editing.apply import deformed_cloud
+from pcore.deform.pose import pose
 from pcore.errors import InputError
 from pcore.files.model_file import MODEL_FILE, load_model, networks, save_model
 from pcore.files.provenance import Provenance
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Papr, Rendering
-from pcore.model.passes import Picture
-from pcore.model.raster import film_detail
-from pcore.model.render import FAST_THRESHOLD, render
-from pcore.relight.light_file import LIGHT_FILE, load_shading, save_shading
-from pcore.relight.shading import Shading
+from pcore.geometry.surfels import Surfels
+from pcore.model.papr import Papr
+from pcore.relight.light_file import LIGHT_FILE, load_light, save_light
+from pcore.relight.relighting import Relighting
+from pcore.render.image import Image
+from pcore.render.picture import FAST_THRESHOLD, render, render_rays
+from pcore.render.raster import film_detail
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NeuralPoints:
-    """Networks and canonical points; posed, they are a deformed `PointCloud`.
+    """Networks and canonical points; posed, they are a `PosedCloud`.
 
     Attributes:
         papr: the networks, without gradients, on the device that does the work.
         cloud: canonical points, on the CPU.
+        surfels: the surface over them at rest; None where nobody has estimated it.
         read_light: gives the light of the photos; None where none was estimated.
     """
 
     papr: Papr
     cloud: PointCloud
-    read_light: Callable[[], Shading] | None = None
+    surfels: Surfels | None = None
+    read_light: Callable[[], Relighting] | None = None
 
     @property
-    def light(self) -> Shading | None:
+    def light(self) -> Relighting | None:
         """The light of the photos, read when it is first needed.
 
         Raises:
@@ -59,37 +64,48 @@ class NeuralPoints:
         """See `Content.samples`."""
         return self.papr.config.samples
 
-    def pose(self, motion: Motion | None, *, rays: RaysName, light: LightName | None) -> PointCloud:
-        """See `Content.pose`; the light stands still where there is one and rays are aware.
+    def pose(self, motion: Motion | None, *, rays: RaysName, light: LightName | None) -> PosedCloud:
+        """See `Content.pose`; the light stands still where there is one and rays are aware."""
+        relighting = self._relighting(rays, light)
+        posed = self._moved(motion, aware=rays == "aware")
+        still = posed.positions is posed.cloud.positions
+        if relighting is None or still or posed.surfels is None:
+            return posed
+        world = motion.world if isinstance(motion, MovedPoints) else 1.0
+        return replace(posed, gains=relighting.gains(posed, world=world))
 
-        Points that no map of space moved have pictures as deep as the points, with a light or not,
-        so that figures of depth compare.
-        """
-        shading = self._shading(rays, light)
+    def _moved(self, motion: Motion | None, *, aware: bool) -> PosedCloud:
+        """The points where a motion takes them, as they were photographed."""
         if motion is None:
-            return self.cloud.covered(shading and shading.rest)
+            return PosedCloud.at_rest(self.cloud, self.surfels)
         if not isinstance(motion, MovedPoints):
-            return deformed_cloud(self.cloud, motion, aware=rays == "aware", shading=shading)
-        maps = motion.local_maps
-        moved = self.cloud.detached().moved(motion.positions, maps if rays == "aware" else None)
-        if shading is None or maps is None:
-            return moved
-        skin = shading.skin(maps, moved.positions, world=motion.world)
-        return moved.covered(replace(skin, deep=False))
+            return pose(self.cloud, motion, surfels=self.surfels, aware=aware)
+        maps, positions = motion.local_maps, motion.positions
+        if maps is None and torch.equal(positions, self.cloud.positions):
+            return PosedCloud.at_rest(self.cloud, self.surfels)
+        surfels = None
+        if maps is not None and self.surfels is not None:
+            surfels = self.surfels.moved(positions, maps)
+        return PosedCloud(
+            cloud=self.cloud,
+            positions=positions,
+            local_maps=maps if aware else None,
+            surfels=surfels,
+        )
 
-    def points_of(self, posed: PointCloud) -> Tensor:
+    def points_of(self, posed: PosedCloud) -> Tensor:
         """See `Content.points_of`."""
         return posed.positions
 
-    def local_maps_of(self, posed: PointCloud) -> LocalMaps | None:
+    def local_maps_of(self, posed: PosedCloud) -> LocalMaps | None:
         """See `Content.local_maps_of`."""
-        return posed.frames
+        return posed.local_maps
 
-    def trace(self, posed: PointCloud, rays: RayBundle, background: Tensor | None) -> Rendering:
+    def trace(self, posed: PosedCloud, rays: RayBundle, background: Tensor | None) -> Image:
         """See `Content.trace`."""
-        return self.papr(posed, rays, background)
+        return render_rays(self.papr, posed, rays, background)
 
-    def render(self, posed: PointCloud, camera: Camera, sampling: Sampling) -> Picture:
+    def render(self, posed: PosedCloud, camera: Camera, sampling: Sampling) -> Image:
         """See `Content.render`."""
         few = sampling.fast and sampling.samples is None
         return render(
@@ -103,7 +119,7 @@ class NeuralPoints:
             progress=sampling.progress,
         )
 
-    def film_detail(self, posed: Sequence[PointCloud], cameras: Sequence[Camera]) -> float:
+    def film_detail(self, posed: Sequence[PosedCloud], cameras: Sequence[Camera]) -> float:
         """See `Content.film_detail`."""
         return film_detail(self.papr.config, posed, cameras)
 
@@ -115,19 +131,27 @@ class NeuralPoints:
 
     def save(self, folder: Path, provenance: Provenance) -> None:
         """See `Content.save`."""
-        save_model(
-            folder / MODEL_FILE, self.papr.state_dict(), self.cloud, self.papr.config, provenance
-        )
+        self.save_model(folder, provenance)
         if self.light is not None:
-            save_shading(folder / LIGHT_FILE, self.light)
+            save_light(folder / LIGHT_FILE, self.light)
 
-    def _shading(self, rays: RaysName, light: LightName | None) -> Shading | None:
+    def save_model(self, folder: Path, provenance: Provenance) -> None:
+        """Write the model file alone, with the surface over the points."""
+        state, config = self.papr.state_dict(), self.papr.config
+        save_model(folder / MODEL_FILE, state, self.cloud, config, provenance, self.surfels)
+
+    def _relighting(self, rays: RaysName, light: LightName | None) -> Relighting | None:
         if light == "baked" or (light is None and rays == "plain"):
             return None
         if light == "still" and self.read_light is None:
             raise InputError(
                 f"light: expected a {LIGHT_FILE} in the folder of the run, found none; estimate it "
                 "with `pcore light RUN`, or let it be baked in (--light baked)"
+            )
+        if self.surfels is None and self.read_light is not None:
+            raise InputError(
+                f"light: expected the surface over the points in {MODEL_FILE}, which light falls "
+                "on, found none; estimate both with `pcore light RUN`"
             )
         return self.light
 
@@ -147,12 +171,13 @@ def read_neural_points(path: Path, device: str) -> tuple[NeuralPoints, Provenanc
     cloud = saved.cloud
 
     @cache
-    def read_light() -> Shading:
-        return load_shading(light, cloud.positions)
+    def read_light() -> Relighting:
+        return load_light(light, cloud.positions)
 
     content = NeuralPoints(
         papr=saved.papr().to(device),
         cloud=cloud,
+        surfels=saved.surfels,
         read_light=read_light if light.is_file() else None,
     )
     return content, saved.provenance

@@ -9,21 +9,24 @@ from typing import Any
 
 from pcore.asset.asset import Asset
 from pcore.asset.content import Content
+from pcore.asset.gaussian_content import read_gaussians
 from pcore.asset.neural_points import NeuralPoints, read_neural_points
 from pcore.contrib.learned_skinning import Skinning
 from pcore.errors import InputError
+from pcore.files.gaussian_file import GAUSSIANS_FILE
 from pcore.files.model_file import MODEL_FILE
 from pcore.files.provenance import Provenance, Stage, provenance_of
 from pcore.files.run_folder import RunFolder, write_guard
 from pcore.files.run_record import RunRecord, relative
 from pcore.files.skinning_file import SKINNING_FILE, load_skinning
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
-from pcore.relight.shading import Shading
+from pcore.relight.relighting import Relighting
 
 Reader = Callable[[Path, str], tuple[Content[Any], Provenance]]
 
-READERS: dict[str, Reader] = {MODEL_FILE: read_neural_points}
+READERS: dict[str, Reader] = {MODEL_FILE: read_neural_points, GAUSSIANS_FILE: read_gaussians}
 """Kinds of objects by the file that a folder of one holds; the first is expected where none is."""
 
 
@@ -66,7 +69,8 @@ def asset_of(
     scene: str = "",
     stage: Stage = "pretrain",
     step: int = 0,
-    light: Shading | None = None,
+    surfels: Surfels | None = None,
+    light: Relighting | None = None,
     skinning: Skinning | None = None,
 ) -> Asset:
     """Make an asset of networks and points that are in memory.
@@ -79,12 +83,18 @@ def asset_of(
         scene: name of the scene.
         stage: what made the weights.
         step: steps of that stage.
+        surfels: the surface over the points at rest.
         light: of the photos.
         skinning: weights that were learned for edits by anchors.
     """
     cloud = cloud.detached().to("cpu")
     return Asset(
-        content=NeuralPoints(papr=papr, cloud=cloud, read_light=light and (lambda: light)),
+        content=NeuralPoints(
+            papr=papr,
+            cloud=cloud,
+            surfels=None if surfels is None else surfels.to("cpu"),
+            read_light=light and (lambda: light),
+        ),
         provenance=provenance_of(cloud, papr.config, scene=scene, stage=stage, step=step),
         record=RunRecord(stage=stage),
         read_skinning=skinning and (lambda: skinning),

@@ -8,19 +8,22 @@ from pathlib import Path
 from typing import Any
 
 from pcore.asset.asset import Asset
+from pcore.asset.gaussian_training import gaussian_record, train_gaussians
 from pcore.asset.saving import asset_of, load, neural_points_of
 from pcore.data.scene import Scene, check_images
 from pcore.errors import InputError
 from pcore.files.records import to_dict
 from pcore.files.run_folder import RunFolder
 from pcore.files.run_record import RunRecord, relative
-from pcore.relight.estimate import fit_shading
-from pcore.relight.light_file import LIGHT_FILE, save_shading
+from pcore.relight.estimate import fit_light
+from pcore.relight.light_file import LIGHT_FILE, save_light
+from pcore.render.surfel_fit import Observed, observe
 from pcore.training import presets
 from pcore.training.config import FinetuneConfig, PresetName, PretrainConfig
 from pcore.training.events import Listener, silent
 from pcore.training.finetune import finetune as run_finetuning
-from pcore.training.in_folder import FolderPlan, Train, disk_space, train_in_folder
+from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.in_folder import FolderPlan, disk_space, train_in_folder
 from pcore.training.presets import PretrainName
 from pcore.training.pretrain import pretrain
 from pcore.training.trained import Trained
@@ -54,7 +57,7 @@ class RunOptions:
 
 def train(
     scene: Scene,
-    settings: PretrainConfig | PretrainName = "tiny",
+    settings: PretrainConfig | PretrainName | GaussianConfig = "tiny",
     *,
     folder: Path | str | None = None,
     listener: Listener = silent,
@@ -67,7 +70,8 @@ def train(
 
     Args:
         scene: its `train` split is used, nothing else; every `hold_out`-th view only validates.
-        settings: architecture and schedule, or the name of a preset.
+        settings: architecture and schedule, or the name of a preset; a `GaussianConfig` makes an
+            object of Gaussians, whose light stays in their colours.
         folder: new or empty folder for the run; None keeps everything in memory.
         listener: told of steps, validations, saves.
         device: where to train, and then to draw: "cpu", "cuda", ...
@@ -80,6 +84,9 @@ def train(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     chosen = options or RunOptions()
+    if isinstance(settings, GaussianConfig):
+        path = None if folder is None else Path(folder)
+        return _made_of_gaussians(scene, settings, path, listener, device, chosen)
     config = presets.preset(settings) if isinstance(settings, str) else settings
     name = settings if isinstance(settings, str) else presets.preset_of(config)
     limit = config.grow.limit if config.grow else config.points
@@ -178,15 +185,23 @@ def finetune_settings(
 
 
 def estimate_light(
-    asset: Asset, scene: Scene, *, progress: Callable[[int, int], None] | None = None
+    asset: Asset,
+    scene: Scene,
+    *,
+    observed: Observed | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Asset:
     """Estimate the light of an object's photos; written beside it where it has a folder.
+
+    Where nobody has estimated the surface over its points, as in an imported run, that is done as
+    well, and kept in the model file.
 
         asset = estimate_light(asset, asset.scene())
 
     Args:
         asset: the object; its device does the work.
         scene: the one it was trained on; only training views are used.
+        observed: what the views say about the points, where that is known (`Trained.observed`).
         progress: told (views seen, views in all).
 
     Raises:
@@ -197,9 +212,17 @@ def estimate_light(
     """
     content, views = neural_points_of(asset, "light"), scene.split("train")
     check_images(views)
-    light = fit_shading(content.papr, content.cloud, views, progress=progress)
+    if observed is None:
+        observed = observe(content.papr, content.cloud, views, progress=progress)
+    if content.surfels is None:
+        content = replace(content, surfels=observed.surfels(content.cloud))
+        asset = replace(asset, content=content)
+        if asset.record.path is not None:
+            # Before the light, which may fail: too few points may have a normal for it.
+            content.save_model(asset.path, asset.provenance)
+    light = fit_light(observed, content.cloud.positions)
     if asset.record.path is not None:
-        save_shading(asset.path / LIGHT_FILE, light)
+        save_light(asset.path / LIGHT_FILE, light)
     return replace(asset, content=replace(content, read_light=lambda: light))
 
 
@@ -223,7 +246,8 @@ def _made(
     """Train as `record` says and hand over the asset; a finished run is left as it is."""
     place = scene.name if scene.folder is None else scene.folder.resolve()
     if record.path is None:
-        asset = _in_memory(run(None, listener), scene, record, str(place))
+        trained = run(None, listener)
+        asset = _in_memory(trained, scene, record, str(place))
     else:
         plan = FolderPlan(
             path=record.path,
@@ -235,17 +259,36 @@ def _made(
             needed=needed,
             note=options.note,
         )
-        in_folder: Train[Trained] = run
-        trained = train_in_folder(plan, in_folder, listener)
+        trained = train_in_folder(plan, run, listener)
         asset = load(record.path, device=device)
         if trained is None:
             return asset
     if options.light:
         try:
-            return estimate_light(asset, scene)
+            return estimate_light(asset, scene, observed=trained.observed)
         except (InputError, OSError) as error:
             options.note(f"note: {error}")
     return asset
+
+
+def _made_of_gaussians(
+    scene: Scene,
+    config: GaussianConfig,
+    folder: Path | None,
+    listener: Listener,
+    device: str,
+    options: RunOptions,
+) -> Asset:
+    plan = FolderPlan(
+        path=folder or Path(),
+        stage="pretrain",
+        scene=scene.name if scene.folder is None else scene.folder.resolve(),
+        config=gaussian_record(config, options.preset, scene.factor),
+        resume=options.resume,
+        tensorboard=options.tensorboard,
+        note=options.note,
+    )
+    return train_gaussians(scene, config, folder, listener, device, plan)
 
 
 def _in_memory(trained: Trained, scene: Scene, record: RunRecord, place: str) -> Asset:
@@ -256,6 +299,7 @@ def _in_memory(trained: Trained, scene: Scene, record: RunRecord, place: str) ->
         scene=scene.name,
         stage=record.stage,
         step=trained.step,
+        surfels=trained.surfels,
         skinning=trained.skinning,
     )
     return replace(asset, record=replace(record, scene=place))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pcore.asset.asset import Asset, Posed
     from pcore.editing.animation import Animation
     from pcore.geometry.camera import Camera
-    from pcore.model.passes import Picture
+    from pcore.render.image import Image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +201,7 @@ def _cameras(
     return path_through([camera for _, camera in views], len(moved))
 
 
-def _film(output: Path, fps: int, film: Iterator[Picture], count: int, console: Console) -> None:
+def _film(output: Path, fps: int, film: Iterator[Image], count: int, console: Console) -> None:
     from pcore.cli.results import counting
     from pcore.data.video import VideoWriter
 

@@ -101,7 +101,13 @@ class ProgressDisplay:
 
     def __call__(self, event: Event) -> None:
         """Show one event."""
-        from pcore.training.events import BudgetReport, StepReport, Stopped, ValidationReport
+        from pcore.training.events import (
+            BudgetReport,
+            StepReport,
+            Stopped,
+            SurfaceReport,
+            ValidationReport,
+        )
 
         if isinstance(event, StepReport):
             self._step(event)
@@ -114,6 +120,8 @@ class ProgressDisplay:
             )
         elif isinstance(event, BudgetReport):
             self._print(f"{event.stage} {event.step}: {_trade(event)}")
+        elif isinstance(event, SurfaceReport):
+            self._print(f"{event.stage}: surface and light from {event.views} views")
         elif isinstance(event, Stopped):
             message = f": {event.message}" if event.message else ""
             self._print(f"{event.stage} {event.reason} at step {event.step}{message}")

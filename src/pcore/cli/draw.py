@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pcore.cli.cameras import Named
     from pcore.data.video import VideoWriter
     from pcore.geometry.camera import Camera
-    from pcore.model.render import Picture
+    from pcore.render.image import Image
 
 FPS = 30
 _FAINT = 0.02
@@ -42,7 +42,7 @@ class Wanted:
 
 
 def draw(
-    take: Callable[..., Picture],
+    take: Callable[..., Image],
     points: Tensor,
     views: Named,
     output: Path,
@@ -76,7 +76,7 @@ def draw(
             films = _Films(output, stack)
             tell = stack.enter_context(_bar(console, len(views)))
             for index, (name, camera) in enumerate(views):
-                picture = take(camera, progress=partial(_told, tell, index))
+                picture = take(camera, progress=partial(_told, tell, index)).cpu()
                 if not bool((picture.alpha > _FAINT).any()):
                     empty.append(name)
                 layers = _layers(picture, camera, wanted, shades)
@@ -113,11 +113,11 @@ def _told(tell: Callable[[float], None], done: int, share: float) -> None:
 
 
 def _layers(
-    picture: Picture, camera: Camera, wanted: Wanted, shades: tuple[float, float]
+    picture: Image, camera: Camera, wanted: Wanted, shades: tuple[float, float]
 ) -> dict[str, Tensor]:
     """Colours (H, W, 3) by the ending of their file's name."""
     from pcore.data.pictures import depth_picture, normal_picture
-    from pcore.model.render import normals
+    from pcore.render.image import normals
 
     layers = {"": picture.rgb}
     if wanted.depth:
@@ -131,13 +131,13 @@ def _layers(
 def _write(
     output: Path,
     name: str,
-    picture: Picture,
+    picture: Image,
     camera: Camera,
     layers: dict[str, Tensor],
     wanted: Wanted,
 ) -> list[Path]:
     from pcore.data.pictures import write_png, write_raw
-    from pcore.model.render import normals
+    from pcore.render.image import normals
 
     files: list[Path] = []
     if wanted.png:

@@ -93,7 +93,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     """
     from pcore.asset.saving import load
     from pcore.asset.training import RunOptions, finetune
-    from pcore.cli.light import try_light
+    from pcore.cli.light import show_light
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result, shown_training
     from pcore.cli.train import announce
@@ -110,7 +110,6 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     done = command.resume and finished(output)
     with shown_training(console) as (listener, note):
         options = RunOptions(
-            light=False,
             resume=command.resume,
             tensorboard=not command.no_tensorboard,
             compiled=not command.no_compile,
@@ -127,7 +126,7 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
             options=options,
         )
     if not done:
-        try_light(tuned, scene, console)
+        show_light(tuned, console)
     show_result(console, tuned)
 
 

@@ -12,7 +12,6 @@ from tyro.conf import Positional, arg
 
 from pcore.cli.options import Count, Folder, optional
 from pcore.cli.runtime import DeviceName
-from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
@@ -27,9 +26,10 @@ LightChoice = Annotated[LightName | None, optional("{still,baked}")]
 class LightCommand:
     """Estimate the light of a run's training photos and write it beside the model.
 
-    From then on `pcore render`, `pcore animate` and `pcore eval` light deformed points anew, and
-    pictures of `render` are as deep as the surface, not as the points (`--light baked`: neither).
-    `pcore train` and `pcore finetune` do this at their end.
+    From then on `pcore render`, `pcore animate` and `pcore eval` light deformed points anew (not
+    with `--light baked`). Where the model does not know the surface over its points, as after
+    `pcore import papr`, that is estimated as well and kept in the model file. `pcore train` and
+    `pcore finetune` do all this at their end.
     """
 
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
@@ -57,10 +57,10 @@ class LightCommand:
         asset = load(self.run_folder, device=pick_device(self.device))
         scene, console = asset.scene(self.scene, factor=self.factor), Console()
         note(console, scene.notes)
-        show_light(asset, scene, console)
+        estimate(asset, scene, console)
 
 
-def show_light(asset: Asset, scene: Scene, console: Console) -> None:
+def estimate(asset: Asset, scene: Scene, console: Console) -> None:
     """Estimate the light of a run, write it into its folder and say what it is.
 
     Raises:
@@ -69,19 +69,27 @@ def show_light(asset: Asset, scene: Scene, console: Console) -> None:
     """
     from pcore.asset.training import estimate_light
     from pcore.cli.results import counting
+    from pcore.files.model_file import MODEL_FILE, describe_model
+
+    known = describe_model(asset.path).surfels
+    try:
+        with counting(console, "light: views") as tell:
+            made = estimate_light(asset, scene, progress=tell)
+    finally:
+        if not known and describe_model(asset.path).surfels:
+            where = asset.path / MODEL_FILE
+            text = f"{where}: the surface over the points was not known; estimated now and kept"
+            console.print(Text(text), soft_wrap=True)
+    show_light(made, console)
+
+
+def show_light(asset: Asset, console: Console) -> None:
+    """Say what the light of a run is, where one was estimated."""
+    from pcore.asset.saving import neural_points_of
     from pcore.relight.description import describe_light
     from pcore.relight.light_file import LIGHT_FILE
 
-    file = asset.path / LIGHT_FILE
-    with counting(console, "light: views") as tell:
-        light = estimate_light(asset, scene, progress=tell).light
-    if light is not None:
-        console.print(Text(f"{file}: {describe_light(light)}"), soft_wrap=True)
-
-
-def try_light(asset: Asset, scene: Scene, console: Console) -> None:
-    """Estimate the light at the end of a training; say so where that is not possible."""
-    try:
-        show_light(asset, scene, console)
-    except (InputError, OSError) as error:
-        console.print(Text(f"note: {error}"), soft_wrap=True)
+    light, surfels = asset.light, neural_points_of(asset, "light").surfels
+    if light is not None and surfels is not None:
+        text = f"{asset.path / LIGHT_FILE}: {describe_light(light, surfels)}"
+        console.print(Text(text), soft_wrap=True)

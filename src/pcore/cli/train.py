@@ -114,7 +114,7 @@ def train(command: TrainCommand, console: Console) -> None:
     """
     from pcore.asset.training import RunOptions
     from pcore.asset.training import train as make
-    from pcore.cli.light import try_light
+    from pcore.cli.light import show_light
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result, shown_training
     from pcore.data.load import load_scene
@@ -130,7 +130,6 @@ def train(command: TrainCommand, console: Console) -> None:
     done = command.resume and finished(command.output)
     with shown_training(console) as (listener, note):
         options = RunOptions(
-            light=False,
             resume=command.resume,
             tensorboard=not command.no_tensorboard,
             compiled=not command.no_compile,
@@ -146,7 +145,7 @@ def train(command: TrainCommand, console: Console) -> None:
             options=options,
         )
     if not done:
-        try_light(asset, scene, console)
+        show_light(asset, console)
     if config.steps >= _EARLY:
         check_shows(asset, scene)
     show_result(console, asset)

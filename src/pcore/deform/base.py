@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -157,15 +158,18 @@ def gradients(function: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
     """Derivatives (..., C, 3) of a function (..., 3) -> (..., C) that takes every point by itself.
 
     Row by row by automatic differentiation: because every point counts for itself, the gradient of
-    a sum over points holds one row for all of them. Differentiable when the points are.
+    a sum over points holds one row for all of them. Differentiable in the points and in parameters
+    of the function, where autograd follows those.
     """
     check_points(points)
-    keep_graph = torch.is_grad_enabled() and points.requires_grad
+    enabled = torch.is_grad_enabled()
+    keep_graph = enabled and points.requires_grad
     with torch.inference_mode(mode=False), torch.enable_grad():
         inputs = points if keep_graph else points.detach().clone().requires_grad_()
         outputs = function(inputs)
         if not outputs.requires_grad:  # A constant has no graph to walk back.
             return outputs.new_zeros(*outputs.shape, 3)
+        keep_graph = keep_graph or (enabled and _has_parameters(outputs, inputs))
         rows = [
             torch.autograd.grad(
                 column.sum(),
@@ -177,6 +181,21 @@ def gradients(function: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
             for column in outputs.unbind(dim=-1)
         ]
     return torch.stack(rows, dim=-2)
+
+
+def _has_parameters(outputs: Tensor, inputs: Tensor) -> bool:
+    """Whether autograd follows other tensors to the outputs than the inputs."""
+    waiting, seen = [outputs.grad_fn], set[Any]()
+    while waiting:
+        node = waiting.pop()
+        if node is None or node in seen:
+            continue
+        seen.add(node)
+        leaf = getattr(node, "variable", None)
+        if leaf is not None and leaf is not inputs:
+            return True
+        waiting += [one for one, _ in node.next_functions]
+    return False
 
 
 def orientation(deformation: Deformation, points: Tensor) -> Tensor:
@@ -233,8 +252,14 @@ def frozen_tensor(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:
     """Return a float64 CPU copy of a parameter that nobody else can change in place.
 
     Raises:
-        InputError: another shape than expected, or NaN or infinity in it.
+        InputError: another shape than expected, NaN or infinity in it, or autograd follows it.
     """
+    if torch.is_grad_enabled() and value.requires_grad:
+        raise InputError(
+            f"{name}: expected a fixed parameter, got one that asks for a gradient, which this "
+            "deformation does not have; detach it, or write a Deformation of your own with the "
+            "parameter in it (docs/guide/deforming.md)"
+        )
     copy = value.detach().to(device="cpu", dtype=torch.float64, copy=True)
     if tuple(copy.shape) != shape:
         raise InputError(f"{name}: expected shape {shape}, got {tuple(copy.shape)}")

@@ -1,4 +1,4 @@
-"""Local frames of an edit: from its formula, or from where the points went."""
+"""Local maps of an edit: from its formula, or from where the points went."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
-from pcore.deform.base import SINGULAR, Deformation, uprightness
+from pcore.deform.base import SINGULAR, Deformation, gradients, uprightness
 from pcore.deform.checks import check_invertible
 from pcore.errors import EditError
 from pcore.geometry.extent import size_of
@@ -35,29 +35,49 @@ _FLATNESS = 1e-9
 """Share of the identity in the matrix a rotation is taken from: on a line it chooses the turn."""
 
 
-def analytic_frames(deformation: Deformation, points: Tensor) -> LocalMaps:
-    """Local frames of canonical points (N, 3), world units, by the Jacobian of a deformation.
+def analytic_maps(deformation: Deformation, points: Tensor, *, followed: bool = False) -> LocalMaps:
+    """Local maps of canonical points (N, 3), world units, by the Jacobian of a deformation.
+
+    Autograd follows the points, and parameters of the deformation that ask for it.
+
+    Args:
+        deformation: the map.
+        points: (N, 3).
+        followed: refuse a Jacobian that should have a gradient and has none.
 
     Raises:
-        EditError: the map folds space or leaves the finite numbers at some of the points.
+        EditError: the map folds space or leaves the finite numbers at some of the points, or its
+            `jacobian` loses a gradient.
     """
     places = points.detach().double()
-    check_invertible(deformation, places)
-    mended = deformation.mended(places).nonzero().squeeze(-1)
-    return replace(unchecked_frames(deformation, points), mended=mended)
+    with torch.no_grad():
+        check_invertible(deformation, places)
+        mended = deformation.mended(places).nonzero().squeeze(-1)
+    return replace(unchecked_maps(deformation, points, followed=followed), mended=mended)
 
 
-def unchecked_frames(deformation: Deformation, points: Tensor) -> LocalMaps:
-    """As `analytic_frames`, for a deformation that is known to fold nowhere."""
-    return frames_of(points, deformation.jacobian(points.detach().double()))
+def unchecked_maps(
+    deformation: Deformation, points: Tensor, *, followed: bool = False
+) -> LocalMaps:
+    """As `analytic_maps`, for a deformation that is known to fold nowhere."""
+    linear = deformation.jacobian(points.double())
+    # Of a linear map the Jacobian is the same everywhere, and rightly without a gradient.
+    lost = followed and not linear.requires_grad
+    if lost and gradients(deformation, points.double()).requires_grad:
+        raise EditError(
+            f"{type(deformation).__name__}: a gradient is asked for, and its `jacobian` has none; "
+            "leave `jacobian` to the base class, which differentiates the map, or use torch "
+            "operations in it"
+        )
+    return maps_of(points, linear)
 
 
-def frames_of(points: Tensor, linear: Tensor) -> LocalMaps:
-    """Local frames of canonical points (N, 3) from the linear maps (N, 3, 3) around them.
+def maps_of(points: Tensor, linear: Tensor) -> LocalMaps:
+    """Local maps of points (N, 3) from the linear maps (N, 3, 3) around them.
 
-    The maps are inverted in double precision and have no gradient; the rest positions keep theirs.
+    They are inverted in double precision, and have the dtype and device of the points.
     """
-    return LocalMaps(rest=points, to_rest=_inverse(linear.detach().double()).to(points))
+    return LocalMaps(to_rest=_inverse(linear.double()).to(points))
 
 
 def _inverse(matrices: Tensor) -> Tensor:
@@ -75,14 +95,14 @@ def _inverse(matrices: Tensor) -> Tensor:
     return cofactors / determinant[..., None, None]
 
 
-def estimated_frames(rest: Tensor, moved: Tensor) -> LocalMaps:
-    """Local frames from where points went, when no formula is known.
+def estimated_maps(rest: Tensor, moved: Tensor) -> LocalMaps:
+    """Local maps from where points went, when no formula is known.
 
     Around every point the linear map that takes its neighbours' offsets to where they are now, by
     least squares, pulled towards a similarity (neighbours lie on a surface and say little across
     it). Neighbours that went elsewhere, on another part that only touched, lose their say by
     iterative reweighting, and what is left of their pull is cut off: a point between parts that
-    come apart would be drawn as a spike. The pull also keeps the frame of a flattened neighbourhood
+    come apart would be drawn as a spike. The pull also keeps the map of a flattened neighbourhood
     from being singular. Where the fit turns space inside out it is replaced by the similarity, and
     listed in `mended`. A part that is mirrored, or folded over, looks like one that was turned:
     only a mirror of the whole is found out.
@@ -92,17 +112,18 @@ def estimated_frames(rest: Tensor, moved: Tensor) -> LocalMaps:
         moved: (N, 3) the same points after the deformation.
 
     Raises:
-        EditError: the clouds differ in size, hold fewer than four points, NaN or infinity, or have
-            no extent; or the move mirrors the whole.
+        EditError: autograd follows the points, for the estimate has no gradient; the clouds differ
+            in size, hold fewer than four points, NaN or infinity, or have no extent; or the move
+            mirrors the whole.
     """
     _check(rest, moved)
     linear, bad = fitted_maps(rest, moved)
     to_rest = torch.linalg.inv(linear).to(rest)
-    return LocalMaps(rest=rest.detach(), to_rest=to_rest, mended=torch.nonzero(bad).squeeze(-1))
+    return LocalMaps(to_rest=to_rest, mended=torch.nonzero(bad).squeeze(-1))
 
 
 def fitted_maps(rest: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
-    """Linear maps (N, 3, 3) of `estimated_frames` on the CPU, and which (N,) are similarities.
+    """Linear maps (N, 3, 3) of `estimated_maps` on the CPU, and which (N,) are similarities.
 
     For finite points of one shape, also few of them: a single point has the identity. Points that
     all went to one place have maps that are zero.
@@ -168,30 +189,35 @@ def _shortened(linear: Tensor, most: Tensor) -> Tensor:
 
 
 def _check(rest: Tensor, moved: Tensor) -> None:
+    if torch.is_grad_enabled() and (rest.requires_grad or moved.requires_grad):
+        raise EditError(
+            "local maps: they are estimated from where points went, which has no gradient, and one "
+            "is asked for; detach the points, or move them by a differentiable deformation"
+        )
     if rest.shape != moved.shape or rest.ndim != 2 or rest.shape[1] != 3:
         raise EditError(
-            "local frames: expected canonical and deformed points of one shape (N, 3), got "
+            "local maps: expected canonical and deformed points of one shape (N, 3), got "
             f"{tuple(rest.shape)} and {tuple(moved.shape)}; both must be the same cloud"
         )
     if len(rest) < _FEWEST:
         raise EditError(
-            f"local frames: expected at least {_FEWEST} points to estimate from, got {len(rest)}"
+            f"local maps: expected at least {_FEWEST} points to estimate from, got {len(rest)}"
         )
     for name, points in (("canonical", rest), ("deformed", moved)):
         bad = int((~torch.isfinite(points).all(dim=-1)).sum())
         if bad:
             raise EditError(
-                f"local frames: expected finite {name} points, got NaN or infinity in {bad} of "
+                f"local maps: expected finite {name} points, got NaN or infinity in {bad} of "
                 f"{len(points)}"
             )
         if not size_of(points) > 0:
             raise EditError(
-                f"local frames: expected {name} points that extend in space, got all "
+                f"local maps: expected {name} points that extend in space, got all "
                 f"{len(points)} in one place"
             )
     if is_mirrored(rest, moved):
         raise EditError(
-            "local frames: the move mirrors the object, which turns its inside out; rays cannot be "
+            "local maps: the move mirrors the object, which turns its inside out; rays cannot be "
             "pulled back. Turn it instead, or render with plain rays"
         )
 

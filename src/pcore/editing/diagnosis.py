@@ -57,7 +57,7 @@ class Diagnosis:
             none, 2 twice as far.
         tearing: (N,) the same growth in the measure of the map that the surface around the point
             follows: |A^-1 (x'_j - x'_i)| / |x_j - x_i| with A fitted to the neighbours, of which
-            those that went elsewhere have no say (`estimated_frames`). It is 1 wherever the surface
+            those that went elsewhere have no say (`estimated_maps`). It is 1 wherever the surface
             grows, shears or turns smoothly, however much; only what comes apart is more.
         meeting: (N,) bool; another part of the surface came as near as neighbours are.
         exposed: (N,) bool; no training camera saw the point at rest and one of them would see it

@@ -100,7 +100,7 @@ class EditSession:
 
         For showing points while something is dragged: the points are those of `do`, to the last
         bit, but folds are not looked for and no Jacobian is computed. `do` looks for them, and so
-        does `deformed_cloud`, which a picture needs.
+        does `pose`, which a picture needs.
 
         Raises:
             EditError: as `do`, but for folds.

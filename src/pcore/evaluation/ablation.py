@@ -8,8 +8,9 @@ from typing import Any
 
 from pcore.errors import InputError
 from pcore.evaluation.figures import Pixels, color_pixels, depth_pixels, depth_range, sheet
-from pcore.evaluation.runner import Photo, Taken
+from pcore.evaluation.runner import Taken
 from pcore.evaluation.states import CANONICAL
+from pcore.render.image import Image
 from pcore.training.config import FinetuneConfig
 
 VANILLA = "PAPR"
@@ -94,5 +95,5 @@ class AblationFigure:
         )
 
 
-def _depth(photo: Photo, scale: Photo) -> Pixels:
+def _depth(photo: Image, scale: Image) -> Pixels:
     return depth_pixels(photo.alpha, photo.depth, depth_range([(scale.alpha, scale.depth)]))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pcore.deform.jacobian import unchecked_frames
+from pcore.deform.jacobian import unchecked_maps
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.binding import Bound
 from pcore.editing.handles import HandleDiagnosis, handles_of
@@ -61,16 +61,16 @@ class EditedShape:
                 for shot in shots
             ),
             move=lambda points: self._of(points)[2].setting.points.to(points),
-            frames=self._frames,
+            local_maps=self._local_maps,
             object_size=None,
             handles=self._handles,
         )
 
-    def _frames(self, points: Tensor, moved: Tensor) -> LocalMaps:
+    def _local_maps(self, points: Tensor, moved: Tensor) -> LocalMaps:
         del moved  # The edit itself says more than where the points went.
         deformation = self._of(points)[2].deformation
         mended = deformation.mended(points.detach().double()).nonzero().squeeze(-1)
-        return replace(unchecked_frames(deformation, points), mended=mended)
+        return replace(unchecked_maps(deformation, points), mended=mended)
 
     def _handles(self, points: Tensor) -> tuple[HandleDiagnosis, ...]:
         rest, rig, _ = self._of(points)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol as Shape
 
 import numpy as np
 import torch
@@ -17,37 +16,18 @@ from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
 from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
-from pcore.geometry.local_maps import LocalMaps
 from pcore.metrics.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
+from pcore.render.image import Image
 
 Value = float | int | None
 Progress = Callable[[int, int], None]
 
 
-class Photo(Shape):
-    """What a renderer hands back; tensors on the CPU."""
-
-    @property
-    def rgb(self) -> Tensor:
-        """(H, W, 3) colours on white, not clamped."""
-        ...
-
-    @property
-    def alpha(self) -> Tensor:
-        """(H, W) opacity."""
-        ...
-
-    @property
-    def depth(self) -> Tensor:
-        """(H, W) camera z, world units."""
-        ...
-
-
-Draw = Callable[[Asset, Posed, Camera], Photo]
+Draw = Callable[[Asset, Posed, Camera], Image]
 """Takes a picture of a posed asset."""
 
 
-def draw_asset(asset: Asset, posed: Posed, camera: Camera) -> Photo:
+def draw_asset(asset: Asset, posed: Posed, camera: Camera) -> Image:
     """Take it as `Asset.render` does."""
     return asset.render(posed, camera)
 
@@ -114,7 +94,7 @@ class Taken:
     index: int
     rgba: Tensor | None
     depth: Tensor | None
-    photos: Mapping[str, Photo]
+    photos: Mapping[str, Image]
     camera: Camera
     health: Mapping[str, Health]
     unseen: Mapping[str, Tensor | None]
@@ -156,7 +136,7 @@ def evaluate(
     carried = [carry(methods, state) for state in states]
     for state, poses in zip(states, carried, strict=True):
         maps = {name: one.local_maps for name, one in poses.items()}
-        mended = {name: one and len(one.mended) for name, one in maps.items()}
+        mended = {name: None if one is None else len(one.mended) for name, one in maps.items()}
         health = _health(methods, poses, state)
         for index in range(len(state.shots)):
             taken = _take(methods, poses, health, state, index, draw)
@@ -180,7 +160,7 @@ def _take(
     """Render one shot with every method."""
     shot = state.shots[index]
     with torch.no_grad():
-        photos = {m.name: draw(m.asset, poses[m.name], shot.camera) for m in methods}
+        photos = {m.name: draw(m.asset, poses[m.name], shot.camera).cpu() for m in methods}
     return Taken(
         state=state.name,
         view=shot.view.name,
@@ -232,24 +212,32 @@ def _check_names(methods: Sequence[Method]) -> None:
 
 
 def carry(methods: Sequence[Method], state: State) -> dict[str, Posed]:
-    """Move every method's asset to the state; methods of one run share the work."""
-    moved: dict[int, Tensor] = {}
-    maps: dict[int, LocalMaps | None] = {}
+    """Move every method's asset to the state; methods of one run share the work.
+
+    All methods are measured by one kind of depth, that of the surface where a run knows it,
+    whatever their rays and their light.
+    """
+    motions: dict[int, tuple[MovedPoints, EditError | None]] = {}
     poses: dict[str, Posed] = {}
     for method in methods:
         asset, key = method.asset, id(method.asset)
-        rest = asset.points.detach().cpu()
-        if key not in moved:
-            moved[key] = state.move(rest)
-        if method.rays == "aware" and key not in maps:
-            maps[key] = _frames(state, rest, moved[key])
-        motion = MovedPoints(
-            positions=moved[key],
-            local_maps=maps[key] if method.rays == "aware" else None,
-            world=state.world,
-        )
+        if key not in motions:
+            motions[key] = _moved(state, asset.points.detach().cpu())
+        motion, error = motions[key]
+        if error is not None and method.rays == "aware":
+            raise EditError(f"state {state.name}: {error}; plain rays can draw it") from error
         poses[method.name] = asset.pose(motion, rays=method.rays, light=method.light)
     return poses
+
+
+def _moved(state: State, rest: Tensor) -> tuple[MovedPoints, EditError | None]:
+    """Where a state takes canonical points (N, 3), and why there may be no local maps."""
+    positions = state.move(rest)
+    try:
+        maps = state.local_maps(rest, positions)
+    except EditError as error:
+        return MovedPoints(positions=positions, world=state.world), error
+    return MovedPoints(positions=positions, local_maps=maps, world=state.world), None
 
 
 def _health(
@@ -265,14 +253,7 @@ def _health(
     return {method.name: known[id(method.asset)] for method in methods}
 
 
-def _frames(state: State, rest: Tensor, moved: Tensor) -> LocalMaps | None:
-    try:
-        return state.frames(rest, moved)
-    except EditError as error:
-        raise EditError(f"state {state.name}: {error}; plain rays can draw it") from error
-
-
-def _geometry(photo: Photo, rgba: Tensor, taken: Taken, state: State) -> Mapping[str, Value]:
+def _geometry(photo: Image, rgba: Tensor, taken: Taken, state: State) -> Mapping[str, Value]:
     """Geometry metrics; without a true shape only those that need the opacity alone."""
     alpha, size = rgba[..., 3], state.object_size
     if taken.depth is not None and size is not None:

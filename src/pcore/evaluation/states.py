@@ -20,7 +20,7 @@ from torch import Tensor
 from pcore.data.load import find_states, load_scene, load_state
 from pcore.data.scene import Scene, View
 from pcore.deform.base import Deformation
-from pcore.deform.jacobian import analytic_frames, estimated_frames
+from pcore.deform.jacobian import analytic_maps, estimated_maps
 from pcore.deform.simple import uniform_scale
 from pcore.editing.handles import HandleDiagnosis
 from pcore.errors import InputError, SceneError
@@ -63,7 +63,7 @@ class State:
         kind: what sort of deformation it is.
         shots: the pictures to take, at least one.
         move: carries canonical points (N, 3) to the state, world units.
-        frames: local frames of canonical points (N, 3) that were moved to (N, 3): from the formula
+        local_maps: those of canonical points (N, 3) that were moved to (N, 3): from the formula
             of the state where it has one, else estimated from the move; None without a move.
         object_size: diagonal of the bounding box in this state, world units; None without a mesh.
         world: factor by which the truth scales all of the world, lamps and cameras too.
@@ -75,7 +75,7 @@ class State:
     kind: Kind
     shots: tuple[Shot, ...]
     move: Callable[[Tensor], Tensor]
-    frames: Callable[[Tensor, Tensor], LocalMaps | None]
+    local_maps: Callable[[Tensor, Tensor], LocalMaps | None]
     object_size: float | None
     world: float = 1.0
     handles: Callable[[Tensor], tuple[HandleDiagnosis, ...]] | None = None
@@ -155,7 +155,7 @@ class SceneStates:
             kind="canonical",
             shots=tuple(self._shot(view, None) for view in self._test_views),
             move=_stay,
-            frames=lambda points, moved: None,
+            local_maps=lambda points, moved: None,
             object_size=self._size,
         )
 
@@ -168,7 +168,7 @@ class SceneStates:
             shots=tuple(self._shot(view, name) for view in scene.split("test")),
             # A formula says where all of space goes, as an edit does; the mesh only its surface.
             move=_carried_by(formula) if formula else lambda points: self._carrier(points, name),
-            frames=_by_formula(formula) if formula else estimated_frames,
+            local_maps=_by_formula(formula) if formula else estimated_maps,
             object_size=truth.object_size(name),
         )
 
@@ -185,7 +185,7 @@ class SceneStates:
             kind="analytic",
             shots=tuple(shots),
             move=_carried_by(uniform_scale(scale)),
-            frames=_by_formula(uniform_scale(scale)),
+            local_maps=_by_formula(uniform_scale(scale)),
             object_size=None if self._size is None else scale * self._size,
             world=scale,
         )
@@ -270,7 +270,7 @@ def _carried_by(formula: Deformation) -> Callable[[Tensor], Tensor]:
 
 
 def _by_formula(formula: Deformation) -> Callable[[Tensor, Tensor], LocalMaps]:
-    return lambda points, moved: analytic_frames(formula, points)
+    return lambda points, moved: analytic_maps(formula, points)
 
 
 def _stay(points: Tensor) -> Tensor:

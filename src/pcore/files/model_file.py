@@ -13,18 +13,20 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from pcore.errors import CheckpointError
+from pcore.errors import CheckpointError, InputError
 from pcore.files.atomic import write_atomically
 from pcore.files.provenance import Provenance, pcore_version
 from pcore.files.records import from_dict, to_dict
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
 from pcore.model.papr_config import PaprConfig
 
 MODEL_FILE = "model.safetensors"
 _FORMAT = "pcore-model"
-_VERSION = 5
+_VERSION = "6"
 _CLOUD = ("positions", "features", "influence")
+_SURFELS = ("normals", "heights")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,12 +38,14 @@ class SavedModel:
         papr_state: state dict of `Papr(config)`.
         cloud: the canonical points.
         provenance: where they come from.
+        surfels: the surface over the points; None where nobody has estimated it.
     """
 
     config: PaprConfig
     papr_state: dict[str, Tensor]
     cloud: PointCloud
     provenance: Provenance
+    surfels: Surfels | None = None
 
     def papr(self) -> Papr:
         """Build the networks with these weights, in evaluation mode and without gradients."""
@@ -57,6 +61,8 @@ class ModelSummary:
     points: int
     parameters: int
     """Numbers in all tensors, the cloud's included."""
+    surfels: bool
+    """Whether the surface over the points is known."""
 
 
 def networks(config: PaprConfig, state: Mapping[str, Tensor]) -> Papr:
@@ -78,6 +84,7 @@ def save_model(
     cloud: PointCloud,
     config: PaprConfig,
     provenance: Provenance,
+    surfels: Surfels | None = None,
 ) -> None:
     """Write a model file; a crash at any moment leaves the old file or the new one.
 
@@ -87,6 +94,7 @@ def save_model(
         cloud: the canonical points, world units.
         config: architecture of the networks.
         provenance: where the weights come from.
+        surfels: the surface over the points at rest; None where it is not known.
 
     Raises:
         CheckpointError: a tensor is missing, misshaped or not finite; nothing is written, so that
@@ -95,11 +103,13 @@ def save_model(
     """
     tensors = {f"papr.{name}": value for name, value in papr_state.items()}
     tensors |= {f"cloud.{name}": getattr(cloud, name) for name in _CLOUD}
+    if surfels is not None:
+        tensors |= {f"surfels.{name}": getattr(surfels, name) for name in _SURFELS}
     _check_tensors(path, {name: _form(value) for name, value in tensors.items()}, config)
     _check_finite(path, tensors)
     header = {
         "format": _FORMAT,
-        "version": str(_VERSION),
+        "version": _VERSION,
         "config": json.dumps(to_dict(config)),
         "provenance": json.dumps(to_dict(provenance)),
     }
@@ -114,7 +124,7 @@ def load_model(path: Path | str) -> SavedModel:
         path: a model file or the run folder that holds one.
 
     Raises:
-        CheckpointError: the file is missing, damaged, not ours, of a newer version, or its tensors
+        CheckpointError: the file is missing, damaged, not ours, of another version, or its tensors
             are not those of its own configuration.
     """
     path = _model_path(path)
@@ -122,6 +132,7 @@ def load_model(path: Path | str) -> SavedModel:
     with _open(path) as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     _check_finite(path, tensors)
+    cloud = PointCloud.from_tensors({name: tensors[f"cloud.{name}"] for name in _CLOUD})
     return SavedModel(
         config=config,
         papr_state={
@@ -129,8 +140,9 @@ def load_model(path: Path | str) -> SavedModel:
             for name, value in tensors.items()
             if name.startswith("papr.")
         },
-        cloud=PointCloud.from_tensors({name: tensors[f"cloud.{name}"] for name in _CLOUD}),
+        cloud=cloud,
         provenance=provenance,
+        surfels=_surfels(path, cloud, tensors),
     )
 
 
@@ -146,7 +158,21 @@ def describe_model(path: Path | str) -> ModelSummary:
         provenance=provenance,
         points=forms["cloud.positions"][0][0],
         parameters=sum(torch.Size(shape).numel() for shape, _ in forms.values()),
+        surfels="surfels.normals" in forms,
     )
+
+
+def _surfels(path: Path, cloud: PointCloud, tensors: Mapping[str, Tensor]) -> Surfels | None:
+    """The surface over the points, if the file knows it."""
+    if "surfels.normals" not in tensors:
+        return None
+    normals, heights = (tensors[f"surfels.{name}"] for name in _SURFELS)
+    try:
+        return Surfels.at_rest(cloud.positions, normals, heights)
+    except InputError as error:
+        raise CheckpointError(
+            f"{path}: {error}; the file was edited, save the model again"
+        ) from error
 
 
 _Form = tuple[tuple[int, ...], str]
@@ -205,14 +231,14 @@ def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
             f"'{_FORMAT}' in its header, got {header.get('format')!r}; give a file written by "
             "`pcore train`, `pcore finetune` or `pcore import papr`"
         )
-    if header.get("version") != str(_VERSION):
+    if header.get("version") != _VERSION:
         raise CheckpointError(
             f"{path} has version {header.get('version')!r} of the model format: this pcore "
-            f"({pcore_version()}) reads version {_VERSION}; use the pcore that wrote it, or train "
-            "anew"
+            f"({pcore_version()}) reads version {_VERSION} alone; train the scene again (`pcore "
+            "train`), import the original's checkpoint again (`pcore import papr`), or use the "
+            "pcore that wrote it"
         )
-    settings = _json(path, header, "config")
-    config = from_dict(PaprConfig, settings, where=f"{path}: config")
+    config = from_dict(PaprConfig, _json(path, header, "config"), where=f"{path}: config")
     provenance = from_dict(
         Provenance, _json(path, header, "provenance"), where=f"{path}: provenance"
     )
@@ -254,6 +280,9 @@ def _check_tensors(path: Path, forms: Mapping[str, _Form], config: PaprConfig) -
     expected["cloud.positions"] = ((points, 3), "F32")
     expected["cloud.features"] = ((points, config.feature_size), "F32")
     expected["cloud.influence"] = ((points,), "F32")
+    if any(name.startswith("surfels.") for name in forms):
+        expected["surfels.normals"] = ((points, 3), "F32")
+        expected["surfels.heights"] = ((points,), "F32")
     problems = [f"missing tensor '{name}'" for name in expected if name not in forms]
     problems += [f"unexpected tensor '{name}'" for name in forms if name not in expected]
     problems += [

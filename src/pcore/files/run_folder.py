@@ -22,6 +22,7 @@ from pcore.files.provenance import Provenance, Stage
 from pcore.files.skinning_file import SKINNING_FILE, save_skinning
 from pcore.files.training_state import STATE_FILE, TrainingState, load_state, save_state
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.surfels import Surfels
 from pcore.model.papr_config import PaprConfig
 from pcore.validation import first_names
 
@@ -117,11 +118,6 @@ class RunFolder(Closing):
         return self.path / GAUSSIANS_FILE
 
     @property
-    def has_model(self) -> bool:
-        """Whether there is something to draw."""
-        return self.model.is_file() or self.gaussians.is_file()
-
-    @property
     def skinning(self) -> Path:
         """The skinning for users, `skinning.safetensors`; only where one was trained."""
         return self.path / SKINNING_FILE
@@ -193,10 +189,11 @@ class RunFolder(Closing):
         cloud: PointCloud,
         config: PaprConfig,
         provenance: Provenance,
+        surfels: Surfels | None = None,
     ) -> None:
         """Write `model.safetensors`; raises TrainingError as `save_state`."""
         with write_guard(self.model):
-            save_model(self.model, papr_state, cloud, config, provenance)
+            save_model(self.model, papr_state, cloud, config, provenance, surfels)
 
     def save_skinning(self, skinning: Skinning) -> None:
         """Write `skinning.safetensors`; raises TrainingError as `save_state`."""

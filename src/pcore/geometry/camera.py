@@ -1,8 +1,9 @@
-"""A pinhole camera: OpenGL axes (x right, y up, looking along -z), pixel centres at +0.5."""
+"""Pinhole cameras: OpenGL axes (x right, y up, looking along -z), pixel centres at +0.5."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -13,13 +14,20 @@ from pcore.geometry.rays import RayBundle
 
 _RIGID_TOLERANCE = 1e-3
 
+Number = float | Tensor
+"""A number, or a tensor () that autograd may follow; (C,) of a batch of cameras."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """A pinhole camera.
+    """A pinhole camera, or a batch of C that take pictures of one size.
+
+    Rays and depths are differentiable in the pose, the focal lengths and the principal point, and
+    have the pose's dtype and device.
 
     Attributes:
-        world_from_camera: (4, 4) float32, rigid; maps camera space to world space.
+        world_from_camera: (4, 4) or (C, 4, 4), float32 or float64, rigid; maps camera space to
+            world space.
         width: image width in pixels.
         height: image height in pixels.
         fx: focal length along x in pixels.
@@ -31,21 +39,88 @@ class Camera:
     world_from_camera: Tensor
     width: int
     height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+    fx: Number
+    fy: Number
+    cx: Number
+    cy: Number
 
     def __post_init__(self) -> None:
+        if self.world_from_camera.ndim == 3 and len(self.world_from_camera):
+            for one in self:  # Each is checked by itself.
+                _ = one
+            return
         _check_pose(self.world_from_camera)
         if self.width < 1 or self.height < 1:
             raise InputError(
                 f"camera: expected a positive image size, got {self.width} x {self.height}"
             )
-        if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx) and math.isfinite(self.fy)):
+        focal = self.focal
+        if not (min(focal) > 0 and math.isfinite(sum(focal))):
             raise InputError(
-                f"camera: expected positive focal lengths in pixels, got {self.fx}, {self.fy}"
+                f"camera: expected positive focal lengths in pixels, got {focal[0]}, {focal[1]}"
             )
+
+    @classmethod
+    def stack(cls, cameras: Sequence[Camera]) -> Camera:
+        """Make a batch of single cameras.
+
+        Raises:
+            InputError: no camera, a batch among them, or pictures of different sizes.
+        """
+        sizes = {(one.width, one.height) for one in cameras}
+        if len(sizes) != 1 or any(one.count is not None for one in cameras):
+            listed = ", ".join(f"{width} x {height}" for width, height in sorted(sizes))
+            raise InputError(
+                "cameras: expected a batch of single cameras of one image size, got "
+                f"{listed or 'none'}; render those of each size by themselves"
+            )
+        poses = torch.stack([one.world_from_camera for one in cameras])
+
+        def stacked(numbers: Sequence[Number]) -> Tensor:
+            return torch.stack([torch.as_tensor(one).to(poses) for one in numbers])
+
+        return cls(
+            world_from_camera=poses,
+            width=cameras[0].width,
+            height=cameras[0].height,
+            fx=stacked([one.fx for one in cameras]),
+            fy=stacked([one.fy for one in cameras]),
+            cx=stacked([one.cx for one in cameras]),
+            cy=stacked([one.cy for one in cameras]),
+        )
+
+    @property
+    def count(self) -> int | None:
+        """C of a batch; None of a single camera."""
+        return None if self.world_from_camera.ndim == 2 else len(self.world_from_camera)
+
+    def __iter__(self) -> Iterator[Camera]:
+        """Go through the cameras of a batch; a single camera is one."""
+        if self.count is None:
+            yield self
+        for index in range(self.count or 0):
+            numbers = {
+                name: one[index] if isinstance(one, Tensor) and one.ndim else one
+                for name, one in self._numbers.items()
+            }
+            yield replace(self, world_from_camera=self.world_from_camera[index], **numbers)
+
+    @property
+    def _numbers(self) -> dict[str, Number]:
+        return {"fx": self.fx, "fy": self.fy, "cx": self.cx, "cy": self.cy}
+
+    @property
+    def focal(self) -> tuple[float, float]:
+        """Focal lengths of a single camera along x and y in pixels, as numbers."""
+        x, y = (float(torch.as_tensor(one).detach()) for one in (self.fx, self.fy))
+        return x, y
+
+    @property
+    def asks_gradient(self) -> bool:
+        """Whether autograd follows the pose or one of the numbers."""
+        parts = [self.world_from_camera, *self._numbers.values()]
+        followed = (isinstance(one, Tensor) and one.requires_grad for one in parts)
+        return torch.is_grad_enabled() and any(followed)
 
     @classmethod
     def from_fov(
@@ -70,8 +145,8 @@ class Camera:
 
     @property
     def center(self) -> Tensor:
-        """(3,) the camera's centre in world units."""
-        return self.world_from_camera[:3, 3]
+        """(3,) or (C, 3) the centre in world units."""
+        return self.world_from_camera[..., :3, 3]
 
     def resized(self, width: int, height: int) -> Camera:
         """Return the same camera with another image size (intrinsics scaled along)."""
@@ -110,25 +185,40 @@ class Camera:
                 per pixel (`pixel_samples`); None sends one through every pixel's centre.
 
         Returns:
-            (height, width) rays with unit directions, world units; (height, width, S) with places.
+            (height, width) rays with unit directions, world units; (height, width, S) with places;
+            of a batch of cameras with C in front.
         """
+        if self.count is not None:
+            each = [one.rays(top, left, height, width, places=places) for one in self]
+            return RayBundle(
+                origins=torch.stack([one.origins for one in each]),
+                directions=torch.stack([one.directions for one in each]),
+                samples=each[0].samples,
+            )
         pose = self.world_from_camera
-        columns = torch.arange(left, left + width if width else self.width, dtype=torch.float32)
-        rows = torch.arange(top, top + height if height else self.height, dtype=torch.float32)
+        last_column = left + width if width else self.width
+        last_row = top + height if height else self.height
+        columns = torch.arange(left, last_column, dtype=pose.dtype, device=pose.device)
+        rows = torch.arange(top, last_row, dtype=pose.dtype, device=pose.device)
         row, column = torch.meshgrid(rows, columns, indexing="ij")
         if places is None:
             row, column = row + 0.5, column + 0.5
         else:
-            row, column = row[..., None] + places[..., 1], column[..., None] + places[..., 0]
+            inside = places.to(pose)
+            row, column = row[..., None] + inside[..., 1], column[..., None] + inside[..., 0]
         grid_x, grid_y = (column - self.cx) / self.fx, -(row - self.cy) / self.fy
         in_camera = torch.stack([grid_x, grid_y, -torch.ones_like(grid_x)], dim=-1)
         directions = in_camera @ pose[:3, :3].T
         directions = directions / directions.norm(dim=-1, keepdim=True)
-        return RayBundle(origins=self.center.expand_as(directions), directions=directions)
+        return RayBundle(
+            origins=self.center.expand_as(directions),
+            directions=directions,
+            samples=None if places is None else places.shape[-2],
+        )
 
     def pixel_width(self, place: Tensor) -> float:
         """How wide a pixel is as far away as a place (3,), world units."""
-        return float((self.center - place).norm()) / self.fx
+        return float((self.center - place).detach().norm()) / self.focal[0]
 
     def project(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Column, row and camera z (N,) of world points (N, 3).
@@ -144,9 +234,20 @@ class Camera:
         return column, row, depth
 
     def depth(self, points: Tensor) -> Tensor:
-        """Camera z of world points (..., 3): distance along the viewing axis, world units."""
-        forward = -self.world_from_camera[:3, 2]
-        return (points - self.center.to(points)) @ forward.to(points)
+        """Camera z of world points (..., 3): distance along the viewing axis, world units.
+
+        Of a batch of cameras the points are (C, ..., 3).
+        """
+        if self.count is not None:
+            each = zip(self, points, strict=True)
+            return torch.stack([camera.depth(seen) for camera, seen in each])
+        forward = -self.world_from_camera[:3, 2].to(points)
+        if not self.asks_gradient:
+            return (points - self.center.to(points)) @ forward
+        # What NaN says of the viewing axis would be NaN for all.
+        unknown = points.isnan().any(dim=-1, keepdim=True)
+        depth = (points.masked_fill(unknown, 0.0) - self.center.to(points)) @ forward
+        return depth.masked_fill(unknown.squeeze(-1), math.nan)
 
 
 def _check_pose(pose: Tensor) -> None:

@@ -95,7 +95,7 @@ def orbit_like(
     )
     first = cameras[0]
     width, height = size or (first.width, first.height)
-    angle_x = 2 * math.atan(0.5 * first.width / first.fx)
+    angle_x = 2 * math.atan(0.5 * first.width / first.focal[0])
     return [Camera.from_fov(pose, width=width, height=height, angle_x=angle_x) for pose in poses]
 
 

@@ -63,8 +63,8 @@ def visible_from(points: Tensor, camera: Camera, spacing: float) -> Tensor:
     depth = depth[inside]
     # Points in one place have no spacing; the cell is then far below a pixel.
     wide = max(_CELL * spacing / float(depth.mean()), 1e-9)
-    i = np.floor(row[inside] / (camera.fy * wide)).astype(np.int64)
-    j = np.floor(column[inside] / (camera.fx * wide)).astype(np.int64)
+    i = np.floor(row[inside] / (camera.focal[1] * wide)).astype(np.int64)
+    j = np.floor(column[inside] / (camera.focal[0] * wide)).astype(np.int64)
     _, cell = np.unique(i * (j.max() + 1) + j, return_inverse=True)
     first = np.full(int(cell.max()) + 1, np.inf)
     np.minimum.at(first, cell, depth)

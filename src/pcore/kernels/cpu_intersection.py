@@ -90,13 +90,19 @@ def _first_layer(
         mean[ray, 0], mean[ray, 1], mean[ray, 2] = x / total, y / total, z / total
 
 
-def meet(
-    skin: Surfels, rays: RayBundle, weights: Tensor, points: Tensor, limits: tuple[float, ...]
+def intersect(
+    surfels: Surfels,
+    gains: Tensor | None,
+    rays: RayBundle,
+    weights: Tensor,
+    points: Tensor,
+    limits: tuple[float, ...],
 ) -> tuple[Tensor, Tensor | None]:
-    """Places (M, 3) where rays meet planes and factors (M,) there; see `pcore.model.meeting`.
+    """Places (M, 3) where rays meet surfels, gains (M,) there; see `pcore.render.surface`.
 
     Args:
-        skin: the planes; without gains there are no factors.
+        surfels: the planes.
+        gains: (N,) of the planes; None: there are none of rays either.
         rays: (M,) world units.
         weights: (M, k) of planes, not all zero.
         points: (M, k) which those are.
@@ -105,15 +111,14 @@ def meet(
             units, and the weight of what faces away.
     """
     use_torch_threads()
-    gains = skin.gains
     # Where there is no light nothing is beside a point, and nothing is read of its changes.
-    changes, beside = skin.places[:0, 0], skin.beside[:, :0]
+    changes, beside = surfels.places[:0, 0], surfels.beside[:, :0]
     if gains is not None:
-        changes, beside = gains.log(), skin.beside
+        changes, beside = gains.log(), surfels.beside
     found, factors = torch.empty(len(weights), 3), torch.empty(len(weights))
-    _meet(
-        as_float32(skin.places),
-        as_float32(skin.normals),
+    _intersect(
+        as_float32(surfels.places),
+        as_float32(surfels.normals),
         as_float32(changes),
         beside.contiguous().numpy(),
         as_float32(rays.origins),
@@ -128,7 +133,7 @@ def meet(
 
 
 @numba.njit(cache=True, parallel=True)
-def _meet(
+def _intersect(
     places: np.ndarray,
     normals: np.ndarray,
     changes: np.ndarray,

@@ -11,8 +11,8 @@ import torch
 from numba import prange
 from torch import Tensor
 
+from pcore.geometry.rays import RayBundle
 from pcore.kernels.numba_bridge import as_float32, use_torch_threads
-from pcore.kernels.ray_layers import LayerRules, PulledBack
 from pcore.kernels.reference import SHORTEST
 from pcore.kernels.sorted_keys import PLACE, key_of, sift
 
@@ -25,18 +25,18 @@ def pull_back(
     to_rest: Tensor,
     candidates: Tensor,
     k: int,
-    layers: LayerRules | None = None,
-    hidden: bool = False,
-) -> PulledBack:
+    layers: tuple[float, float, float] | None = None,
+    back_layer: bool = False,
+) -> tuple[Tensor, RayBundle, Tensor, Tensor]:
     """Rays of the rest state as each candidate sees them; see `functional.pull_back`."""
     use_torch_threads()
     rays = len(origins)
     chosen = torch.empty(rays, k, dtype=torch.int64)
     seen_from, seen_along = torch.empty(rays, k, 3), torch.empty(rays, k, 3)
-    counts, strangers = torch.empty(rays, dtype=torch.int64), torch.empty(rays, dtype=torch.bool)
+    counts, has_back = torch.empty(rays, dtype=torch.int64), torch.empty(rays, dtype=torch.bool)
     limits = np.array([-1.0, 0.0, 0.0])  # Nothing is close enough to be the foremost.
     if layers is not None:
-        limits = np.array([layers.close, layers.apart, layers.cutoff]) ** 2
+        limits = np.array(layers) ** 2
     _pull_back(
         as_float32(origins),
         as_float32(directions),
@@ -45,20 +45,14 @@ def pull_back(
         as_float32(to_rest),
         candidates.contiguous().numpy(),
         limits.astype(np.float32),
-        hidden,
+        back_layer,
         chosen.numpy(),
         seen_from.numpy(),
         seen_along.numpy(),
         counts.numpy(),
-        strangers.numpy(),
+        has_back.numpy(),
     )
-    return PulledBack(
-        neighbours=chosen,
-        origins=seen_from,
-        directions=seen_along,
-        counts=counts,
-        strangers=strangers,
-    )
+    return chosen, RayBundle(origins=seen_from, directions=seen_along), counts, has_back
 
 
 @numba.njit(cache=True, parallel=True)
@@ -70,12 +64,12 @@ def _pull_back(
     to_rest: np.ndarray,
     candidates: np.ndarray,
     limits: np.ndarray,
-    hidden: bool,
+    back_layer: bool,
     chosen: np.ndarray,
     seen_from: np.ndarray,
     seen_along: np.ndarray,
     counts: np.ndarray,
-    strangers: np.ndarray,
+    has_back: np.ndarray,
 ) -> None:
     rays, k = chosen.shape
     for ray in prange(rays):
@@ -87,20 +81,20 @@ def _pull_back(
         )
         bits = squared.view(np.int32)
         best = np.full(k, np.iinfo(np.int64).max)
-        count, met = 0, False
+        count, layered = 0, False
         for c in range(candidates.shape[1]):
-            stranger = False
+            behind = False
             if foremost >= 0 and depth[c] > depth[foremost] and squared[c] <= limits[2]:
                 point, ahead = candidates[ray, c], rest[candidates[ray, foremost]]
                 there = positions[point], rest[point], to_rest[point]
-                stranger = _apart(origin, direction, *there, ahead, squared[c], limits[1])
-            met |= stranger
-            if stranger == hidden:
+                behind = _apart(origin, direction, *there, ahead, squared[c], limits[1])
+            layered |= behind
+            if behind == back_layer:
                 count += 1
                 key = key_of(bits[c], c)
                 if key < best[k - 1]:
                     sift(best, k - 1, key)
-        counts[ray], strangers[ray] = min(count, k), met
+        counts[ray], has_back[ray] = min(count, k), layered
         for s in range(k):
             # Slots that nothing fills repeat the nearest, or the first candidate.
             slot = best[s if s < count else 0] & PLACE if count > 0 else 0

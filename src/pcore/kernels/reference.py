@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from pcore.kernels.ray_layers import LayerRules, PulledBack
+from pcore.geometry.rays import RayBundle
 
 _CHUNK_ELEMENTS = 4_000_000
 SHORTEST = 1e-30
@@ -95,27 +95,26 @@ def pull_back(
     to_rest: Tensor,
     candidates: Tensor,
     k: int,
-    layers: LayerRules | None = None,
-    hidden: bool = False,
-) -> PulledBack:
+    layers: tuple[float, float, float] | None = None,
+    back_layer: bool = False,
+) -> tuple[Tensor, RayBundle, Tensor, Tensor]:
     """Rays of the rest state as each candidate sees them; see `functional.pull_back`."""
-    maps, here = to_rest[candidates], rest[candidates]
+    here = rest[candidates]
     offset = origins[:, None, :] - positions[candidates]
-    back = (maps @ offset.unsqueeze(-1)).squeeze(-1)
-    turned = (maps @ directions[:, None, :, None]).squeeze(-1)
-    turned = turned / turned.norm(dim=-1, keepdim=True).clamp_min(SHORTEST)
+    back, turned = turned_back(offset, directions, to_rest[candidates])
     squared = _squared_distance(back, turned)
-    strangers = torch.zeros_like(squared, dtype=torch.bool)
+    behind = torch.zeros_like(squared, dtype=torch.bool)
     if layers is not None:
+        close, apart, cutoff = layers
         # What lies behind the origin hides nothing.
         depth = -(offset * directions[:, None, :]).sum(dim=-1)
-        first = (squared <= layers.close**2) & (depth > 0)
+        first = (squared <= close**2) & (depth > 0)
         least, foremost = depth.masked_fill(~first, math.inf).min(dim=1, keepdim=True)
         ahead = here.take_along_dim(foremost.unsqueeze(-1), dim=1)
-        apart = _squared_distance(here - ahead + back, turned) > layers.apart**2
         behind = (least < math.inf) & (depth > least)
-        strangers = apart & behind & (squared <= layers.cutoff**2)
-    wanted = strangers == hidden
+        behind &= _squared_distance(here - ahead + back, turned) > apart**2
+        behind &= squared <= cutoff**2
+    wanted = behind == back_layer
     order = torch.sort(squared.masked_fill(~wanted, math.inf), dim=-1, stable=True).indices[:, :k]
     counts = wanted.sum(dim=-1).clamp_max(order.shape[1])
     # Slots that nothing fills repeat the nearest, or the first candidate where there is none.
@@ -124,13 +123,27 @@ def pull_back(
     order = order.where(~empty, nearest)
     rows = order.unsqueeze(-1)
     chosen = candidates.gather(1, order)
-    return PulledBack(
-        neighbours=chosen,
+    seen = RayBundle(
         origins=rest[chosen] + back.take_along_dim(rows, dim=1),
         directions=turned.take_along_dim(rows, dim=1),
-        counts=counts,
-        strangers=strangers.any(dim=-1),
     )
+    return chosen, seen, counts, behind.any(dim=-1)
+
+
+def turned_back(offset: Tensor, directions: Tensor, to_rest: Tensor) -> tuple[Tensor, Tensor]:
+    """Rays as points see them at rest, from their offsets.
+
+    Args:
+        offset: (R, k, 3) from points to the origins of rays, world units.
+        directions: (R, 3) of the rays.
+        to_rest: (R, k, 3, 3) the ways back around the points.
+
+    Returns:
+        Offsets (R, k, 3) and unit directions (R, k, 3) at rest, differentiable.
+    """
+    back = (to_rest @ offset.unsqueeze(-1)).squeeze(-1)
+    turned = (to_rest @ directions[:, None, :, None]).squeeze(-1)
+    return back, turned / turned.norm(dim=-1, keepdim=True).clamp_min(SHORTEST)
 
 
 def _squared_distance(origins: Tensor, directions: Tensor) -> Tensor:

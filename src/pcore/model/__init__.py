@@ -1,1 +1,1 @@
-"""PAPR: networks, renderer, checkpoints."""
+"""PAPR: the networks and their sizes, nothing else."""

@@ -3,41 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels.functional import AttentionRules, proximity_attention
 from pcore.kernels.networks import Layers
 from pcore.kernels.reference import encode
 from pcore.model.encoding import Normalisation, encoded_size
+from pcore.model.hits import Hits
 from pcore.model.papr_config import MlpConfig, PaprConfig
-
-
-@dataclass(frozen=True, kw_only=True)
-class Attended:
-    """What attention says about R rays.
-
-    Attributes:
-        features: (R, C) weighted values.
-        background: (R,) attention that the background keeps; 1 minus it is the opacity.
-        weights: (R, k) weights of the points, renormalised to sum to one (zero where no point
-            is within the cut-off).
-        surface: (R, 3) weighted positions, world units (paper: s_j = sum w p).
-        behind: (R,) weighted mean squared distance along the ray from the first of the points:
-            large where the back of the object shows through. No gradient to the positions.
-    """
-
-    features: Tensor
-    background: Tensor
-    weights: Tensor
-    surface: Tensor
-    behind: Tensor
 
 
 class Mlp(nn.Module):
@@ -104,31 +83,32 @@ class ProximityAttention(nn.Module):
 
     def forward(
         self,
-        cloud: PointCloud,
+        posed: PosedCloud,
         rays: RayBundle,
         neighbours: Tensor,
         seen: RayBundle,
         threshold: float = 0.0,
-    ) -> Attended:
+        *,
+        stop_encoding: bool = False,
+    ) -> Hits:
         """Attend from R rays to their neighbours.
 
         Args:
-            cloud: the points.
+            posed: the points.
             rays: (R,) rays, world units.
-            neighbours: (R, k) indices into the cloud.
+            neighbours: (R, k) indices into the points.
             seen: the rays as the networks see them: (R,), or (R, k) as each neighbour sees them
-                in the rest state of the cloud.
+                in the rest state of the points.
             threshold: values with less than this weight are left out; 0 is exact.
-
-        Returns:
-            The attended features, opacity and surface points.
+            stop_encoding: no gradient flows through the encoded positions of the keys, as in the
+                original's training.
         """
         queries, constants = self._queries(_of_query(seen.directions))
         inside, octaves = self.key.innorm, self.config.octaves
-        attention = proximity_attention(
-            cloud.positions if cloud.frames is None else cloud.frames.rest,
-            cloud.features,
-            cloud.influence,
+        features, background, weights, answering = proximity_attention(
+            posed.seen_positions,
+            posed.cloud.features,
+            posed.cloud.influence,
             seen.origins,
             seen.directions,
             neighbours,
@@ -142,23 +122,23 @@ class ProximityAttention(nn.Module):
                 background_score=self.config.background_score,
                 cutoff=self.config.cutoff,
                 threshold=threshold,
+                stop_encoding=stop_encoding,
             ),
         )
-        weights = attention.weights
-        positions = cloud.positions.index_select(0, neighbours.flatten()).unflatten(
+        positions = posed.positions.index_select(0, neighbours.flatten()).unflatten(
             0, weights.shape
         )
-        # Sums, not matrix products: those would run in half precision under autocast.
-        surface = (weights.unsqueeze(-1) * positions).sum(dim=1)
-        along = (positions.detach() * rays.directions.unsqueeze(1)).sum(dim=-1)
-        first = along.masked_fill(~attention.answering, math.inf).amin(dim=-1, keepdim=True)
-        past_first = torch.where(attention.answering, along - first, 0.0)
-        return Attended(
-            features=attention.features,
-            background=attention.background,
+        along = (positions.detach() * rays.directions.detach().unsqueeze(1)).sum(dim=-1)
+        first = along.masked_fill(~answering, math.inf).amin(dim=-1, keepdim=True)
+        past_first = torch.where(answering, along - first, 0.0)
+        return Hits(
+            neighbours=neighbours,
             weights=weights,
-            surface=surface,
-            behind=(weights * past_first.square()).sum(dim=-1),
+            background=background,
+            features=features,
+            # Sums, not matrix products: those would run in half precision under autocast.
+            centroid=(weights.unsqueeze(-1) * positions).sum(dim=1),
+            spread=(weights * past_first.square()).sum(dim=-1),
         )
 
     def _queries(self, directions: Tensor) -> tuple[Tensor, Tensor]:

@@ -121,7 +121,7 @@ class PaprConfig:
     mean of their features. 1 (the original) is the ray through the pixel's centre."""
     pixel: float | None = None
     """Width of a pixel of the training photos at the object's middle, world units: what the
-    renderer network knows (`pcore.model.raster`). None: pictures are drawn as they come."""
+    renderer network knows (`pcore.render.raster`). None: pictures are drawn as they come."""
 
     def __post_init__(self) -> None:
         if self.neighbours < 1 or self.feature_size < 1:

@@ -13,12 +13,8 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
-
-ENCODING = 2.2
-"""Exponent between the brightness that a photo stores and light; that of sRGB, nearly."""
-_UNIT = 1e-3
-_CLOSEST = 0.2
-"""No point gets nearer to a lamp than this share of the lamp's distance from the centre."""
+from pcore.geometry.surfels import of_unit_length
+from pcore.relight.config import DEFAULT, RelightConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,15 +61,16 @@ class Light:
         if not bool(self.center.isfinite().all()):
             raise InputError("light: expected a finite center")
 
-    def falling(self, points: Tensor, normals: Tensor) -> Tensor:
+    def falling(self, points: Tensor, normals: Tensor, config: RelightConfig = DEFAULT) -> Tensor:
         """Light (N, D) that each lamp sends to surfaces; the sum is 1 where all radiance is 1.
 
         Args:
             points: (N, 3) world units.
             normals: (N, 3) unit.
+            config: says how near a lamp may be.
         """
         offsets = points.to(normals) - self.center.to(normals)
-        falling = falling_of(offsets, normals, self.directions, self.nearness)
+        falling = falling_of(offsets, normals, self.directions, self.nearness, config)
         return self.radiance.to(normals) * falling
 
     def irradiance(self, normals: Tensor) -> Tensor:
@@ -90,7 +87,13 @@ class Light:
         return replace(self, nearness=self.nearness / factor, center=self.center * factor)
 
 
-def falling_of(offsets: Tensor, normals: Tensor, directions: Tensor, nearness: Tensor) -> Tensor:
+def falling_of(
+    offsets: Tensor,
+    normals: Tensor,
+    directions: Tensor,
+    nearness: Tensor,
+    config: RelightConfig = DEFAULT,
+) -> Tensor:
     """Light (N, D) of lamps of radiance 1 that look at a centre, on surfaces around it.
 
     A lamp in direction w at distance 1 / q is seen from offset p along v = w - q p. It gives
@@ -101,6 +104,7 @@ def falling_of(offsets: Tensor, normals: Tensor, directions: Tensor, nearness: T
         normals: (N, 3) unit.
         directions: (D, 3) unit.
         nearness: (D,) 1 / world unit.
+        config: says how near a lamp may be.
     """
     directions, nearness = directions.to(normals), nearness.to(normals)
     ahead = nearness * (offsets @ directions.T)
@@ -108,7 +112,7 @@ def falling_of(offsets: Tensor, normals: Tensor, directions: Tensor, nearness: T
     across = normals @ directions.T - nearness * (normals * offsets).sum(dim=1, keepdim=True)
     # The mean cosine over the sphere is 1 / 4.
     falling = across.clamp_min(0) * (1 - ahead).clamp_min(0) * (4.0 / len(directions))
-    return falling / squared.clamp_min(_CLOSEST**2).square()
+    return falling / squared.clamp_min(config.closest**2).square()
 
 
 def sphere(count: int) -> Tensor:
@@ -117,13 +121,3 @@ def sphere(count: int) -> Tensor:
     z = 1 - 2 * step / count
     turn, flat = math.pi * (1 + math.sqrt(5)) * step, (1 - z * z).sqrt()
     return torch.stack([flat * turn.cos(), flat * turn.sin(), z], dim=1).float()
-
-
-def of_unit_length(vectors: Tensor) -> Tensor:
-    """(N,) bool, which vectors (N, 3) have a length of 1, nearly."""
-    return (vectors.norm(dim=1) - 1).abs() < _UNIT
-
-
-def known_normals(normals: Tensor) -> Tensor:
-    """(N,) bool, which normals (N, 3) are known: of unit length, not zero."""
-    return normals.square().sum(dim=1) > 0.25

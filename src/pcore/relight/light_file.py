@@ -1,7 +1,8 @@
-"""The file `light.safetensors` beside a model: the light of its photos and what it falls on."""
+"""The file `light.safetensors` beside a model: the light of its photos and what it fell on."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import torch
@@ -9,35 +10,36 @@ from torch import Tensor
 
 from pcore.errors import CheckpointError, InputError
 from pcore.files.headers import Companion
+from pcore.files.records import from_dict, to_dict
+from pcore.relight.config import RelightConfig
 from pcore.relight.lamps import Light
-from pcore.relight.shading import Shading
+from pcore.relight.relighting import Relighting
 
 _FILE = Companion(
-    noun="light", version="3", mend="estimate it anew with `pcore light RUN`, or delete the file"
+    noun="light", version="4", mend="estimate it anew with `pcore light RUN`, or delete the file"
 )
 LIGHT_FILE = _FILE.name
 _LIGHT = ("directions", "radiance", "nearness", "center")
-_POINTS = ("normals", "positions", "brightness")
-_LIFT = "lift"
-_TENSORS = (*_LIGHT, *_POINTS, _LIFT)
+_POINTS = ("positions", "brightness", "received")
+_TENSORS = (*_LIGHT, *_POINTS)
 
 
-def save_shading(path: Path, shading: Shading) -> None:
+def save_light(path: Path, relighting: Relighting) -> None:
     """Write a light file; a crash at any moment leaves the old file or the new one.
 
     Args:
         path: where to, normally RUN/light.safetensors.
-        shading: the light, and the canonical points that it falls on.
+        relighting: the light, and the canonical points that it fell on.
 
     Raises:
         OSError: the file cannot be written; the old one is untouched.
     """
-    light = {name: getattr(shading.light, name) for name in _LIGHT}
-    points = {name: getattr(shading, name) for name in _POINTS}
-    _FILE.write(path, light | points | {_LIFT: torch.tensor(shading.lift, dtype=torch.float32)})
+    light = {name: getattr(relighting.light, name) for name in _LIGHT}
+    points = {name: getattr(relighting, name) for name in _POINTS}
+    _FILE.write(path, light | points, config=json.dumps(to_dict(relighting.config)))
 
 
-def load_shading(path: Path | str, positions: Tensor) -> Shading:
+def load_light(path: Path | str, positions: Tensor) -> Relighting:
     """Read a light file.
 
     Args:
@@ -48,7 +50,7 @@ def load_shading(path: Path | str, positions: Tensor) -> Shading:
         CheckpointError: missing, damaged, not ours, of another version, or of other points.
     """
     path = _FILE.path(path)
-    _, tensors = _FILE.read(path)
+    header, tensors = _FILE.read(path)
     missing = [name for name in _TENSORS if name not in tensors]
     if missing:
         raise CheckpointError(
@@ -62,14 +64,10 @@ def load_shading(path: Path | str, positions: Tensor) -> Shading:
             f"{len(positions)} others; {_FILE.mend}"
         )
     try:
+        config = from_dict(
+            RelightConfig, json.loads(header.get("config", "")), where=f"{path}: config"
+        )
         light = Light(**{name: tensors[name] for name in _LIGHT})
-        points = {name: tensors[name] for name in _POINTS}
-        return Shading(light=light, **points, lift=_number(tensors[_LIFT]))
-    except InputError as error:
+        return Relighting(light=light, config=config, **{name: tensors[name] for name in _POINTS})
+    except (InputError, json.JSONDecodeError) as error:
         raise CheckpointError(f"{path}: {error}; {_FILE.mend}") from error
-
-
-def _number(value: Tensor) -> float:
-    if value.numel() != 1:
-        raise InputError(f"lift: expected one number, got {tuple(value.shape)}")
-    return float(value)

@@ -11,18 +11,10 @@ from numba import prange
 from torch import Tensor
 
 from pcore.geometry.rays import perpendicular
+from pcore.geometry.surfels import known_normals
 from pcore.kernels.numba_bridge import as_float32, use_torch_threads
-from pcore.relight.lamps import known_normals
+from pcore.relight.config import DEFAULT, RelightConfig
 
-_CELL = 0.5
-"""Side of the cells of a shadow map in spacings; a point covers nine of them."""
-_BACK, _UNKNOWN, _FRONT = 1.0, 3.5, 8.0
-"""Points of a surface lie in a shell, and do not hide what is less deep below it. In spacings: for
-points that face away from the light, which belong to another surface than what they hide; for those
-whose normal is not known; and for those that face the light. Chosen on objects of our own (ADR 11).
-"""
-_FINEST = 1024
-"""Cells along the longest side of a map at most, so that a stray point does not cost a lot."""
 _REACH = 2
 """A point covers the cells beside its own, and so matters to cells around others at twice that."""
 _COVERED = np.array(
@@ -56,7 +48,13 @@ class Shadows:
 
 
 @torch.no_grad()
-def shadows_of(points: Tensor, normals: Tensor, directions: Tensor, spacing: float) -> Shadows:
+def shadows_of(
+    points: Tensor,
+    normals: Tensor,
+    directions: Tensor,
+    spacing: float,
+    config: RelightConfig = DEFAULT,
+) -> Shadows:
     """Tell which light from D directions reaches N points past the others, and what hides the rest.
 
     Across every direction lies a grid of cells. A point covers its cell and the eight around it; of
@@ -69,6 +67,7 @@ def shadows_of(points: Tensor, normals: Tensor, directions: Tensor, spacing: flo
         directions: (D, 3) unit, towards where the light comes from.
         spacing: of the points, from `pcore.geometry.visibility.cloud_spacing`, world units; 0 when
             nothing hides anything.
+        config: cells and depths of the shadow maps.
     """
     count, looks = len(points), len(directions)
     hider = torch.arange(count, dtype=torch.int32)[:, None].repeat(1, looks)
@@ -78,7 +77,7 @@ def shadows_of(points: Tensor, normals: Tensor, directions: Tensor, spacing: flo
     if side == 0 or spacing <= 0:
         seen = torch.from_numpy((facing > 0) | unknown[:, None])
         return Shadows(open=seen.to(torch.float32), hider=hider)
-    spacing = max(spacing, side / _FINEST / _CELL)
+    spacing = max(spacing, side / config.shadow_finest / config.shadow_cell)
     middle = (points.amin(dim=0) + points.amax(dim=0)) / 2
     directions = directions.to(points)
     right = perpendicular(directions)
@@ -91,8 +90,8 @@ def shadows_of(points: Tensor, normals: Tensor, directions: Tensor, spacing: flo
         facing,
         unknown,
         as_float32(torch.stack([right, up, directions], dim=1)),
-        np.float32(_CELL * spacing),
-        np.array([_BACK, _UNKNOWN, _FRONT], dtype=np.float32) * np.float32(spacing),
+        np.float32(config.shadow_cell * spacing),
+        np.array(config.shadow_depths, dtype=np.float32) * np.float32(spacing),
         share.numpy(),
         hider.numpy(),
     )

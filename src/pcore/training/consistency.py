@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -10,7 +10,7 @@ from torch import Tensor
 from pcore.deform.base import Deformation
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.papr import Rendering
+from pcore.render.image import Image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,18 +34,18 @@ class Canonical:
 
 
 def canonical_of(
-    rendering: Rendering, cloud: PointCloud, rays: RayBundle, rgb: Tensor, foreground_alpha: float
+    image: Image, cloud: PointCloud, rays: RayBundle, rgb: Tensor, foreground_alpha: float
 ) -> Canonical:
     """Stop the gradient (sg of the paper) and find where every ray ends.
 
     The end is the projection of the surface point ON the ray: aiming at the surface point itself,
     which lies up to a point spacing beside the ray, would shift the picture and blur it.
     """
-    surface = rendering.surface.detach()
-    foreground = rendering.alpha.detach() > foreground_alpha
-    if rays.shape != foreground.shape:
+    surface = image.ray_hits.centroid.detach().reshape(*rays.shape, 3)
+    foreground = image.alpha.detach() > foreground_alpha
+    if rays.samples is not None:
         foreground = foreground.unsqueeze(-1).expand(rays.shape)
-    nearest = cloud.positions.detach()[rendering.neighbours[..., 0]]
+    nearest = cloud.positions.detach()[image.ray_hits.neighbours[:, 0]].view_as(surface)
     target = torch.where(foreground.unsqueeze(-1), surface, nearest)
     along = ((target - rays.origins) * rays.directions).sum(dim=-1, keepdim=True)
     return Canonical(
@@ -58,7 +58,7 @@ def canonical_of(
 
 def points_only_rays(rays: RayBundle, canonical: Canonical, deformation: Deformation) -> RayBundle:
     """Rays from the original origins to the deformed ends (paper, "Points-only mode")."""
-    return _towards(rays.origins, deformation(canonical.ends))
+    return _towards(rays, rays.origins, deformation(canonical.ends))
 
 
 def rays_and_points_rays(
@@ -82,16 +82,18 @@ def rays_and_points_rays(
     """
     origins = canonical.ends + origin_distance * (rays.origins - canonical.ends)
     ends = deformation(canonical.ends)
-    moved = _towards(deformation(origins), ends)
+    moved = _towards(rays, deformation(origins), ends)
     if not keep_distance:
         return moved
     distance = (rays.origins - canonical.ends).norm(dim=-1, keepdim=True)
-    return RayBundle(origins=ends - distance * moved.directions, directions=moved.directions)
+    return replace(moved, origins=ends - distance * moved.directions)
 
 
-def _towards(origins: Tensor, ends: Tensor) -> RayBundle:
+def _towards(rays: RayBundle, origins: Tensor, ends: Tensor) -> RayBundle:
+    """Rays like others, from origins (*R, 3) to ends (*R, 3)."""
     difference = ends - origins
-    return RayBundle(
+    return replace(
+        rays,
         origins=origins,
         directions=difference / difference.norm(dim=-1, keepdim=True).clamp_min(1e-12),
     )
@@ -111,7 +113,7 @@ class Consistency:
 
 
 def consistency(
-    rendering: Rendering,
+    image: Image,
     canonical: Canonical,
     target: Tensor,
     *,
@@ -121,7 +123,7 @@ def consistency(
     """Compare the deformed rendering with what the deformation makes of the canonical one.
 
     Args:
-        rendering: of the deformed cloud D(P) along deformed rays.
+        image: of the deformed cloud D(P) along deformed rays.
         canonical: what the canonical state says.
         target: (*R, 3) where the deformation takes the canonical surface points.
         unit: length in which L_geo is measured, world units.
@@ -131,12 +133,13 @@ def consistency(
         Both losses; zero where the patch has no foreground.
     """
     foreground = canonical.foreground
-    offset = rendering.surface - target
+    hits = image.ray_hits
+    offset = hits.centroid.view_as(target) - target
     # Rays that left the cut-off have no surface point; L_tex sees them as holes.
-    met = foreground & (rendering.weights.detach().sum(dim=-1) > 0)
+    met = foreground & hits.mask.view_as(foreground)
     geometry = (offset / unit).square().sum(dim=-1)[met].sum() / foreground.sum().clamp_min(1)
-    difference = (rendering.rgb - canonical.rgb).square().mean(dim=-1)
-    pixels = foreground if foreground.dim() == 2 else foreground[..., 0]
+    difference = (image.rgb - canonical.rgb).square().mean(dim=-1)
+    pixels = foreground if foreground.shape == difference.shape else foreground[..., 0]
     chosen = torch.ones_like(pixels) if background_rays else pixels
     texture = (difference * chosen).sum() / difference.numel()
     return Consistency(geometry=geometry, texture=texture)

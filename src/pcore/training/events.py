@@ -90,6 +90,15 @@ class PopulationReport:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SurfaceReport:
+    """At the end, the training views tell where the surface over the points is."""
+
+    stage: str
+    step: int
+    views: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Saved:
     """A file is complete on the disk."""
 
@@ -109,7 +118,15 @@ class Stopped:
     """For people: why, and how to go on."""
 
 
-Event = StepReport | ValidationReport | BudgetReport | PopulationReport | Saved | Stopped
+Event = (
+    StepReport
+    | ValidationReport
+    | BudgetReport
+    | PopulationReport
+    | SurfaceReport
+    | Saved
+    | Stopped
+)
 Listener = Callable[[Event], None]
 
 _NAMES: dict[type, str] = {
@@ -117,6 +134,7 @@ _NAMES: dict[type, str] = {
     ValidationReport: "validation",
     BudgetReport: "budget",
     PopulationReport: "population",
+    SurfaceReport: "surface",
     Saved: "saved",
     Stopped: "stopped",
 }

@@ -78,6 +78,7 @@ def finetune(
         _plan(config, validation, scene.name),
         losses,
         budget=_budget(anchor, work, validation, config),
+        finish=lambda tell: work.complete(scene.split("train"), tell),
         folder=folder,
         listener=listener,
     )

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from pcore.data.images import background_color, composite
 from pcore.data.scene import View
-from pcore.model.render import render
+from pcore.geometry.posed import PosedCloud
+from pcore.render.picture import render
 from pcore.training.config import Background
 from pcore.training.trained import Trained
 
@@ -17,7 +18,8 @@ from pcore.training.trained import Trained
 def validate(model: Trained, views: Sequence[View], background: Background) -> dict[str, float]:
     """Mean PSNR over the views, and of foreground pixels (alpha > 0.5) where there is alpha, dB."""
     color = background_color("white" if background == "random" else background)
-    return mean_scores(views, color, lambda view: render(model.papr, model.cloud, view.camera).rgb)
+    posed = PosedCloud.at_rest(model.cloud)
+    return mean_scores(views, color, lambda view: render(model.papr, posed, view.camera).rgb.cpu())
 
 
 def mean_scores(

@@ -64,6 +64,7 @@ def run_loop(
     losses: Callable[[], Losses],
     *,
     after_step: Callable[[Listener], None] = lambda listener: None,
+    finish: Callable[[Listener], None] = lambda listener: None,
     budget: Budget | None = None,
     folder: RunFolder | None = None,
     listener: Listener,
@@ -75,6 +76,7 @@ def run_loop(
         plan: steps, rates, validation, saving.
         losses: draws a batch and computes the terms of the coming step, with gradients.
         after_step: changes the population.
+        finish: adds to the work, when all steps are done, what its result has besides weights.
         budget: what the result may cost; None takes the last weights. Where the last ones cost
             more, it is as much of the way to them as the budget allows. A run that is stopped has
             the weights of the last validation that met it, else those before.
@@ -91,6 +93,7 @@ def run_loop(
     _resume(work, folder)
     if work.step >= plan.steps:
         # Killed between the files of the last save: complete them.
+        finish(listener)
         _save(work, plan, folder, listener, finished=True)
     clock = _Clock(work.step, plan.steps)
     with deferred_interrupt() as interrupted:
@@ -102,6 +105,8 @@ def run_loop(
             if work.step % plan.validate_every == 0 or work.step == plan.steps:
                 _validate(work, plan, budget, listener)
             last = work.step == plan.steps or bool(interrupted)
+            if last and not interrupted:
+                finish(listener)
             if last or work.step % plan.save_every == 0:
                 _save(work, plan, folder, listener, finished=last and not interrupted)
             if interrupted:

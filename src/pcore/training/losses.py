@@ -8,8 +8,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from pcore.geometry.posed import PosedCloud
+from pcore.geometry.rays import RayBundle
 from pcore.metrics.perceptual import load_lpips
-from pcore.model.papr import Rendering
+from pcore.model.papr import Papr
+from pcore.render.image import Image
+from pcore.render.picture import render_rays
 from pcore.training.config import TrunkName
 from pcore.training.patches import Patch
 
@@ -57,8 +61,16 @@ def perceptual_loss(weight: float, trunk: TrunkName, device: torch.device) -> Pe
     return load_lpips(trunk, device=device) if weight > 0 else None
 
 
+def training_image(papr: Papr, posed: PosedCloud, rays: RayBundle, background: Tensor) -> Image:
+    """Render rays as losses want them: no gradient through gamma(p), as in the original.
+
+    Depth and surface, for which no loss asks, are not looked for.
+    """
+    return render_rays(papr, posed, rays, background, stop_encoding=True, geometry=False)
+
+
 def photometric(
-    rendering: Rendering,
+    image: Image,
     patch: Patch,
     *,
     opacity_weight: float,
@@ -72,15 +84,15 @@ def photometric(
     distance from it, weighted by the opacity. Colours alone leave PAPR free to blend the back of
     the object into its front, and then its surface points lie between the two.
     """
-    error = (rendering.rgb - patch.rgb).square().mean()
+    error = (image.rgb - patch.rgb).square().mean()
     terms = {"rgb": error}
     if perceptual is not None:
-        images = [_as_lpips(image) for image in (rendering.rgb, patch.rgb)]
+        images = [_as_lpips(one) for one in (image.rgb, patch.rgb)]
         terms["lpips"] = lpips_weight * perceptual(*images).mean()
     if opacity_weight > 0 and patch.alpha is not None:
-        terms["opacity"] = opacity_weight * (rendering.alpha - patch.alpha).square().mean()
+        terms["opacity"] = opacity_weight * (image.alpha - patch.alpha).square().mean()
     if front_weight > 0:
-        terms["front"] = front_weight * (rendering.alpha.detach() * rendering.behind).mean()
+        terms["front"] = front_weight * (image.alpha.detach() * image.spread).mean()
     return Losses(terms=terms, squared_error=error.detach())
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pcore.deform.base import Deformation
 from pcore.deform.sampler import sample_deformation
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.training.config import FinetuneConfig
 from pcore.training.consistency import (
@@ -13,7 +14,7 @@ from pcore.training.consistency import (
     points_only_rays,
     rays_and_points_rays,
 )
-from pcore.training.losses import Losses, Perceptual, photometric
+from pcore.training.losses import Losses, Perceptual, photometric, training_image
 from pcore.training.patches import Patch
 from pcore.training.random_motion import FieldMotion, Motion, SkinnedMotion
 from pcore.training.trainable import Trainable
@@ -40,17 +41,18 @@ class Objective:
     def __call__(self, patch: Patch) -> Losses:
         """L_rgb + lambda_geo L_geo + lambda_tex L_tex of a patch (paper, "Joint Loss")."""
         config, work = self._config, self._work
-        rendering = work.papr(work.cloud, patch.rays, patch.background)
+        posed = PosedCloud.at_rest(work.cloud)
+        image = training_image(work.papr, posed, patch.rays, patch.background)
         photo = photometric(
-            rendering,
+            image,
             patch,
             opacity_weight=config.opacity_weight,
             lpips_weight=config.lpips_weight,
             perceptual=self._perceptual,
             front_weight=config.front_weight,
         )
-        rgb = patch.rgb if config.texture_target == "photo" else rendering.rgb
-        canonical = canonical_of(rendering, work.cloud, patch.rays, rgb, config.foreground_alpha)
+        rgb = patch.rgb if config.texture_target == "photo" else image.rgb
+        canonical = canonical_of(image, work.cloud, patch.rays, rgb, config.foreground_alpha)
         deformation = sample_deformation(
             work.generator, self._lower, self._upper, self._points, config.ranges
         )
@@ -58,7 +60,7 @@ class Objective:
         terms = {**photo.terms, **moved.terms}
         for name, rays in self._modes(patch.rays, canonical, deformation).items():
             found = consistency(
-                work.papr(moved.cloud, rays, patch.background),
+                training_image(work.papr, moved.posed, rays, patch.background),
                 canonical,
                 moved.surface,
                 unit=self._unit,

@@ -65,9 +65,7 @@ def draw_patch(
         places = drawn_places(height, width, config.samples, generator)
     rays = camera.rays(top, left, height, width, places=places)
     return Patch(
-        rays=RayBundle(
-            origins=_sent(rays.origins, device), directions=_sent(rays.directions, device)
-        ),
+        rays=rays.each(lambda tensor: _sent(tensor, device)),
         rgb=_sent(composite(crop, color), device),
         alpha=_sent(crop[..., 3], device) if view.has_alpha else None,
         background=_sent(color, device),

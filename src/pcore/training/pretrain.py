@@ -14,13 +14,14 @@ from pcore.data.scene import Scene, View, check_images, hold_out
 from pcore.errors import TrainingError
 from pcore.files.run_folder import RunFolder
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
 from pcore.model.papr_config import PaprConfig, ReferenceOrigin
 from pcore.training.compiling import compile_networks
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.loop import Plan, autocast, run_loop
-from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric
+from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric, training_image
 from pcore.training.patches import draw_patch
 from pcore.training.population import growth_mixture, growth_sites, replace_rows
 from pcore.training.start_cloud import start_positions
@@ -74,10 +75,11 @@ def pretrain(
         found: list[Losses] = []
         for patch in patches:
             with autocast(where, enabled=config.mixed_precision):
-                rendering = work.papr(work.cloud, patch.rays, patch.background)
+                posed = PosedCloud.at_rest(work.cloud)
+                image = training_image(work.papr, posed, patch.rays, patch.background)
             found.append(
                 photometric(
-                    rendering,
+                    image,
                     patch,
                     opacity_weight=config.opacity_weight,
                     lpips_weight=config.lpips_weight,
@@ -100,6 +102,7 @@ def pretrain(
         ),
         losses,
         after_step=lambda tell: _change_population(work, config, tell),
+        finish=lambda tell: work.complete(scene.split("train"), tell),
         folder=folder,
         listener=listener,
     )

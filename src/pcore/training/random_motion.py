@@ -17,10 +17,11 @@ from pcore.contrib.learned_skinning import Prior, Skinning, untrained_skinning
 from pcore.contrib.skinning_loss import position_loss
 from pcore.deform.anchor_distance import path_distance
 from pcore.deform.base import Deformation
-from pcore.deform.jacobian import frames_of, unchecked_frames
+from pcore.deform.jacobian import maps_of, unchecked_maps
 from pcore.deform.skinning import pose_of, skin
 from pcore.geometry.farthest_points import farthest_points
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.training.config import SkinningTrainConfig
 from pcore.training.consistency import Canonical
 
@@ -30,12 +31,12 @@ class MovedScene:
     """What a deformation makes of the canonical scene.
 
     Attributes:
-        cloud: the deformed points.
+        posed: the deformed points.
         surface: (*R, 3) where the canonical surface points of a patch go: the target of L_geo.
         terms: losses of the motion itself, weighted, by name.
     """
 
-    cloud: PointCloud
+    posed: PosedCloud
     surface: Tensor
     terms: Mapping[str, Tensor]
 
@@ -49,7 +50,7 @@ class FieldMotion:
     """Everything goes where the field takes it.
 
     Attributes:
-        aware: remember the rest state, for deformation-aware rays.
+        aware: keep local maps, for deformation-aware rays.
     """
 
     aware: bool
@@ -59,9 +60,10 @@ class FieldMotion:
     ) -> MovedScene:
         """See `Motion`."""
         positions = cloud.positions
-        frames = unchecked_frames(deformation, positions) if self.aware else None
+        # The derivative of the maps is left out: it is small, and costs second derivatives.
+        maps = unchecked_maps(deformation, positions.detach()) if self.aware else None
         return MovedScene(
-            cloud=cloud.moved(deformation(positions), frames),
+            posed=PosedCloud(cloud=cloud, positions=deformation(positions), local_maps=maps),
             surface=deformation(canonical.surface),
             terms={},
         )
@@ -76,7 +78,7 @@ class SkinnedMotion:
         prior: of the cloud's points, which stay.
         config: target of L_geo, weight of the direct term.
         unit: length in which the direct term is measured, world units.
-        aware: remember the rest state, for deformation-aware rays.
+        aware: keep local maps, for deformation-aware rays.
     """
 
     skinning: Skinning
@@ -105,9 +107,10 @@ class SkinnedMotion:
             if self.config.position_weight > 0:
                 error = position_loss(moved.positions, points, deformation, self.unit)
                 terms["skinning"] = self.config.position_weight * error
-        # As an edit by anchors is rendered: the frames are the blended rotations.
-        frames = frames_of(points, moved.linear) if self.aware else None
-        return MovedScene(cloud=cloud.moved(moved.positions, frames), surface=surface, terms=terms)
+        # As an edit by anchors is rendered: the maps are the blended rotations.
+        maps = maps_of(points, moved.linear.detach()) if self.aware else None
+        posed = PosedCloud(cloud=cloud, positions=moved.positions, local_maps=maps)
+        return MovedScene(posed=posed, surface=surface, terms=terms)
 
 
 def skinning_to_train(cloud: PointCloud, config: SkinningTrainConfig, *, seed: int) -> Skinning:

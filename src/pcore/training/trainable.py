@@ -18,7 +18,9 @@ from pcore.files.run_folder import RunFolder
 from pcore.files.training_state import TrainingState, generator_states, restore_generators
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr import Papr
+from pcore.render.surfel_fit import Observed, observe
 from pcore.training.config import Background, Rates
+from pcore.training.events import Listener, SurfaceReport
 from pcore.training.held_out import validate
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
@@ -39,6 +41,7 @@ class Trainable:
         skinning: trained along with the renderer; None where nothing is.
         step: steps done.
         best: figures of the best validation, and its weights where they are kept.
+        observed: what training views say about the points of the result, when it is complete.
     """
 
     stage: str
@@ -49,6 +52,7 @@ class Trainable:
     skinning: Skinning | None = None
     step: int = 0
     best: dict[str, Any] = field(default_factory=dict[str, Any])
+    observed: Observed | None = None
 
     @property
     def points(self) -> int:
@@ -77,7 +81,16 @@ class Trainable:
     def result(self, weights: Mapping[str, Tensor] | None = None) -> Trained:
         """Networks and points to hand over: of `weights`, or as they are."""
         chosen = weights or self.weights()
-        return rebuild(self.papr, chosen, self.step, skinning=self.skinning)
+        found = rebuild(self.papr, chosen, self.step, skinning=self.skinning)
+        if self.observed is None:
+            return found
+        return replace(found, surfels=self.observed.surfels(found.cloud), observed=self.observed)
+
+    def complete(self, views: Sequence[View], listener: Listener) -> None:
+        """See, when all steps are done, what training views say of the points of the result."""
+        listener(SurfaceReport(stage=self.stage, step=self.step, views=len(views)))
+        found = self.result(self.best.get("weights"))
+        self.observed = observe(found.papr, found.cloud, views)
 
     def scores(
         self,
@@ -99,7 +112,8 @@ class Trainable:
             stage="pretrain" if self.stage == "pretrain" else "finetune",
             step=self.best.get("kept_step", self.step),
         )
-        folder.save_model(result.papr.state_dict(), result.cloud, config, provenance)
+        state = result.papr.state_dict()
+        folder.save_model(state, result.cloud, config, provenance, result.surfels)
         if result.skinning is None:
             return [str(folder.model)]
         folder.save_skinning(result.skinning)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from pcore.geometry.camera import Camera
 from pcore.geometry.pixel_samples import check_samples, grid_places
-from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.model.papr_config import PaprConfig
 from pcore.model.unet import ALIGNMENT, RECEPTIVE_MARGIN
 
@@ -61,7 +61,7 @@ class Raster:
 
 def raster_of(
     config: PaprConfig,
-    cloud: PointCloud,
+    posed: PosedCloud,
     camera: Camera,
     samples: int | None,
     tile: int,
@@ -71,7 +71,7 @@ def raster_of(
 
     Args:
         config: of the model; without its `pixel` every picture is drawn as it comes.
-        cloud: the points, canonical or deformed.
+        posed: the points.
         camera: of the picture that is asked for.
         samples: its rays per pixel, a square number; None asks the model, and takes more where a
             larger picture needs them.
@@ -82,7 +82,7 @@ def raster_of(
         InputError: rays per pixel that make no square.
     """
     side = math.isqrt(check_samples("pixel", config.samples if samples is None else samples))
-    detail = photo_pixels(config, cloud, camera) if detail is None else detail
+    detail = photo_pixels(config, posed, camera) if detail is None else detail
     pool, step = 1, 1
     if detail < _COARSE:
         pool = min(max(2, round(1 / detail)), _COARSEST if samples is None else side)
@@ -101,7 +101,7 @@ def raster_of(
     )
 
 
-def photo_pixels(config: PaprConfig, cloud: PointCloud, camera: Camera) -> float:
+def photo_pixels(config: PaprConfig, posed: PosedCloud, camera: Camera) -> float:
     """How many pixels of a camera are as wide as one of the photos, at the object; 1/16 to 16.
 
     An edit that enlarges the object spreads what was one pixel over more of them. 1 where the
@@ -109,21 +109,22 @@ def photo_pixels(config: PaprConfig, cloud: PointCloud, camera: Camera) -> float
     """
     if config.pixel is None:
         return 1.0
-    depth = float(camera.depth(cloud.positions.detach().cpu()).median())
-    depth = max(depth, _CLOSEST * cloud.sphere[1])
-    detail = config.pixel * cloud.growth * 0.5 * (camera.fx + camera.fy) / depth
+    depth = float(camera.depth(posed.positions.detach().cpu()).detach().median())
+    depth = max(depth, _CLOSEST * posed.sphere[1])
+    focal = 0.5 * sum(camera.focal)
+    detail = config.pixel * posed.growth * focal / depth
     return min(max(detail, 1 / _FINEST), _FINEST)
 
 
 def film_detail(
-    config: PaprConfig, clouds: Sequence[PointCloud], cameras: Sequence[Camera]
+    config: PaprConfig, poses: Sequence[PosedCloud], cameras: Sequence[Camera]
 ) -> float:
     """One `photo_pixels` for all frames of a film, the median, so that its look does not jump.
 
     Args:
         config: of the model.
-        clouds: the points of every frame.
+        poses: the points of every frame.
         cameras: of every frame.
     """
-    pairs = zip(clouds, cameras, strict=True)
-    return statistics.median(photo_pixels(config, cloud, camera) for cloud, camera in pairs)
+    pairs = zip(poses, cameras, strict=True)
+    return statistics.median(photo_pixels(config, posed, camera) for posed, camera in pairs)

@@ -14,21 +14,24 @@ from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
-from pcore.model import passes
-from pcore.model import render as render_module
 from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
-from pcore.model.passes import RenderCancelledError
-from pcore.model.render import (
+from pcore.render import picture as picture_module
+from pcore.render import tiles as tiles_module
+from pcore.render.image import Image, normals
+from pcore.render.picture import (
     FAST_THRESHOLD,
-    Picture,
+    RenderCancelledError,
     check_request,
-    normals,
     rays_within,
     render,
+    render_rays,
 )
-from pcore.model.surface import surface_of
+from pcore.render.surface import surface_of
+from pcore.render.tiles import Canvas, colour
+from pcore.render.trace import trace
 
 
 def config(**changes: object) -> PaprConfig:
@@ -46,13 +49,23 @@ def config(**changes: object) -> PaprConfig:
     return PaprConfig(**(values | changes))  # pyright: ignore[reportArgumentType]
 
 
+def network(**changes: object) -> Papr:
+    return Papr(config(**changes)).requires_grad_(False).eval()
+
+
+def features_of(image: Image) -> Tensor:
+    """(H, W, C) means over the rays of every pixel."""
+    return image.ray_hits.features.unflatten(0, (*image.alpha.shape, -1)).mean(dim=-2)
+
+
 @pytest.fixture
-def cloud() -> PointCloud:
-    return PointCloud(
+def posed() -> PosedCloud:
+    cloud = PointCloud(
         positions=torch.randn(60, 3) * 0.3,
         features=torch.randn(60, 6),
         influence=torch.rand(60) * 2,
     )
+    return PosedCloud.at_rest(cloud)
 
 
 def camera(width: int, height: int, distance: float = 2.5) -> Camera:
@@ -74,12 +87,12 @@ def camera(width: int, height: int, distance: float = 2.5) -> Camera:
     ],
 )
 def test_tiles_equal_the_whole_picture(
-    cloud: PointCloud, size: tuple[int, int], tile: int, max_rays: int | None
+    posed: PosedCloud, size: tuple[int, int], tile: int, max_rays: int | None
 ) -> None:
-    papr, cam = Papr(config()).eval(), camera(*size)
+    papr, cam = network(), camera(*size)
     with torch.no_grad():
-        whole = papr(cloud, cam.rays())
-    got = render(papr, cloud, cam, tile=tile, max_rays=max_rays)
+        whole = render_rays(papr, posed, cam.rays())
+    got = render(papr, posed, cam, tile=tile, max_rays=max_rays)
     assert got.rgb.shape == (size[1], size[0], 3)
     torch.testing.assert_close(got.rgb, whole.rgb, atol=1e-5, rtol=0)
     torch.testing.assert_close(got.alpha, whole.alpha, atol=1e-6, rtol=0)
@@ -92,38 +105,38 @@ def test_tiles_equal_the_whole_picture(
     ("size", "tile", "max_rays"), [((37, 53), 16, 100), ((30, 31), 4, 7), ((40, 40), 256, None)]
 )
 def test_several_rays_per_pixel_are_averaged_before_the_unet(
-    cloud: PointCloud, samples: int, size: tuple[int, int], tile: int, max_rays: int | None
+    posed: PosedCloud, samples: int, size: tuple[int, int], tile: int, max_rays: int | None
 ) -> None:
     """Whatever the tiles and chunks; the rays are those of a picture so many times as large."""
-    papr, cam = Papr(config()).eval(), camera(*size)
+    papr, cam = network(), camera(*size)
     side = math.isqrt(samples)
     large = cam.resized(side * size[0], side * size[1])
     with torch.no_grad():
-        each = papr(cloud, large.rays())
-        features = torch.nn.functional.avg_pool2d(each.features.permute(2, 0, 1), side)
+        each = render_rays(papr, posed, large.rays())
+        features = torch.nn.functional.avg_pool2d(features_of(each).permute(2, 0, 1), side)
         alpha = torch.nn.functional.avg_pool2d(each.alpha.unsqueeze(0), side)[0]
-        expected = papr.shade(features.permute(1, 2, 0), alpha)
-    got = render(papr, cloud, cam, tile=tile, max_rays=max_rays, samples=samples)
+        expected = colour(papr, features.permute(1, 2, 0), alpha)
+    got = render(papr, posed, cam, tile=tile, max_rays=max_rays, samples=samples)
     torch.testing.assert_close(got.rgb, expected, atol=1e-5, rtol=0)
     torch.testing.assert_close(got.alpha, alpha, atol=1e-6, rtol=0)
-    asked = Papr(config(samples=samples)).eval()
+    asked = network(samples=samples)
     asked.load_state_dict(papr.state_dict())
-    by_model = render(asked, cloud, cam, tile=tile, max_rays=max_rays)
+    by_model = render(asked, posed, cam, tile=tile, max_rays=max_rays)
     torch.testing.assert_close(by_model.rgb, got.rgb, atol=1e-6, rtol=0)  # The model's own number.
-    one = render(asked, cloud, cam, samples=1)
-    assert torch.equal(one.rgb, render(papr, cloud, cam).rgb)
+    one = render(asked, posed, cam, samples=1)
+    assert torch.equal(one.rgb, render(papr, posed, cam).rgb)
     assert not torch.allclose(one.rgb, got.rgb, atol=1e-3)
 
 
-def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(cloud: PointCloud) -> None:
+def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(posed: PosedCloud) -> None:
     """The one of the middle distance; rays that meet nothing are left out."""
-    papr, cam = Papr(config(cutoff=0.1)).eval(), camera(24, 24)
-    got = render(papr, cloud, cam, samples=4)
+    papr, cam = network(cutoff=0.1), camera(24, 24)
+    got = render(papr, posed, cam, samples=4)
     rays = cam.rays(places=grid_places(4)).flat()
     with torch.no_grad():
-        each, neighbours = papr.attend(cloud, rays)
-    surface = surface_of(cloud, rays, each, neighbours, 0.1).surface.reshape(24, 24, 4, 3)
-    met = each.weights.sum(dim=-1).reshape(24, 24, 4) > 0
+        each = trace(papr, posed, rays)
+    surface = surface_of(posed, rays, each, 0.1)[0].reshape(24, 24, 4, 3)
+    met = each.mask.reshape(24, 24, 4)
     distance = (surface - cam.center).norm(dim=-1)
     counts = set[int]()
     for row, column in torch.cartesian_prod(torch.arange(24), torch.arange(24)).tolist():
@@ -138,40 +151,38 @@ def test_the_surface_of_a_pixel_is_that_of_one_of_its_rays(cloud: PointCloud) ->
     assert counts == {0, 1, 2, 3, 4}
 
 
-def in_light(cloud: PointCloud, gains: Tensor) -> PointCloud:
+def in_light(posed: PosedCloud, gains: Tensor) -> PosedCloud:
     """Every point a piece of surface of its own that faces away from the middle."""
-    outwards = torch.nn.functional.normalize(cloud.positions - cloud.sphere[0], dim=1)
-    skin = Surfels(
-        places=cloud.positions,
+    outwards = torch.nn.functional.normalize(posed.positions - posed.sphere[0], dim=1)
+    surfels = Surfels(
+        places=posed.positions,
         normals=outwards,
-        gains=gains,
-        beside=torch.cdist(cloud.positions, cloud.positions).argsort(dim=1)[:, :16],
+        heights=torch.zeros(60),
+        beside=torch.cdist(posed.positions, posed.positions).argsort(dim=1)[:, :16],
         spacing=0.1,
     )
-    return cloud.covered(skin)
+    return replace(posed, surfels=surfels, gains=gains)
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-def test_gains_scale_the_object_and_not_the_background(cloud: PointCloud, samples: int) -> None:
-    papr, cam = Papr(config(background=(0.2, 0.5, 1.0))).eval(), camera(37, 30)
-    plain = render(papr, cloud, cam, tile=16, max_rays=100, samples=samples)
+def test_gains_scale_the_object_and_not_the_background(posed: PosedCloud, samples: int) -> None:
+    papr, cam = network(background=(0.2, 0.5, 1.0)), camera(37, 30)
+    plain = render(papr, posed, cam, tile=16, max_rays=100, samples=samples)
     behind = (1 - plain.alpha).unsqueeze(-1) * torch.tensor([0.2, 0.5, 1.0])
-    twice = render(papr, in_light(cloud, torch.full((60,), 2.0)), cam, tile=16, samples=samples)
+    twice = render(papr, in_light(posed, torch.full((60,), 2.0)), cam, tile=16, samples=samples)
     torch.testing.assert_close(twice.rgb - behind, 2 * (plain.rgb - behind), atol=1e-5, rtol=1e-5)
     assert torch.equal(twice.alpha, plain.alpha)
-    ones = in_light(cloud, torch.ones(60))
+    ones = in_light(posed, torch.ones(60))
     same = render(papr, ones, cam, tile=16, max_rays=100, samples=samples)
     torch.testing.assert_close(same.rgb, plain.rgb, atol=1e-5, rtol=0)
     for name in ("surface", "depth"):
         torch.testing.assert_close(getattr(same, name), getattr(twice, name), equal_nan=True)
 
 
-def test_a_skin_in_the_light_of_the_photos_changes_depths_alone(cloud: PointCloud) -> None:
-    papr, cam = Papr(config(cutoff=0.3)).eval(), camera(37, 30)
-    plain = render(papr, cloud, cam)
-    covered = in_light(cloud, torch.ones(60))
-    assert covered.skin is not None
-    found = render(papr, cloud.covered(replace(covered.skin, gains=None)), cam)
+def test_surfels_in_the_light_of_the_photos_change_depths_alone(posed: PosedCloud) -> None:
+    papr, cam = network(cutoff=0.3), camera(37, 30)
+    plain = render(papr, posed, cam)
+    found = render(papr, replace(in_light(posed, torch.ones(60)), gains=None), cam)
     assert torch.equal(found.rgb, plain.rgb)
     assert torch.equal(found.alpha, plain.alpha)
     met = torch.isfinite(plain.depth)
@@ -181,43 +192,45 @@ def test_a_skin_in_the_light_of_the_photos_changes_depths_alone(cloud: PointClou
 
 
 @pytest.mark.parametrize("samples", [1, 4])
-def test_a_ray_has_the_gain_of_the_surface_it_meets(cloud: PointCloud, samples: int) -> None:
+def test_a_ray_has_the_gain_of_the_surface_it_meets(posed: PosedCloud, samples: int) -> None:
     """Rays of a pixel count by their opacity; rays that meet nothing do not darken its edge."""
-    papr, cam = Papr(config(cutoff=0.1)).eval(), camera(24, 24)
-    lit = in_light(cloud, torch.rand(60) + 0.5)
+    papr, cam = network(cutoff=0.1), camera(24, 24)
+    lit = in_light(posed, torch.rand(60) + 0.5)
     with torch.no_grad():
-        out = papr(cloud, cam.rays(places=grid_places(samples)))
-        each = papr(cloud, cam.resized(24 * math.isqrt(samples), 24 * math.isqrt(samples)).rays())
+        out = render_rays(papr, posed, cam.rays(places=grid_places(samples)))
+        each = render_rays(
+            papr, posed, cam.resized(24 * math.isqrt(samples), 24 * math.isqrt(samples)).rays()
+        )
     rays = cam.rays(places=grid_places(samples)).flat()
     with torch.no_grad():
-        met, near = papr.attend(lit, rays)
-    of_rays = surface_of(lit, rays, met, near, 0.1).gains
+        hits = trace(papr, lit, rays)
+    of_rays = surface_of(lit, rays, hits, 0.1)[1]
     assert of_rays is not None
     of_rays = of_rays.reshape(24, 24, -1)
     assert 0.5 <= float(of_rays.min()) < 0.7 < 1.3 < float(of_rays.max()) <= 1.5
     opacity = torch.nn.functional.pixel_unshuffle(each.alpha[None], math.isqrt(samples))
     opacity = opacity.permute(1, 2, 0)
     gain = (of_rays * opacity).sum(dim=-1) / opacity.sum(dim=-1).clamp_min(1e-6)
-    expected = papr.shade(out.features, out.alpha, gain=gain)
+    expected = colour(papr, features_of(out), out.alpha, gain=gain)
     got = render(papr, lit, cam, samples=samples, tile=8)
     torch.testing.assert_close(got.rgb, expected.detach(), atol=1e-5, rtol=0)
     assert not torch.allclose(got.rgb, out.rgb, atol=1e-2)
     with torch.no_grad():
-        whole = papr(lit, cam.rays(places=grid_places(samples)))
+        whole = render_rays(papr, lit, cam.rays(places=grid_places(samples)))
     torch.testing.assert_close(whole.rgb, expected.detach(), atol=1e-5, rtol=0)
 
 
-def test_a_skin_that_is_not_finite_is_refused(cloud: PointCloud) -> None:
+def test_a_light_that_is_not_finite_is_refused(posed: PosedCloud) -> None:
     gains = torch.ones(60)
     gains[3] = math.nan
-    with pytest.raises(InputError, match="NaN or infinity in the skin of 1 of 60"):
-        render(Papr(config()), in_light(cloud, gains), camera(8, 8))
+    with pytest.raises(InputError, match="NaN or infinity in the gain of 1 of 60"):
+        render(network(), in_light(posed, gains), camera(8, 8))
 
 
 @pytest.mark.parametrize("samples", [0, -1, 2, 3, 8])
-def test_rays_per_pixel_make_a_square(cloud: PointCloud, samples: int) -> None:
+def test_rays_per_pixel_make_a_square(posed: PosedCloud, samples: int) -> None:
     with pytest.raises(InputError, match=r"rays per pixel that make a square grid"):
-        render(Papr(config()), cloud, camera(8, 8), samples=samples)
+        render(network(), posed, camera(8, 8), samples=samples)
     with pytest.raises(InputError, match=r"rays per pixel that make a square grid"):
         config(samples=samples)
 
@@ -227,54 +240,54 @@ def test_rays_per_pixel_make_a_square(cloud: PointCloud, samples: int) -> None:
     [((20, 301), 16, 100), ((53, 90), 20, 7), ((64, 97), 8, 1500), ((41, 90), 4, 41)],
 )
 def test_features_are_held_for_the_rows_that_tiles_still_need(
-    cloud: PointCloud,
+    posed: PosedCloud,
     size: tuple[int, int],
     tile: int,
     max_rays: int,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Whatever the height; the picture is the one of a canvas that holds them all, bit for bit."""
-    papr, cam, held = Papr(config()).eval(), camera(*size), list[int]()
-    attend = passes.attend
+    papr, cam, held = network(), camera(*size), list[int]()
+    fill = tiles_module.trace_pixels
 
-    def watched(canvas: passes.Canvas, *others: object) -> None:
+    def watched(canvas: Canvas, *others: object) -> None:
         held.append(len(canvas.features))
-        attend(canvas, *others)  # pyright: ignore[reportArgumentType]
+        fill(canvas, *others)  # pyright: ignore[reportArgumentType]
 
-    monkeypatch.setattr(render_module, "attend", watched)
-    found = render(papr, cloud, cam, tile=tile, max_rays=max_rays)
+    monkeypatch.setattr(tiles_module, "trace_pixels", watched)
+    found = render(papr, posed, cam, tile=tile, max_rays=max_rays)
     assert set(held) == {min(size[1], tile + 24 + math.ceil(max_rays / size[0]))}
     assert held[0] < size[1]
-    monkeypatch.setattr(render_module, "rows_in_use", lambda *_: size[1])
-    whole = render(papr, cloud, cam, tile=tile, max_rays=max_rays)
+    monkeypatch.setattr(picture_module, "rows_in_use", lambda *_: size[1])
+    whole = render(papr, posed, cam, tile=tile, max_rays=max_rays)
     assert held[-1] == size[1]
-    for name, one in vars(found).items():
-        assert torch.equal(one, getattr(whole, name)), name
+    for name in ("rgb", "alpha", "depth", "surface"):
+        assert torch.equal(getattr(found, name), getattr(whole, name)), name
 
 
 def test_fewer_rows_of_features_would_not_do(
-    cloud: PointCloud, monkeypatch: pytest.MonkeyPatch
+    posed: PosedCloud, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    papr, cam = Papr(config()).eval(), camera(16, 97)
-    exact = render(papr, cloud, cam, tile=8, max_rays=40).rgb
-    monkeypatch.setattr(render_module, "rows_in_use", lambda *_: 8 + 24 - 2)
-    differs = float((render(papr, cloud, cam, tile=8, max_rays=40).rgb - exact).abs().max())
+    papr, cam = network(), camera(16, 97)
+    exact = render(papr, posed, cam, tile=8, max_rays=40).rgb
+    monkeypatch.setattr(picture_module, "rows_in_use", lambda *_: 8 + 24 - 2)
+    differs = float((render(papr, posed, cam, tile=8, max_rays=40).rgb - exact).abs().max())
     assert differs > 0
 
 
 def test_a_tile_without_its_surroundings_would_differ(
-    cloud: PointCloud, monkeypatch: pytest.MonkeyPatch
+    posed: PosedCloud, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The margin is needed: the test above would see a smaller one."""
-    papr, cam = Papr(config()).eval(), camera(40, 40)
-    exact = render(papr, cloud, cam)
-    monkeypatch.setattr("pcore.model.raster.RECEPTIVE_MARGIN", 8)
-    assert float((render(papr, cloud, cam, tile=16).rgb - exact.rgb).abs().max()) > 1e-5
+    papr, cam = network(), camera(40, 40)
+    exact = render(papr, posed, cam)
+    monkeypatch.setattr("pcore.render.raster.RECEPTIVE_MARGIN", 8)
+    assert float((render(papr, posed, cam, tile=16).rgb - exact.rgb).abs().max()) > 1e-5
 
 
-def test_nothing_is_there_where_no_point_answers(cloud: PointCloud) -> None:
-    papr, cam = Papr(config(cutoff=0.05)).eval(), camera(40, 30)
-    picture = render(papr, cloud, cam, tile=8)
+def test_nothing_is_there_where_no_point_answers(posed: PosedCloud) -> None:
+    papr, cam = network(cutoff=0.05), camera(40, 30)
+    picture = render(papr, posed, cam, tile=8)
     empty = picture.alpha == 0
     assert bool(empty.any())
     assert bool((~empty).any())
@@ -285,34 +298,87 @@ def test_nothing_is_there_where_no_point_answers(cloud: PointCloud) -> None:
     )
 
 
-def test_rendering_leaves_no_graph_and_no_mode_behind(cloud: PointCloud) -> None:
-    papr = Papr(config())
-    cloud.positions.requires_grad_()
-    assert not render(papr, cloud, camera(8, 8)).rgb.requires_grad
+def test_rendering_leaves_no_graph_and_no_mode_behind(posed: PosedCloud) -> None:
+    papr = network().train()
+    assert not render(papr, posed, camera(8, 8)).rgb.requires_grad
     assert torch.is_grad_enabled()
     assert papr.training
+    posed.cloud.positions.requires_grad_()
+    with torch.no_grad():
+        assert not render(papr, posed, camera(8, 8)).rgb.requires_grad
+    assert render(papr, posed, camera(8, 8)).rgb.requires_grad
 
 
-def test_a_threshold_changes_colours_a_little_and_nothing_else(cloud: PointCloud) -> None:
-    papr, cam = Papr(config(cutoff=0.3)).eval(), camera(40, 30)
-    exact = render(papr, cloud, cam)
-    assert torch.equal(render(papr, cloud, cam, threshold=0.0).rgb, exact.rgb)
+def test_pictures_that_autograd_follows_are_the_same(posed: PosedCloud) -> None:
+    """Whatever the chunks and tiles."""
+    papr, cam = network(cutoff=0.3), camera(37, 53)
+    expected = render(papr, posed, cam)
+    posed.cloud.features.requires_grad_()
+    for options in ({}, {"tile": 16, "max_rays": 100}):
+        found = render(papr, posed, cam, **options)
+        torch.testing.assert_close(found.rgb, expected.rgb, atol=1e-5, rtol=0)
+        torch.testing.assert_close(found.alpha, expected.alpha, atol=1e-6, rtol=0)
+        found.rgb.sum().backward()
+        assert posed.cloud.features.grad is not None
+
+
+def test_a_batch_of_cameras_is_their_pictures_one_by_one(posed: PosedCloud) -> None:
+    papr, cameras = network(samples=4), [camera(20, 16, distance) for distance in (2.0, 2.5, 3.0)]
+    shares: list[float] = []
+    batch = render(papr, posed, cameras, progress=shares.append)
+    assert batch.rgb.shape == (3, 16, 20, 3)
+    assert shares == sorted(set(shares))
+    assert shares[-1] == 1
+    for index, one in enumerate(cameras):
+        for name, plane in vars(render(papr, posed, one)).items():
+            if plane is not None:
+                assert torch.equal(getattr(batch, name)[index], plane), name
+    with pytest.raises(InputError, match=r"of one image size, got 16 x 20, 20 x 16"):
+        render(papr, posed, [camera(20, 16), camera(16, 20)])
+    with pytest.raises(InputError, match="image size, got none"):
+        render(papr, posed, [])
+
+
+@pytest.mark.parametrize("samples", [None, 4])
+def test_rays_of_any_batch_shape_make_pictures_of_that_shape(
+    posed: PosedCloud, samples: int | None
+) -> None:
+    """How many rays a pixel has is said by name; no axis is taken for them."""
+    papr, places = network(), None if samples is None else grid_places(samples)
+    cameras = [camera(12, 8, distance) for distance in (2.0, 2.5, 3.0)]
+    rays = Camera.stack(cameras).rays(places=places)
+    assert rays.pixels == (3, 8, 12)
+    found = render_rays(papr, posed, rays)
+    assert found.rgb.shape == (3, 8, 12, 3)
+    for index, one in enumerate(cameras):
+        single = render_rays(papr, posed, one.rays(places=places))
+        for name in ("rgb", "alpha", "depth", "surface"):
+            expected = getattr(single, name)
+            torch.testing.assert_close(getattr(found, name)[index], expected, atol=1e-5, rtol=0)
+    with pytest.raises(InputError, match=r"rays of pixels \(..., H, W\), got \(5,\)"):
+        render_rays(papr, posed, cameras[0].rays().flat()[:5])
+
+
+def test_a_threshold_changes_colours_a_little_and_nothing_else(posed: PosedCloud) -> None:
+    papr, cam = network(cutoff=0.3), camera(40, 30)
+    exact = render(papr, posed, cam)
+    assert torch.equal(render(papr, posed, cam, threshold=0.0).rgb, exact.rgb)
     errors: list[float] = []
     for threshold in (FAST_THRESHOLD, 0.3):
-        fast = render(papr, cloud, cam, threshold=threshold)
+        fast = render(papr, posed, cam, threshold=threshold)
         assert torch.equal(fast.alpha, exact.alpha)
         assert torch.equal(fast.surface.nan_to_num(), exact.surface.nan_to_num())
         errors.append(float((fast.rgb - exact.rgb).abs().max()))
     assert 0 < errors[0] < errors[1] < 0.2
 
 
-def test_chunks_are_larger_on_a_gpu(cloud: PointCloud) -> None:
+def test_chunks_are_larger_on_a_gpu(posed: PosedCloud) -> None:
     """Smaller ones would leave it waiting for the processor."""
     on_gpu = SimpleNamespace(device=torch.device("cuda"))
     rays = [
         check_request(
             SimpleNamespace(config=config(), parameters=parameters),  # pyright: ignore[reportArgumentType]
-            cloud,
+            posed,
             camera(8, 8),
             None,
             8,
@@ -322,15 +388,15 @@ def test_chunks_are_larger_on_a_gpu(cloud: PointCloud) -> None:
     assert rays == [rays_within(config(), 512 * 2**20), rays_within(config(), 2 * 2**30)]
 
 
-def test_progress_ends_at_one_and_grows(cloud: PointCloud) -> None:
+def test_progress_ends_at_one_and_grows(posed: PosedCloud) -> None:
     shares: list[float] = []
-    render(Papr(config()), cloud, camera(20, 20), tile=8, max_rays=100, progress=shares.append)
+    render(network(), posed, camera(20, 20), tile=8, max_rays=100, progress=shares.append)
     assert len(shares) == 4 + 9
     assert shares == sorted(set(shares))
     assert shares[-1] == 1
 
 
-def test_cancelling(cloud: PointCloud) -> None:
+def test_cancelling(posed: PosedCloud) -> None:
     asked: list[int] = []
 
     def cancel() -> bool:
@@ -338,7 +404,7 @@ def test_cancelling(cloud: PointCloud) -> None:
         return len(asked) == 3
 
     with pytest.raises(RenderCancelledError, match="cancelled before it was complete"):
-        render(Papr(config()), cloud, camera(20, 20), max_rays=100, cancel=cancel)
+        render(network(), posed, camera(20, 20), max_rays=100, cancel=cancel)
     assert len(asked) == 3
 
 
@@ -352,10 +418,10 @@ def test_cancelling(cloud: PointCloud) -> None:
     ],
 )
 def test_bad_arguments(
-    cloud: PointCloud, size: tuple[int, int], options: dict[str, int], message: str
+    posed: PosedCloud, size: tuple[int, int], options: dict[str, int], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
-        render(Papr(config()), cloud, camera(*size), **options)  # pyright: ignore[reportArgumentType]
+        render(network(), posed, camera(*size), **options)  # pyright: ignore[reportArgumentType]
 
 
 def test_larger_models_get_smaller_chunks() -> None:
@@ -368,9 +434,9 @@ def test_larger_models_get_smaller_chunks() -> None:
 # --- normals -------------------------------------------------------------------------------
 
 
-def picture_of(surface: torch.Tensor, cam: Camera, alpha: torch.Tensor | None = None) -> Picture:
+def picture_of(surface: torch.Tensor, cam: Camera, alpha: torch.Tensor | None = None) -> Image:
     shape = surface.shape[:2]
-    return Picture(
+    return Image(
         rgb=torch.zeros(*shape, 3),
         alpha=torch.ones(shape) if alpha is None else alpha,
         depth=cam.depth(surface),

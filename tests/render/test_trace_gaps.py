@@ -11,14 +11,15 @@ import torch
 from torch import Tensor
 
 import tiny_scene
+from pcore.deform.pose import pose
 from pcore.deform.simple import Twist, uniform_scale
-from pcore.editing.apply import deformed_cloud
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
-from pcore.model.attention import Attended
-from pcore.model.far_side import turned, unanswered
+from pcore.model.hits import Hits
 from pcore.model.papr import Papr
+from pcore.render.trace import gaps, trace
 
 CUTOFF = 0.2
 
@@ -26,16 +27,19 @@ CUTOFF = 0.2
 class SeenFromAbove(torch.nn.Module):
     """Attention that knows points from one side only: opaque for rays that go down."""
 
-    def forward(self, cloud: PointCloud, rays: RayBundle, neighbours: Tensor, *_: Any) -> Attended:
+    def forward(
+        self, posed: PosedCloud, rays: RayBundle, neighbours: Tensor, *_: Any, **__: Any
+    ) -> Hits:
         weights = torch.zeros(neighbours.shape)
         weights[:, 0] = 1.0
         down = rays.directions[:, 2] < 0
-        return Attended(
-            features=down[:, None].float().expand(-1, 4),
-            background=torch.where(down, 0.1, 0.9),
+        return Hits(
+            neighbours=neighbours,
             weights=weights,
-            surface=cloud.positions[neighbours[:, 0]],
-            behind=torch.zeros(len(neighbours)),
+            background=torch.where(down, 0.1, 0.9),
+            features=down[:, None].float().expand(-1, 4),
+            centroid=posed.positions[neighbours[:, 0]],
+            spread=torch.zeros(len(neighbours)),
         )
 
 
@@ -62,7 +66,7 @@ def rays(height: float) -> RayBundle:
     return Camera.from_fov(pose, width=16, height=16, angle_x=0.6).rays().flat()
 
 
-def twisted(cloud: PointCloud, aware: bool = True) -> PointCloud:
+def twisted(cloud: PointCloud, aware: bool = True) -> PosedCloud:
     """Both ends of the sheet turned by 10 degrees."""
     turn = Twist(
         rotation=torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
@@ -70,58 +74,59 @@ def twisted(cloud: PointCloud, aware: bool = True) -> PointCloud:
         extent=(-0.5, 0.5),
         value=math.radians(20),
     )
-    return deformed_cloud(cloud, turn, aware=aware)
+    return pose(cloud, turn, aware=aware)
 
 
 @torch.no_grad()
 def test_what_is_opaque_from_one_end_is_opaque_from_the_other() -> None:
-    papr, cloud = network(), twisted(sheet())
-    above, below = (papr.attend(cloud, rays(height)) for height in (3.0, -3.0))
-    solid = [(1 - one.background) > 0.5 for one, _ in (above, below)]
+    papr, posed = network(), twisted(sheet())
+    above, below = (trace(papr, posed, rays(height)) for height in (3.0, -3.0))
+    solid = [(1 - one.background) > 0.5 for one in (above, below)]
     assert 60 < int(solid[0].sum()) < 256
     # From below rays within a quarter of the cut-off of a point are turned.
     assert int(solid[1].sum()) > 0.6 * int(solid[0].sum())
-    attended, neighbours = below
     ray = rays(-3.0)
-    offset = cloud.positions[neighbours[solid[1], 0]] - ray.origins[solid[1]]
+    offset = posed.positions[below.neighbours[solid[1], 0]] - ray.origins[solid[1]]
     assert float(torch.linalg.cross(offset, ray.directions[solid[1]]).norm(dim=-1).max()) < 0.05
-    assert torch.equal(attended.surface[solid[1]], cloud.positions[neighbours[solid[1], 0]])
-    assert (attended.features[solid[1]] == 1).all()
+    places = posed.positions[below.neighbours[solid[1], 0]]
+    assert torch.equal(below.centroid[solid[1]], places)
+    assert (below.features[solid[1]] == 1).all()
 
 
 @torch.no_grad()
 def test_nothing_is_turned_where_nothing_came_apart() -> None:
     papr, cloud = network(), sheet()
-    grown = deformed_cloud(cloud, uniform_scale(1.1))
-    for still in (cloud, grown, twisted(cloud, aware=False)):
-        assert float(papr.attend(still, rays(-3.0))[0].background.min()) == pytest.approx(0.9)
+    grown = pose(cloud, uniform_scale(1.1))
+    for still in (PosedCloud.at_rest(cloud), grown, twisted(cloud, aware=False)):
+        assert float(trace(papr, still, rays(-3.0)).background.min()) == pytest.approx(0.9)
 
 
 @torch.no_grad()
 def test_rays_that_pass_by_or_begin_among_the_points_are_left_alone() -> None:
-    cloud = sheet()
+    posed = PosedCloud.at_rest(sheet())
     along = torch.tensor([[0.0, 0.0, 1.0]]).expand(4, 3)
     origins = torch.tensor([[0.01, 0.0, -3.0], [0.56, 0.0, -3.0], [0.01, 0.0, -0.3], [9.0, 0, -3]])
     lines = RayBundle(origins=origins, directions=along)
     weights = torch.tensor([[1.0], [1.0], [1.0], [0.0]])
-    neighbours = (cloud.positions[:, :2] - origins[:, None, :2]).norm(dim=-1).argmin(dim=1)
-    attended = Attended(
-        features=torch.zeros(4, 4),
-        background=torch.full((4,), 0.8),
+    neighbours = (posed.positions[:, :2] - origins[:, None, :2]).norm(dim=-1).argmin(dim=1)
+    hits = Hits(
+        neighbours=neighbours[:, None],
         weights=weights,
-        surface=torch.zeros(4, 3),
-        behind=torch.zeros(4),
+        background=torch.full((4,), 0.8),
+        features=torch.zeros(4, 4),
+        centroid=torch.zeros(4, 3),
+        spread=torch.zeros(4),
     )
-    assert unanswered(attended, neighbours[:, None], cloud, lines, CUTOFF).tolist() == [0]
-    dense = replace(attended, background=torch.full((4,), 0.4))
-    assert len(unanswered(dense, neighbours[:, None], cloud, lines, CUTOFF)) == 0
+    assert gaps(hits, posed, lines, CUTOFF).tolist() == [0]
+    dense = replace(hits, background=torch.full((4,), 0.4))
+    assert len(gaps(dense, posed, lines, CUTOFF)) == 0
 
 
 def test_a_turned_line_begins_behind_all_points() -> None:
-    cloud, lines = sheet(), rays(-3.0)
-    back = turned(lines, cloud)
+    posed, lines = PosedCloud.at_rest(sheet()), rays(-3.0)
+    back = lines.from_other_ends(*posed.sphere)
     torch.testing.assert_close(back.directions, -lines.directions)
     apart = torch.linalg.cross(back.origins - lines.origins, lines.directions).norm(dim=-1)
     assert float(apart.max()) < 1e-4
-    depth = ((cloud.positions[None] - back.origins[:, None]) * back.directions[:, None]).sum(dim=-1)
+    depth = ((posed.positions[None] - back.origins[:, None]) * back.directions[:, None]).sum(dim=-1)
     assert float(depth.min()) > 0

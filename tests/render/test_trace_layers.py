@@ -8,20 +8,19 @@ from typing import Any
 import pytest
 import torch
 
-import pcore.model.papr as papr_module
-import pcore.model.sight as sight_module
 import tiny_scene
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.pixel_samples import grid_places
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
-from pcore.kernels.ray_layers import LayerRules
-from pcore.model.attention import Attended
+from pcore.model.hits import Hits, composite_over
 from pcore.model.papr import Papr
 from pcore.model.papr_config import ReferenceOrigin
-from pcore.model.sight import Hidden, look, look_behind
-from pcore.model.strangers import behind, layer_rules
+from pcore.render import trace as trace_module
+from pcore.render.trace import layer_of, search, trace
+from ray_pictures import picture_of
 
 CUTOFF = 0.2
 CONFIG = replace(
@@ -35,7 +34,6 @@ CONFIG = replace(
 
 
 SHEET = 324
-NOBODY = LayerRules(close=0.0, apart=1.0, cutoff=CUTOFF)
 
 
 def sheet(x: float, z: float) -> torch.Tensor:
@@ -51,26 +49,51 @@ def camera() -> Camera:
     return Camera.from_fov(pose, width=16, height=16, angle_x=0.15)
 
 
-def two_sheets(front: float) -> PointCloud:
+def two_sheets(front: float) -> PosedCloud:
     """Two sheets side by side at rest; the second was brought before the first at depth `front`."""
     rest = torch.cat([sheet(-0.5, 0.0), sheet(0.5, 0.0)])
     moved = rest.clone()
     moved[:SHEET] += torch.tensor([0.5, 0.0, 0.0])
     moved[SHEET:] += torch.tensor([-0.5, 0.0, front])
-    frames = LocalMaps(rest=rest, to_rest=torch.eye(3).expand(2 * SHEET, 3, 3))
+    maps = LocalMaps(to_rest=torch.eye(3).expand(2 * SHEET, 3, 3))
     cloud = PointCloud(
         positions=rest,
         features=torch.randn(2 * SHEET, 5),
         influence=torch.rand(2 * SHEET) + 0.5,
     )
-    return cloud.moved(moved, frames)
+    return PosedCloud(cloud=cloud, positions=moved, local_maps=maps)
+
+
+def network(**changes: Any) -> Papr:
+    return Papr(replace(CONFIG, **changes)).requires_grad_(False).eval()
+
+
+def layer(
+    posed: PosedCloud, rays: RayBundle, *, back: bool = False
+) -> tuple[torch.Tensor, RayBundle]:
+    """Neighbours (M, k) of one layer of rays that all come near, and the rays as those see them."""
+    _, ray_of_near, candidates = search(posed, rays, CONFIG.neighbours, CUTOFF)
+    assert len(ray_of_near) == len(rays.flat().origins)
+    lines = rays.flat()
+    neighbours, seen, has_back = layer_of(
+        posed, lines, candidates, CONFIG.neighbours, CUTOFF, back_layer=back
+    )
+    assert has_back.all()
+    return neighbours, seen
+
+
+def attended(
+    papr: Papr, posed: PosedCloud, rays: RayBundle, *options: float, back: bool = False
+) -> Hits:
+    neighbours, seen = layer(posed, rays, back=back)
+    return papr.attention(posed, rays, neighbours, seen.slid(torch.zeros(3), 1.5), *options)
 
 
 @pytest.mark.parametrize("front", [0.3, -0.3])
 def test_the_sheet_before_the_other_is_seen(front: float) -> None:
-    papr, cloud = Papr(CONFIG).eval(), two_sheets(front)
+    papr, cloud = network(), two_sheets(front)
     with torch.no_grad():
-        out = papr(cloud, camera().rays())
+        out = picture_of(papr, cloud, camera().rays())
     seen = out.weights * (out.neighbours >= SHEET)
     assert (out.alpha > 0.99).all()
     share = seen.sum(dim=-1)
@@ -78,65 +101,50 @@ def test_the_sheet_before_the_other_is_seen(front: float) -> None:
     # Behind an opacity of 0.97 nothing more is looked at.
     torch.testing.assert_close(share, expected, atol=0.03, rtol=0)
     torch.testing.assert_close(
-        camera().depth(out.surface), torch.full((16, 16), 3 - max(front, 0.0)), atol=0.02, rtol=0
+        camera().depth(out.centroid), torch.full((16, 16), 3 - max(front, 0.0)), atol=0.02, rtol=0
     )
 
 
 def test_without_layers_both_sheets_would_show(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the tests above would find if nothing was done."""
-    monkeypatch.setattr(sight_module, "layer_rules", lambda _: NOBODY)
-    papr, cloud = Papr(CONFIG).eval(), two_sheets(0.3)
+    monkeypatch.setattr(trace_module, "CLOSE", 0.0)
+    papr, cloud = network(), two_sheets(0.3)
     with torch.no_grad():
-        out = papr(cloud, camera().rays())
+        out = picture_of(papr, cloud, camera().rays())
     share = (out.weights * (out.neighbours >= SHEET)).sum(dim=-1)
     assert 0.1 < float(share.mean()) < 0.9
 
 
 def test_all_neighbours_are_of_the_front(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where points of the sheet behind are nearer to the ray: they do not crowd it out."""
-    monkeypatch.setattr(sight_module, "_CANDIDATES", 4)
-    cloud, rays = two_sheets(0.3), camera().rays().flat()
-    sight = look(cloud, rays, CONFIG.neighbours, CUTOFF)
-    assert sight.hidden is not None
-    assert sight.hidden.strangers.all()
-    assert (sight.neighbours >= SHEET).all()
-    others, _ = look_behind(cloud, sight.hidden, torch.arange(9), CONFIG.neighbours)
-    assert (others < SHEET).all()
+    monkeypatch.setattr(trace_module, "CANDIDATES", 4)
+    posed, rays = two_sheets(0.3), camera().rays().flat()
+    assert (layer(posed, rays)[0] >= SHEET).all()
+    assert (layer(posed, rays, back=True)[0] < SHEET).all()
 
 
 def test_what_the_front_lets_through_is_seen_behind_it() -> None:
     """A front that is half transparent: opacities and weights are those of two layers."""
-    cloud, rays = two_sheets(0.3), camera().rays().flat()
-    papr = Papr(replace(CONFIG, background_score=2.0)).eval()
-    with torch.no_grad():
-        out, near = papr.attend(cloud, rays)
-        sight = look(cloud, rays, CONFIG.neighbours, CUTOFF)
-        assert sight.hidden is not None
-        everyone = torch.arange(len(rays.origins))
-        others, seen = look_behind(cloud, sight.hidden, everyone, CONFIG.neighbours)
-        front, back = (
-            1 - papr.attention(cloud, rays, points, lines.slid(torch.zeros(3), 1.5)).background
-            for points, lines in ((sight.neighbours, sight.seen), (others, seen))
-        )
+    posed, rays = two_sheets(0.3), camera().rays().flat()
+    papr = network(background_score=2.0)
+    out = trace(papr, posed, rays)
+    front, back = (1 - attended(papr, posed, rays, back=one).background for one in (False, True))
     assert 0.05 < float(front.mean()) < 0.95
     expected = front + (1 - front) * back
     torch.testing.assert_close(1 - out.background, expected, atol=1e-5, rtol=0)
     # Of twelve points with a weight six are kept; they share what their layer has.
-    share = (out.weights * (near < SHEET)).sum(dim=-1)
+    share = (out.weights * (out.neighbours < SHEET)).sum(dim=-1)
     torch.testing.assert_close(share, (1 - front) * back / expected, atol=1e-5, rtol=0)
     torch.testing.assert_close(out.weights.sum(dim=-1), torch.ones_like(share))
 
 
-def half_transparent() -> tuple[Papr, PointCloud]:
+def half_transparent() -> tuple[Papr, PosedCloud]:
     """Sheets that let light through; the one behind was stretched along x."""
-    cloud = two_sheets(0.3)
-    frames = cloud.frames
-    assert frames is not None
-    to_rest = frames.to_rest.clone()
+    posed = two_sheets(0.3)
+    assert posed.local_maps is not None
+    to_rest = posed.local_maps.to_rest.clone()
     to_rest[:SHEET, 0, 0] = 0.5
-    stretched = LocalMaps(rest=frames.rest, to_rest=to_rest)
-    papr = Papr(replace(CONFIG, background_score=2.0)).eval()
-    return papr, cloud.moved(cloud.positions, stretched)
+    return network(background_score=2.0), replace(posed, local_maps=LocalMaps(to_rest=to_rest))
 
 
 def wide_camera() -> Camera:
@@ -150,45 +158,40 @@ def wide_camera() -> Camera:
 def test_rays_meet_together_what_each_meets_alone(samples: int) -> None:
     """Some miss everything, some come near and miss, some have strangers, some have none."""
     papr, cloud = half_transparent()
-    rays = wide_camera().rays(places=grid_places(samples)).flat()
-    pixels = RayBundle(
-        origins=rays.origins.reshape(-1, samples, 3),
-        directions=rays.directions.reshape(-1, samples, 3),
-    )
-    with torch.no_grad():
-        sight = look(cloud, pixels, CONFIG.neighbours, CUTOFF)
-        together, near = papr.attend(cloud, pixels)
-    hidden = sight.hidden
-    assert hidden is not None
-    assert 0 < len(hidden.asked) < len(hidden.rays.origins) < len(rays.origins)
-    assert 0 < int(hidden.strangers.sum()) < len(hidden.strangers)
+    pixels = wide_camera().rays(places=grid_places(samples)).by_pixel()
+    together = trace(papr, cloud, pixels)
+    _, ray_of_near, candidates = search(cloud, pixels, CONFIG.neighbours, CUTOFF)
+    lines = pixels.flat()[ray_of_near]
+    _, _, has_back = layer_of(cloud, lines, candidates, CONFIG.neighbours, CUTOFF)
+    assert 0 < int(together.mask.sum()) < len(ray_of_near) < len(together.mask)
+    assert 0 < int(has_back.sum()) < len(has_back)
     for pixel in range(0, len(pixels.origins), 7):
-        with torch.no_grad():
-            alone, points = papr.attend(cloud, pixels[pixel : pixel + 1])
+        alone = trace(papr, cloud, pixels[pixel : pixel + 1])
         rows = slice(pixel * samples, (pixel + 1) * samples)
+        met = alone.mask
         for name, found in vars(alone).items():
             expected = getattr(together, name)[rows]
-            torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-4, msg=name)
-        met = alone.weights.sum(dim=1) > 0
-        assert torch.equal(points[met], near[rows][met])
+            if name == "neighbours":
+                assert torch.equal(found[met], expected[met])
+            else:
+                torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-4, msg=name)
 
 
 def test_rays_that_are_opaque_look_no_further(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second look costs; behind an opaque front it shows nothing."""
     asked: list[int] = []
-    whole = papr_module.look_behind
+    whole = trace_module.layer_of
 
-    def counted(cloud: PointCloud, hidden: Hidden, rows: torch.Tensor, *rest: Any) -> Any:
-        asked.append(len(rows))
-        return whole(cloud, hidden, rows, *rest)
+    def counted(posed: PosedCloud, lines: RayBundle, *rest: Any, back_layer: bool = False) -> Any:
+        if back_layer:
+            asked.append(len(lines.origins))
+        return whole(posed, lines, *rest, back_layer=back_layer)
 
-    monkeypatch.setattr(papr_module, "look_behind", counted)
-    with torch.no_grad():
-        Papr(CONFIG).eval().attend(two_sheets(0.3), camera().rays().flat())
+    monkeypatch.setattr(trace_module, "layer_of", counted)
+    trace(network(), two_sheets(0.3), camera().rays())
     assert asked == []
     papr, cloud = half_transparent()
-    with torch.no_grad():
-        papr.attend(cloud, camera().rays().flat())
+    trace(papr, cloud, camera().rays())
     assert asked == [256]
 
 
@@ -196,17 +199,8 @@ def test_a_threshold_holds_in_both_layers() -> None:
     """Opacity is exact; features are those of the points above it."""
     papr, cloud = half_transparent()
     rays = camera().rays().flat()
-    with torch.no_grad():
-        exact, _ = papr.attend(cloud, rays)
-        fast, _ = papr.attend(cloud, rays, threshold=0.9)
-        sight = look(cloud, rays, CONFIG.neighbours, CUTOFF)
-        assert sight.hidden is not None
-        everyone = torch.arange(256)
-        others, seen = look_behind(cloud, sight.hidden, everyone, CONFIG.neighbours)
-        layers = [
-            papr.attention(cloud, rays, points, lines.slid(torch.zeros(3), 1.5), 0.9)
-            for points, lines in ((sight.neighbours, sight.seen), (others, seen))
-        ]
+    exact, fast = trace(papr, cloud, rays), trace(papr, cloud, rays, threshold=0.9)
+    layers = [attended(papr, cloud, rays, 0.9, back=one) for one in (False, True)]
     torch.testing.assert_close(fast.background, exact.background)
     assert not torch.allclose(fast.features, exact.features, atol=1e-3)
     front, back = layers
@@ -218,21 +212,21 @@ def test_a_threshold_holds_in_both_layers() -> None:
 
 def test_slots_without_a_point_are_mute(monkeypatch: pytest.MonkeyPatch) -> None:
     """Five points alone lie behind: the sixth slot repeats one, and has no weight."""
-    cloud = two_sheets(0.3)
-    frames = cloud.frames
-    assert frames is not None
-    kept = [*range(150, 155), *range(SHEET, 2 * SHEET)]
-    few = PointCloud(
-        positions=frames.rest[kept], features=cloud.features[kept], influence=cloud.influence[kept]
-    ).moved(cloud.positions[kept], LocalMaps(rest=frames.rest[kept], to_rest=frames.to_rest[kept]))
-    monkeypatch.setattr(sight_module, "_MOST_CANDIDATES", len(kept))
-    monkeypatch.setattr(sight_module, "_CANDIDATES", len(kept))
-    sight = look(few, camera().rays().flat(), CONFIG.neighbours, CUTOFF)
-    assert sight.hidden is not None
-    rows = torch.nonzero(sight.hidden.strangers).squeeze(-1)
-    assert len(rows) > 0
-    others, seen = look_behind(few, sight.hidden, rows, CONFIG.neighbours)
-    rest = frames.rest[kept][others]
+    posed = two_sheets(0.3)
+    assert posed.local_maps is not None
+    kept = torch.tensor([*range(150, 155), *range(SHEET, 2 * SHEET)])
+    few = posed.each(lambda one: one[kept])
+    monkeypatch.setattr(trace_module, "MOST_CANDIDATES", len(kept))
+    monkeypatch.setattr(trace_module, "CANDIDATES", len(kept))
+    k, lines = CONFIG.neighbours, camera().rays().flat()
+    _, ray_of_near, candidates = search(few, lines, k, CUTOFF)
+    lines = lines[ray_of_near]
+    _, _, has_back = layer_of(few, lines, candidates, k, CUTOFF)
+    assert has_back.any()
+    others, seen, _ = layer_of(
+        few, lines[has_back], candidates[has_back], k, CUTOFF, back_layer=True
+    )
+    rest = few.cloud.positions[others]
     along = ((rest - seen.origins) * seen.directions).sum(dim=-1, keepdim=True)
     answers = (rest - seen.origins - along * seen.directions).norm(dim=-1) <= CUTOFF
     assert set(others[answers].tolist()) == {0, 1, 2, 3, 4}
@@ -243,68 +237,63 @@ def test_slots_without_a_point_are_mute(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_what_is_behind_the_camera_hides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    papr, cloud = Papr(CONFIG).eval(), two_sheets(4.0)
+    papr, cloud = network(), two_sheets(4.0)
     with torch.no_grad():
-        layered = papr(cloud, camera().rays())
-        monkeypatch.setattr(sight_module, "layer_rules", lambda _: NOBODY)
-        flat = papr(cloud, camera().rays())
+        layered = picture_of(papr, cloud, camera().rays())
+        monkeypatch.setattr(trace_module, "CLOSE", 0.0)
+        flat = picture_of(papr, cloud, camera().rays())
     torch.testing.assert_close(layered.weights, flat.weights)
 
 
 def test_two_layers_are_composited() -> None:
-    def layer(background: float, value: float) -> Attended:
-        return Attended(
-            features=torch.full((2, 3), value),
-            background=torch.full((2,), background),
+    def hits(background: float, value: float, first: int) -> Hits:
+        return Hits(
+            neighbours=first + torch.arange(8).reshape(2, 4),
             weights=torch.full((2, 4), value),
-            surface=torch.full((2, 3), value),
-            behind=torch.full((2,), value),
+            background=torch.full((2,), background),
+            features=torch.full((2, 3), value),
+            centroid=torch.full((2, 3), value),
+            spread=torch.full((2,), value),
         )
 
-    front, back = layer(0.4, 1.0), layer(0.5, 2.0)
-    only = Attended(**{name: one[:1] for name, one in vars(back).items()})
-    points = torch.arange(8).reshape(2, 4)
-    found, met = behind(front, points, torch.tensor([1]), only, torch.tensor([[8, 9, 10, 11]]))
+    first = torch.tensor([0])
+    front, back = hits(0.4, 1.0, 0), hits(0.5, 2.0, 8)
+    found = composite_over(front, torch.tensor([1]), back[first])
     # 0.6 of the front, 0.4 * 0.5 of the back.
     assert found.background.tolist() == pytest.approx([0.4, 0.2])
     mixed = (0.6 * 1.0 + 0.2 * 2.0) / 0.8
-    for name in ("features", "surface", "behind"):
+    for name in ("features", "centroid", "spread"):
         value = getattr(found, name)
         assert value[0].flatten().tolist() == pytest.approx([1.0] * value[0].numel())
         assert value[1].flatten().tolist() == pytest.approx([mixed] * value[1].numel())
-    assert met[0].tolist() == [0, 1, 2, 3]
-    empty = Attended(**{name: one[:1] for name, one in vars(layer(1.0, 0.0)).items()})
-    nothing, met = behind(layer(1.0, 1.0), points, torch.tensor([0]), empty, points[1:])
+    assert found.neighbours[0].tolist() == [0, 1, 2, 3]
+    nothing = composite_over(hits(1.0, 1.0, 0), first, hits(1.0, 0.0, 4)[first])
     assert nothing.background.tolist() == [1.0, 1.0]
     assert nothing.features[0].tolist() == [1.0] * 3
-    assert met.sort(dim=1).values.tolist() == points.tolist()
+    assert nothing.neighbours.sort(dim=1).values.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7]]
 
 
 def test_of_two_layers_the_points_with_the_greatest_weights_are_kept() -> None:
-    def layer(background: float, weights: list[float]) -> Attended:
-        return Attended(
-            features=torch.zeros(1, 3),
-            background=torch.tensor([background]),
+    def hits(background: float, weights: list[float], first: int) -> Hits:
+        return Hits(
+            neighbours=first + torch.arange(3)[None],
             weights=torch.tensor([weights]),
-            surface=torch.zeros(1, 3),
-            behind=torch.zeros(1),
+            background=torch.tensor([background]),
+            features=torch.zeros(1, 3),
+            centroid=torch.zeros(1, 3),
+            spread=torch.zeros(1),
         )
 
-    front, back = layer(0.5, [0.9, 0.1, 0.0]), layer(0.0, [0.2, 0.7, 0.1])
-    points, strangers = torch.tensor([[0, 1, 2]]), torch.tensor([[5, 6, 7]])
-    found, met = behind(front, points, torch.tensor([0]), back, strangers)
+    front, back = hits(0.5, [0.9, 0.1, 0.0], 0), hits(0.0, [0.2, 0.7, 0.1], 5)
+    found = composite_over(front, torch.tensor([0]), back)
     # Half of each: 0.45, 0.05, 0 and 0.1, 0.35, 0.05.
-    assert met.tolist() == [[0, 6, 5]]
+    assert found.neighbours.tolist() == [[0, 6, 5]]
     assert found.weights[0].tolist() == pytest.approx([0.5, 0.35 / 0.9, 0.1 / 0.9])
     # A layer that keeps no point leaves its share to the other.
-    front, back = layer(0.9, [0.4, 0.3, 0.3]), layer(0.0, [0.5, 0.3, 0.2])
-    found, met = behind(front, points, torch.tensor([0]), back, strangers)
-    assert met.tolist() == [[5, 6, 7]]
+    front, back = hits(0.9, [0.4, 0.3, 0.3], 0), hits(0.0, [0.5, 0.3, 0.2], 5)
+    found = composite_over(front, torch.tensor([0]), back)
+    assert found.neighbours.tolist() == [[5, 6, 7]]
     assert found.weights[0].tolist() == pytest.approx([0.5, 0.3, 0.2])
-
-
-def test_rules_are_in_cutoffs() -> None:
-    assert layer_rules(2.0) == LayerRules(close=0.4, apart=1.0, cutoff=2.0)
 
 
 def test_one_affine_map_has_no_strangers() -> None:
@@ -318,8 +307,9 @@ def test_one_affine_map_has_no_strangers() -> None:
     def as_one(positions: torch.Tensor, to_rest: torch.Tensor) -> bool:
         features, influence = torch.zeros(40, 1), torch.ones(40)
         cloud = PointCloud(positions=rest, features=features, influence=influence)
-        assert not cloud.moved_as_one, "nothing was moved"
-        return cloud.moved(positions, LocalMaps(rest=rest, to_rest=to_rest)).moved_as_one
+        assert not PosedCloud.at_rest(cloud).moved_as_one, "nothing was moved"
+        maps = LocalMaps(to_rest=to_rest)
+        return PosedCloud(cloud=cloud, positions=positions, local_maps=maps).moved_as_one
 
     assert as_one(moved, back)
     apart = moved.clone()

@@ -16,31 +16,29 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
-from pcore.geometry.point_cloud import PointCloud
-from pcore.geometry.rays import RayBundle
+from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
-from pcore.model.passes import (
+from pcore.model.unet import ALIGNMENT
+from pcore.render.image import Image
+from pcore.render.picture import TILE, asks_gradient, check_cancel, check_request
+from pcore.render.raster import Raster, raster_of
+from pcore.render.tiles import (
     Canvas,
-    Picture,
-    Steps,
-    attend,
+    colour_tile,
+    paint,
     pooled,
     rows_in_use,
-    shade,
+    trace_pixels,
     windows,
 )
-from pcore.model.raster import raster_of
-from pcore.model.render import TILE, check_request, paint
-from pcore.model.unet import ALIGNMENT
 
 STRIDES = (8, 4)
 """Pixels between the rays of the coarse pictures."""
 
 
-@torch.no_grad()
 def render_progressively(
     papr: Papr,
-    cloud: PointCloud,
+    posed: PosedCloud,
     camera: Camera,
     *,
     strides: Sequence[int] = STRIDES,
@@ -49,7 +47,7 @@ def render_progressively(
     threshold: float = 0.0,
     samples: int | None = None,
     cancel: Callable[[], bool] | None = None,
-) -> Iterator[Picture]:
+) -> Iterator[Image]:
     """Yield ever better pictures of the camera's size; the last one is what `render` returns.
 
     The first ones repeat the pixels of small pictures. Then the exact picture fills up from above,
@@ -58,7 +56,7 @@ def render_progressively(
 
     Args:
         papr: the networks, on any device.
-        cloud: the points.
+        posed: the points.
         camera: at least 4 x 4 pixels.
         strides: pixels between the rays of the coarse pictures, each a multiple of the next;
             those whose picture would have less than 4 pixels a side are left out.
@@ -69,26 +67,51 @@ def render_progressively(
         cancel: asked between chunks; True ends the work.
 
     Raises:
-        InputError: as `render`, and for strides that are no multiples of the next.
+        InputError: as `render`, and for strides that are no multiples of the next, a batch of
+            cameras, or where autograd follows anything: these pictures have no gradient.
         RenderCancelledError: `cancel` said so.
     """
-    rays = check_request(papr, cloud, camera, max_rays, tile)
-    raster = raster_of(papr.config, cloud, camera, samples, tile)
-    chunk = max(1, rays // len(raster.places))
+    rays = check_request(papr, posed, camera, max_rays, tile)
+    if camera.count is not None or asks_gradient(papr, posed, camera):
+        raise InputError(
+            "render_progressively: expected one camera and nothing that asks for a gradient; call "
+            "`render`, or use torch.no_grad()"
+        )
     _check_strides(strides)
-    steps, cloud = Steps(1, cancel, None), cloud.to(next(papr.parameters()).device)
-    shown: Picture | None = None
-    for small, stride in _coarse(papr, cloud, camera, strides, rays, tile, threshold, steps):
-        shown = _enlarged(small.picture(camera), stride, camera)
+    raster = raster_of(papr.config, posed, camera, samples, tile)
+    posed = posed.to(next(papr.parameters()).device)
+    yield from _stages(papr, posed, camera, raster, strides, rays, tile, threshold, cancel)
+
+
+@torch.no_grad()
+def _stages(
+    papr: Papr,
+    posed: PosedCloud,
+    camera: Camera,
+    raster: Raster,
+    strides: Sequence[int],
+    rays: int,
+    tile: int,
+    threshold: float,
+    cancel: Callable[[], bool] | None,
+) -> Iterator[Image]:
+    """Coarse pictures, then the exact one from above."""
+    shown: Image | None = None
+    for small, stride in _coarse(papr, posed, camera, strides, rays, tile, threshold, cancel):
+        shown = _enlarged(small.image(camera), stride, camera)
         yield shown
+    chunk, finished = max(1, rays // len(raster.places)), 0
     canvas = Canvas.blank(papr, raster.size, rows_in_use(raster, chunk))
-    for rows in paint(canvas, papr, cloud, raster, chunk, threshold, steps):
+    check_cancel(cancel)
+    for rows in paint(canvas, papr, posed, raster, chunk, threshold):
         complete = rows // raster.pool
-        if shown is not None and complete < camera.height:
-            so_far = pooled(canvas.picture(raster.camera), raster.pool, camera)
+        if shown is not None and finished < rows and complete < camera.height:
+            so_far = pooled(canvas.image(raster.camera), raster.pool, camera)
             shown = _with_rows(shown, so_far, complete)
             yield shown
-    yield pooled(canvas.picture(raster.camera), raster.pool, camera)
+        finished = rows
+        check_cancel(cancel)
+    yield pooled(canvas.image(raster.camera), raster.pool, camera)
 
 
 def _check_strides(strides: Sequence[int]) -> None:
@@ -102,32 +125,32 @@ def _check_strides(strides: Sequence[int]) -> None:
 
 def _coarse(
     papr: Papr,
-    cloud: PointCloud,
+    posed: PosedCloud,
     camera: Camera,
     strides: Sequence[int],
     chunk: int,
     tile: int,
     threshold: float,
-    steps: Steps,
+    cancel: Callable[[], bool] | None,
 ) -> Iterator[tuple[Canvas, int]]:
     """Small pictures and the distance between their rays."""
     rays, before = camera.rays(), None
     for stride in strides:
         # All grids share their first ray, half of the least stride from the corner.
         part = slice(strides[-1] // 2, None, stride)
-        grid = RayBundle(origins=rays.origins[part, part], directions=rays.directions[part, part])
-        height, width = grid.shape
+        grid = rays[part, part]
+        height, width = grid.pixels
         if min(height, width) < ALIGNMENT:
             continue
         canvas = Canvas.blank(papr, (height, width))
-        flat = grid.flat()
+        pixels = grid.by_pixel()
         for wanted in _take_over(canvas, before, stride).split(chunk):
-            steps.check()
-            attend(canvas, papr, cloud, flat[wanted.unsqueeze(-1)], wanted, threshold)
+            check_cancel(cancel)
+            trace_pixels(canvas, papr, posed, pixels[wanted], wanted, threshold)
         small = camera.resized(width, height)
-        for window in windows(raster_of(papr.config, cloud, small, 1, tile, detail=1.0)):
-            steps.check()
-            shade(canvas, papr, window, 1)
+        for window in windows(raster_of(papr.config, posed, small, 1, tile, detail=1.0)):
+            check_cancel(cancel)
+            colour_tile(canvas, papr, window, 1)
         before = canvas, stride
         yield before
 
@@ -143,19 +166,19 @@ def _take_over(canvas: Canvas, before: tuple[Canvas, int] | None, stride: int) -
     return missing.flatten().nonzero().squeeze(-1)
 
 
-def _enlarged(picture: Picture, stride: int, camera: Camera) -> Picture:
+def _enlarged(image: Image, stride: int, camera: Camera) -> Image:
     """Repeat the pixels of a small picture until it has the camera's size."""
-    height, width = picture.alpha.shape
+    height, width = image.alpha.shape
     rows = (torch.arange(camera.height) // stride).clamp_max(height - 1).unsqueeze(1)
     columns = (torch.arange(camera.width) // stride).clamp_max(width - 1)
-    return Picture(**{name: one[rows, columns] for name, one in vars(picture).items()})
+    return image.each(lambda plane: plane[rows, columns])
 
 
-def _with_rows(old: Picture, new: Picture, rows: int) -> Picture:
+def _with_rows(old: Image, new: Image, rows: int) -> Image:
     """Return the old picture with the first rows of the new one."""
-    return Picture(
-        **{
-            name: torch.cat([one[:rows], getattr(old, name)[rows:]])
-            for name, one in vars(new).items()
-        }
+    return Image(
+        rgb=torch.cat([new.rgb[:rows], old.rgb[rows:]]),
+        alpha=torch.cat([new.alpha[:rows], old.alpha[rows:]]),
+        depth=torch.cat([new.depth[:rows], old.depth[rows:]]),
+        surface=torch.cat([new.surface[:rows], old.surface[rows:]]),
     )

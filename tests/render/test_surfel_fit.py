@@ -17,13 +17,14 @@ from torch.nn import functional as F
 import tiny_scene
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
+from pcore.geometry.surfels import spacing_of
 from pcore.model.papr import Papr
-from pcore.relight import photos as light_photos
 from pcore.relight.lamps import sphere
-from pcore.relight.photos import Shown, colors_at, height_of, observe
-from pcore.relight.shading import spacing_of
+from pcore.render import surfel_fit
+from pcore.render.surfel_fit import Shown, colors_at, height_of, observe
 
-lowest, look = light_photos._lowest, light_photos._look
+lowest, look = surfel_fit._lowest, surfel_fit._look
 
 SIZE = 120
 
@@ -168,7 +169,7 @@ def test_photos_show_what_faces_them_and_is_as_far_away_as_they_say() -> None:
         assert bool(found.isnan().all()) is not seen, off
     for off, seen in ((0.25, True), (0.35, False)):
         farther = [replace(each, depth=each.depth + off) for each in photos(40)]
-        at_all = light_photos._disagreement(normals, normals, farther, spacing).isfinite()
+        at_all = surfel_fit._disagreement(normals, normals, farther, spacing).isfinite()
         assert bool(at_all.any()) is seen, off
 
 
@@ -202,7 +203,7 @@ def test_a_view_gives_its_points_normals_and_solid_pixels_alone_are_shown() -> N
         view: Any = SimpleNamespace(camera=camera, rgba=lambda: rgba, has_alpha=has_alpha)
         sums[has_alpha] = torch.zeros(600, 7)
         with torch.no_grad():
-            shown = look(papr, cloud, view, sums[has_alpha])
+            shown = look(papr, PosedCloud.at_rest(cloud), view, sums[has_alpha])
         met = shown.depth.isfinite()
         assert torch.equal(shown.rgb, rgba[..., :3])
         assert bool(met[:, :20].any()) is not has_alpha
@@ -272,7 +273,7 @@ def test_points_get_what_their_surface_shows(monkeypatch: pytest.MonkeyPatch) ->
         sums[::10] = 0
         return shown[view]
 
-    monkeypatch.setattr(light_photos, "_look", look)
+    monkeypatch.setattr(surfel_fit, "_look", look)
     cloud = PointCloud(
         positions=positions, features=torch.zeros(1000, 1), influence=torch.ones(1000)
     )
@@ -280,7 +281,8 @@ def test_points_get_what_their_surface_shows(monkeypatch: pytest.MonkeyPatch) ->
     views: Sequence[Any] = range(len(shown))
     told: list[tuple[int, int]] = []
     found = observe(papr, cloud, views, progress=lambda *step: told.append(step))
-    assert found.lift == pytest.approx(inside, abs=0.006)
+    assert float(found.heights.max()) == float(found.heights.min())
+    assert float(found.heights[0]) == pytest.approx(inside, abs=0.006)
     known = found.normals.norm(dim=1) > 0.5
     assert int((~known).sum()) == 100
     torch.testing.assert_close(found.normals[known], outwards[known])
@@ -290,7 +292,10 @@ def test_points_get_what_their_surface_shows(monkeypatch: pytest.MonkeyPatch) ->
     assert told == [(step, 20) for step in range(1, 21)]
     # Of one photo nothing can be told.
     alone = observe(papr, cloud, [0])
-    assert alone.lift == 0.0
+    assert not alone.heights.any()
+    surfels = found.surfels(cloud)
+    torch.testing.assert_close(surfels.places, positions + found.heights[:, None] * found.normals)
+    assert torch.equal(surfels.known, known)
     assert torch.equal(alone.colors[known], torch.full((900, 3), 0.5))
 
 
@@ -305,10 +310,10 @@ def test_of_many_views_some_are_compared(monkeypatch: pytest.MonkeyPatch) -> Non
         kept.extend(one.number for one in shown)
         return 0.0
 
-    monkeypatch.setattr(light_photos, "_look", look)
-    monkeypatch.setattr(light_photos, "height_of", no_height)
+    monkeypatch.setattr(surfel_fit, "_look", look)
+    monkeypatch.setattr(surfel_fit, "height_of", no_height)
     monkeypatch.setattr(
-        light_photos, "colors_at", lambda places, *_: torch.full_like(places, math.nan)
+        surfel_fit, "colors_at", lambda places, *_: torch.full_like(places, math.nan)
     )
     cloud = PointCloud(positions=sphere(50), features=torch.zeros(50, 1), influence=torch.ones(50))
     papr: Any = torch.nn.Linear(1, 1)

@@ -10,42 +10,44 @@ import torch
 
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
-from pcore.model.attention import Attended
-from pcore.model.surface import middle_surface, surface_of
+from pcore.model.hits import Hits
+from pcore.render.surface import middle_surface, surface_of
 
 
-def cloud_at(depths: list[float], beside: list[float] | None = None) -> PointCloud:
+def cloud_at(depths: list[float], beside: list[float] | None = None) -> PosedCloud:
     """Points along z."""
     positions = torch.zeros(len(depths), 3)
     positions[:, 2] = torch.tensor(depths)
     if beside is not None:
         positions[:, 0] = torch.tensor(beside)
-    return PointCloud(
-        positions=positions, features=torch.zeros(len(depths), 1), influence=torch.ones(len(depths))
+    count = len(depths)
+    return PosedCloud.at_rest(
+        PointCloud(positions=positions, features=torch.zeros(count, 1), influence=torch.ones(count))
     )
 
 
-def attended(cloud: PointCloud, weights: list[list[float]]) -> Attended:
+def hits_of(posed: PosedCloud, weights: list[list[float]]) -> Hits:
     each = torch.tensor(weights)
-    return Attended(
-        features=torch.zeros(len(each), 1),
-        background=torch.zeros(len(each)),
+    return Hits(
+        neighbours=torch.arange(len(posed)).expand(len(each), -1),
         weights=each,
-        surface=each @ cloud.positions,
-        behind=torch.zeros(len(each)),
+        background=torch.zeros(len(each)),
+        features=torch.zeros(len(each), 1),
+        centroid=each @ posed.positions,
+        spread=torch.zeros(len(each)),
     )
 
 
-def depths_of(cloud: PointCloud, weights: list[list[float]], cutoff: float | None) -> list[float]:
+def depths_of(posed: PosedCloud, weights: list[list[float]], cutoff: float | None) -> list[float]:
     rows = len(weights)
     rays = RayBundle(
         origins=torch.tensor([[0.0, 0.0, -5.0]]).expand(rows, 3),
         directions=torch.tensor([[0.0, 0.0, 1.0]]).expand(rows, 3),
     )
-    neighbours = torch.arange(len(cloud)).expand(rows, -1)
-    points = surface_of(cloud, rays, attended(cloud, weights), neighbours, cutoff).surface
+    points, _ = surface_of(posed, rays, hits_of(posed, weights), cutoff)
     return points[:, 2].tolist()
 
 
@@ -80,9 +82,10 @@ def test_layers_are_as_thick_as_at_rest() -> None:
     weights = [[0.3, 0.3, 0.4]]
     small = depths_of(rest, weights, 0.5)
     assert small == pytest.approx([0.2])
-    frames = LocalMaps(rest=rest.positions, to_rest=torch.eye(3).expand(3, 3, 3) / 10)
-    assert depths_of(rest.moved(10 * rest.positions, frames), weights, 0.5) == pytest.approx([2.0])
-    assert depths_of(rest.moved(10 * rest.positions), weights, 0.5) == pytest.approx([0.0])
+    maps = LocalMaps(to_rest=torch.eye(3).expand(3, 3, 3) / 10)
+    plain = replace(rest, positions=10 * rest.positions)
+    assert depths_of(replace(plain, local_maps=maps), weights, 0.5) == pytest.approx([2.0])
+    assert depths_of(plain, weights, 0.5) == pytest.approx([0.0])
 
 
 def test_what_lies_nearer_along_the_ray_comes_first_also_in_other_orders() -> None:
@@ -90,54 +93,48 @@ def test_what_lies_nearer_along_the_ray_comes_first_also_in_other_orders() -> No
     assert depths_of(cloud, [[0.7, 0.2, 0.1]], 0.5) == pytest.approx([1.0])
 
 
-def test_with_a_skin_the_first_layer_is_met_in_its_own_light() -> None:
+def test_with_surfels_the_first_layer_is_met_in_its_own_light() -> None:
     """Points at 0 and 3 along the ray, planes half a unit before them; cut-offs tell layers."""
-    cloud = cloud_at([3.0, 0.0, 0.1, 3.1])
-    skin = Surfels(
-        places=cloud.positions - torch.tensor([0.0, 0.0, 0.5]),
+    posed = cloud_at([3.0, 0.0, 0.1, 3.1])
+    surfels = Surfels(
+        places=posed.positions - torch.tensor([0.0, 0.0, 0.5]),
         normals=torch.tensor([[0.0, 0.0, -1.0]]).expand(4, 3),
+        heights=torch.full((4,), 0.5),
         beside=torch.tensor([[0, 3], [1, 2], [1, 2], [0, 3]]),
         spacing=1.0,
-        gains=torch.tensor([2.0, 0.5, 0.5, 2.0]),
     )
+    lit = replace(posed, surfels=surfels, gains=torch.tensor([2.0, 0.5, 0.5, 2.0]))
     weights = [[0.35, 0.15, 0.15, 0.35], [0.4, 0.09, 0.09, 0.42], [0.0, 0.0, 0.0, 0.0]]
     rays = RayBundle(
         origins=torch.tensor([[0.0, 0.0, -5.0]]).expand(3, 3),
         directions=torch.tensor([[0.0, 0.0, 1.0]]).expand(3, 3),
     )
-    neighbours = torch.arange(4).expand(3, -1)
 
     def depths_and_gains(
-        skin: Surfels | None, cutoff: float | None
+        posed: PosedCloud, cutoff: float | None
     ) -> tuple[list[float], list[float] | None]:
-        met = attended(cloud, weights)
-        found = surface_of(cloud.covered(skin), rays, met, neighbours, cutoff)
-        return found.surface[:, 2].tolist(), None if found.gains is None else found.gains.tolist()
+        places, gains = surface_of(posed, rays, hits_of(posed, weights), cutoff)
+        return places[:, 2].tolist(), None if gains is None else gains.tolist()
 
     behind = (0.4 * 2.5 + 0.42 * 2.6) / 0.82
-    depths, gains = depths_and_gains(skin, 0.5)
+    depths, gains = depths_and_gains(lit, 0.5)
     assert depths[:2] == pytest.approx([-0.45, behind])
     assert math.isnan(depths[2])
     assert gains == pytest.approx([0.5, 2.0, 1.0])
-    # Without a cut-off all is one layer, as it is without a skin.
-    assert depths_and_gains(skin, None)[0][:2] == pytest.approx([1.65, 2.011])
-    # As deep as the points where it is asked for, in the same light.
-    depths, gains = depths_and_gains(replace(skin, deep=False), 0.5)
-    assert depths[:2] == pytest.approx([0.05, behind + 0.5])
-    assert gains == pytest.approx([0.5, 2.0, 1.0])
-    double = PointCloud(
-        positions=cloud.positions.double(), features=cloud.features, influence=cloud.influence
-    )
-    lines = RayBundle(origins=rays.origins.double(), directions=rays.directions.double())
-    met = attended(cloud, weights)
-    met = replace(met, surface=met.surface.double(), weights=met.weights.double())
-    found = surface_of(double.covered(skin), lines, met, neighbours, 0.5)
-    assert found.surface.dtype == torch.float64
-    assert found.surface[:2, 2].tolist() == pytest.approx([-0.45, behind])
-    depths, none = depths_and_gains(replace(skin, gains=None), 0.5)
+    # Without a cut-off all is one layer, as it is without surfels.
+    assert depths_and_gains(lit, None)[0][:2] == pytest.approx([1.65, 2.011])
+    double = lit.each(lambda one: one.double() if one.is_floating_point() else one)
+    lines = rays.each(lambda one: one.double())
+    hits = hits_of(posed, weights)
+    hits = replace(hits, centroid=hits.centroid.double(), weights=hits.weights.double())
+    found, _ = surface_of(double, lines, hits, 0.5)
+    assert found.dtype == torch.float64
+    assert found[:2, 2].tolist() == pytest.approx([-0.45, behind])
+    # Depth does not depend on the light.
+    depths, none = depths_and_gains(replace(lit, gains=None), 0.5)
     assert depths[:2] == pytest.approx([-0.45, behind])
     assert none is None
-    assert depths_and_gains(None, 0.5)[1] is None
+    assert depths_and_gains(posed, 0.5)[1] is None
 
 
 @pytest.mark.parametrize("moved", [False, True])
@@ -150,42 +147,43 @@ def test_the_kernel_of_the_cpu_finds_the_same_layer(
         features=torch.zeros(200, 1),
         influence=torch.ones(200),
     )
+    posed = PosedCloud.at_rest(cloud)
     if moved:
-        frames = LocalMaps(rest=cloud.positions, to_rest=torch.eye(3).expand(200, 3, 3))
-        cloud = cloud.moved(torch.rand(200, 3, generator=draw), frames)
+        maps = LocalMaps(to_rest=torch.eye(3).expand(200, 3, 3))
+        posed = replace(posed, positions=torch.rand(200, 3, generator=draw), local_maps=maps)
     weights = torch.rand(400, 9, generator=draw).pow(3)
     weights[:, 6] = 0
     weights[::11] = 0
     weights = weights / weights.sum(dim=1, keepdim=True).clamp_min(1e-9)
     ahead = torch.nn.functional.normalize(torch.randn(400, 3, generator=draw), dim=1)
     rays = RayBundle(origins=0.5 - 3 * ahead, directions=ahead)
-    neighbours = torch.randint(0, 200, (400, 9), generator=draw)
-    met = Attended(
-        features=torch.zeros(400, 1),
-        background=torch.zeros(400),
+    hits = Hits(
+        neighbours=torch.randint(0, 200, (400, 9), generator=draw),
         weights=weights,
-        surface=torch.zeros(400, 3),
-        behind=torch.zeros(400),
+        background=torch.zeros(400),
+        features=torch.zeros(400, 1),
+        centroid=torch.zeros(400, 3),
+        spread=torch.zeros(400),
     )
-    found = surface_of(cloud, rays, met, neighbours, 0.4).surface
+    found, _ = surface_of(posed, rays, hits, 0.4)
     monkeypatch.setenv("PCORE_KERNELS", "reference")
-    expected = surface_of(cloud, rays, met, neighbours, 0.4).surface
+    expected, _ = surface_of(posed, rays, hits, 0.4)
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-5, equal_nan=True)
-    whole = surface_of(cloud, rays, met, neighbours, None).surface
-    apart = (expected - (weights.unsqueeze(2) * cloud.positions[neighbours]).sum(dim=1)).norm(dim=1)
+    whole, _ = surface_of(posed, rays, hits, None)
+    places = posed.positions[hits.neighbours]
+    apart = (expected - (weights.unsqueeze(2) * places).sum(dim=1)).norm(dim=1)
     assert float(apart.nanmedian()) > 0.05, "most rays meet several layers"
     assert whole.shape == found.shape
 
 
-def test_no_gradient_and_no_change_of_what_the_losses_see() -> None:
-    cloud = cloud_at([0.0, 3.0])
-    met = attended(cloud, [[0.6, 0.4]])
-    weights = met.weights.clone().requires_grad_()
+def test_the_surface_has_a_gradient_and_what_losses_see_is_another() -> None:
+    posed = cloud_at([0.0, 3.0])
+    hits = hits_of(posed, [[0.6, 0.4]])
+    weights = hits.weights.clone().requires_grad_()
     rays = RayBundle(origins=torch.zeros(1, 3), directions=torch.tensor([[0.0, 0.0, 1.0]]))
-    met = replace(met, weights=weights)
-    found = surface_of(cloud, rays, met, torch.tensor([[0, 1]]), 0.5).surface
-    assert not found.requires_grad
-    assert float(met.surface[0, 2]) == pytest.approx(1.2)
+    found, _ = surface_of(posed, rays, replace(hits, weights=weights), 0.5)
+    assert found.requires_grad
+    assert float(hits.centroid[0, 2]) == pytest.approx(1.2)
 
 
 def test_of_several_rays_the_middle_one_is_taken() -> None:

@@ -1,4 +1,4 @@
-"""What training photos say about the points of a trained model: normals, colours, the surface.
+"""What training photos say about the points of a trained model: surfels over them, and colours.
 
 Points lie a little inside the object: attention does not care how far. Where the surface over them
 is, photos tell: at the right height above the points all of them show the same colours there.
@@ -17,12 +17,13 @@ from torch.nn import functional as F
 from pcore.data.scene import View
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
+from pcore.geometry.surfels import Surfels, spacing_of
 from pcore.model.papr import Papr
-from pcore.model.passes import Picture
-from pcore.model.render import normals
-from pcore.model.surface import surface_of
-from pcore.relight.shading import spacing_of
+from pcore.render.image import Image, normals
+from pcore.render.surface import surface_of
+from pcore.render.trace import trace
 
 _LARGEST_SIDE = 200
 _SOLID = 0.9
@@ -58,13 +59,19 @@ class Observed:
         normals: (N, 3) unit, outwards; zero where views do not agree on one.
         colors: (N, 3) colour of the surface over a point.
         attention: (N,) sum of the weights that the pixels of all views gave a point.
-        lift: how far above the points the surface lies, along the normals, world units.
+        heights: (N,) how far above the points the surface lies, along the normals, world units.
     """
 
     normals: Tensor
     colors: Tensor
     attention: Tensor
-    lift: float
+    heights: Tensor
+
+    def surfels(self, cloud: PointCloud) -> Surfels:
+        """Return the surface over these points, on their device."""
+        positions = cloud.positions.detach()
+        normals, heights = self.normals.to(positions), self.heights.to(positions)
+        return Surfels.at_rest(positions, normals, heights)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,13 +99,13 @@ def observe(
     A point whose surface fewer than two of them show has the colour of the pixels that look at it.
     """
     device = next(papr.parameters()).device
-    # Its own surface is what is asked for.
-    cloud = cloud.detached().covered(None).to(device)
+    cloud = cloud.detached().to(device)
+    posed = PosedCloud.at_rest(cloud)
     sums = torch.zeros(len(cloud), 7)
     kept = {len(views) * step // _MOST_VIEWS for step in range(_MOST_VIEWS)}
     shown: list[Shown] = []
     for number, view in enumerate(views, start=1):
-        seen = _look(papr, cloud, view, sums)
+        seen = _look(papr, posed, view, sums)
         if number - 1 in kept:
             shown.append(seen)
         if progress is not None:
@@ -112,7 +119,8 @@ def observe(
     around = color / attention.clamp_min(1e-9)[:, None]
     there = colors_at(positions + lift * normal, normal, shown, spacing)
     colors = torch.where(known[:, None] & ~there.isnan(), there, around)
-    return Observed(normals=normal, colors=colors, attention=attention, lift=lift)
+    heights = torch.full_like(attention, lift)
+    return Observed(normals=normal, colors=colors, attention=attention, heights=heights)
 
 
 def height_of(points: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: float) -> float:
@@ -202,18 +210,18 @@ def _colors(places: Tensor, normals: Tensor, shown: Shown, close: float) -> Tens
     return torch.where(seen[:, None] & (share > 0), found[:, :3] / share, math.nan)
 
 
-def _look(papr: Papr, cloud: PointCloud, view: View, sums: Tensor) -> Shown:
+def _look(papr: Papr, posed: PosedCloud, view: View, sums: Tensor) -> Shown:
     """Add normal, colour and 1 of every pixel to its points, by the weights of their attention."""
     largest = max(view.camera.width, view.camera.height)
     stride = math.ceil(largest / _LARGEST_SIDE)
     camera = view.camera.resized(view.camera.width // stride, view.camera.height // stride)
     rgba = _shrunk(view.rgba(), camera.height, camera.width)
     rays, shape = camera.rays().flat(), (camera.height, camera.width)
-    parts = [_met(papr, cloud, rays[part]) for part in torch.arange(len(rays.origins)).split(8192)]
+    parts = [_met(papr, posed, rays[part]) for part in torch.arange(len(rays.origins)).split(8192)]
     columns = [torch.cat(each).reshape(*shape, -1) for each in zip(*parts, strict=True)]
     alpha, surface, weights, points = columns[0][..., 0], columns[1], columns[2], columns[3]
-    picture = Picture(rgb=rgba[..., :3], alpha=alpha, depth=camera.depth(surface), surface=surface)
-    normal = normals(picture, camera)
+    image = Image(rgb=rgba[..., :3], alpha=alpha, depth=camera.depth(surface), surface=surface)
+    normal = normals(image, camera)
     solid = alpha > _SOLID
     if view.has_alpha:
         solid &= rgba[..., 3] > _SOLID
@@ -221,16 +229,16 @@ def _look(papr: Papr, cloud: PointCloud, view: View, sums: Tensor) -> Shown:
     seen = torch.cat([normal, rgba[..., :3], torch.ones(*shape, 1)], dim=-1)[used]
     share = weights[used].unsqueeze(-1) * seen.unsqueeze(1)
     sums.index_add_(0, points[used].flatten(), share.flatten(0, 1))
-    depth = picture.depth.masked_fill(~solid, math.nan)
+    depth = image.depth.masked_fill(~solid, math.nan)
     return Shown(camera=camera, rgb=rgba[..., :3], depth=depth)
 
 
-def _met(papr: Papr, cloud: PointCloud, rays: RayBundle) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def _met(papr: Papr, posed: PosedCloud, rays: RayBundle) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Opacity (R,), surface (R, 3), weights (R, k) and points (R, k) of rays (R,), on the CPU."""
-    rays = rays.to(cloud.positions.device)
-    attended, near = papr.attend(cloud, rays)
-    surface = surface_of(cloud, rays, attended, near, papr.config.cutoff).surface
-    return (1 - attended.background).cpu(), surface.cpu(), attended.weights.cpu(), near.cpu()
+    rays = rays.to(posed.positions.device)
+    hits = trace(papr, posed, rays)
+    surface, _ = surface_of(posed, rays, hits, papr.config.cutoff)
+    return (1 - hits.background).cpu(), surface.cpu(), hits.weights.cpu(), hits.neighbours.cpu()
 
 
 def _shrunk(rgba: Tensor, height: int, width: int) -> Tensor:
