@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pcore.asset.asset import Asset
-from pcore.asset.gaussian_training import gaussian_record, train_gaussians
+from pcore.asset.gaussian_training import gaussian_plan, train_gaussians
 from pcore.asset.saving import asset_of, load, neural_points_of
 from pcore.data.scene import Scene, check_images
 from pcore.errors import InputError
@@ -85,8 +85,16 @@ def train(
     """
     chosen = options or RunOptions()
     if isinstance(settings, GaussianConfig):
-        path = None if folder is None else Path(folder)
-        return _made_of_gaussians(scene, settings, path, listener, device, chosen)
+        plan = gaussian_plan(
+            scene,
+            settings,
+            folder,
+            preset=chosen.preset,
+            resume=chosen.resume,
+            tensorboard=chosen.tensorboard,
+            note=chosen.note,
+        )
+        return train_gaussians(scene, settings, plan, listener, device, keep=folder is not None)
     config = presets.preset(settings) if isinstance(settings, str) else settings
     name = settings if isinstance(settings, str) else presets.preset_of(config)
     limit = config.grow.limit if config.grow else config.points
@@ -269,26 +277,6 @@ def _made(
         except (InputError, OSError) as error:
             options.note(f"note: {error}")
     return asset
-
-
-def _made_of_gaussians(
-    scene: Scene,
-    config: GaussianConfig,
-    folder: Path | None,
-    listener: Listener,
-    device: str,
-    options: RunOptions,
-) -> Asset:
-    plan = FolderPlan(
-        path=folder or Path(),
-        stage="pretrain",
-        scene=scene.name if scene.folder is None else scene.folder.resolve(),
-        config=gaussian_record(config, options.preset, scene.factor),
-        resume=options.resume,
-        tensorboard=options.tensorboard,
-        note=options.note,
-    )
-    return train_gaussians(scene, config, folder, listener, device, plan)
 
 
 def _in_memory(trained: Trained, scene: Scene, record: RunRecord, place: str) -> Asset:
