@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pcore.geometry.rays import RayBundle
     from pcore.model.papr import Papr
     from pcore.render.image import Image
-    from pcore.render.picture import render, render_rays
+    from pcore.render.picture import render_rays
     from pcore.training.config import FinetuneConfig, PretrainConfig
     from pcore.training.presets import finetune_preset, preset
     from pcore.training.pretrain import pretrain
@@ -72,7 +72,6 @@ __all__ = [
     "parse_edit",
     "preset",
     "pretrain",
-    "render",
     "render_rays",
     "train",
 ]
@@ -110,7 +109,6 @@ _HOMES = {
     "parse_edit": "pcore.editing.script",
     "preset": "pcore.training.presets",
     "pretrain": "pcore.training.pretrain",
-    "render": "pcore.render.picture",
     "render_rays": "pcore.render.picture",
     "train": "pcore.asset.training",
 }

@@ -3,7 +3,8 @@
 The paper's surface point is the mean of the points by their weights (`Hits.centroid`), which the
 consistency losses ask for. At the rim of an arm before a body it lies in the air between them: a
 depth that nothing has, a speck in a point cloud. Pictures take one layer of points: its mean, or,
-where the surface over them is known, the place where a ray meets the surfels (docs/guide/light.md).
+where the surface over them is known, the place where a ray meets the surfels
+(docs/concepts/light.md).
 
 The colours of a ray are sharper than its points are apart, since attention has learned where
 between them an edge runs. A mean over points is not, and knows nothing of the edge that light

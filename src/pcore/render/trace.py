@@ -10,7 +10,7 @@
    opacity from the outside only: where an edit lays the inside open, a ray that enters may pass the
    far side, whose inner face no photo has shown. Such a line is traced from its other end.
 
-Why and how well: docs/guide/deformation-aware.md, ADR 5. An index says what it numbers:
+Why and how well: docs/concepts/deformation-aware-rays.md, ADR 5. An index says what it numbers:
 `ray_of_near` holds the rays that near rows are of. Autograd follows everything but the choice of
 the points that a ray meets.
 """
