@@ -60,7 +60,7 @@ def train_gaussians(
     device: str,
     *,
     keep: bool,
-) -> Asset:
+) -> tuple[Asset, bool]:
     """Learn Gaussians from the training views of a scene.
 
     Args:
@@ -71,6 +71,9 @@ def train_gaussians(
         device: where to train, and then to draw.
         keep: write the folder; else everything stays in memory.
 
+    Returns:
+        The object, and whether anything was learned: a finished run is left as it is.
+
     Raises:
         InputError: the folder is in use, or no silhouettes for a visual hull.
         TrainingError: diverged, or cannot write.
@@ -80,13 +83,13 @@ def train_gaussians(
     if not keep:
         found = fit_gaussians(scene, config, listener=listener, device=device)
         record = RunRecord(stage="pretrain", scene=str(plan.scene), config=plan.config)
-        return _asset(found, provenance_of_gaussians(found, scene.name), record, device)
-    train_in_folder(
+        return _asset(found, provenance_of_gaussians(found, scene.name), record, device), True
+    learned = train_in_folder(
         plan,
         lambda run, tell: fit_gaussians(scene, config, folder=run, listener=tell, device=device),
         listener,
     )
-    return load(plan.path, device=device)
+    return load(plan.path, device=device), learned is not None
 
 
 def _asset(
