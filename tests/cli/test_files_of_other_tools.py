@@ -16,7 +16,7 @@ sys.path.append(str(Path(__file__).resolve().parent.parent / "data"))
 from gltf_files import Builder, cube
 from ply_files import CORNERS, FACE, MIXED, box, ply
 
-TWIST = {"version": 1, "edits": [{"type": "twist", "axis": "z", "angle_deg": 60}]}
+TWIST = {"version": 2, "edits": [{"type": "twist", "axis": "z", "angle_deg": 60}]}
 FIRST = [217, 163, 130]
 LITTLE = "binary_little_endian"
 REALS = [k / 7 for k in range(8)]

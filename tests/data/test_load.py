@@ -379,3 +379,10 @@ def test_a_name_that_no_system_takes_is_refused(scene: Path) -> None:
     change_frame(scene / "transforms_train.json", 2, file_path="z" * 300)
     with pytest.raises(SceneError, match=r"frame 2 .*: 'file_path' is too long"):
         load_scene(scene)
+
+
+def test_an_image_of_the_longest_name_has_no_mask_beside(scene: Path) -> None:
+    name = "r" * 245
+    (scene / "train" / "r_2.png").rename(scene / "train" / f"{name}.png")
+    change_frame(scene / "transforms_train.json", 2, file_path=f"train/{name}")
+    assert len(load_scene(scene).split("train")) == len({*(scene / "train").iterdir()})

@@ -142,8 +142,9 @@ def test_import_renders_as_the_description_says(tmp_path: Path, variant: str) ->
     )
     found = render(model, rays)
     assert np.array_equal(np.sort(found["neighbours"], -1), expected["neighbours"])
-    for name in ("rgb", "alpha", "features", "surface"):
-        assert np.abs(found[name] - expected[name]).max() < 1e-4, name
+    # Features are sums of many: rounding moves them by 5e-5 to 8.5e-5, the others by 2e-5 at most.
+    for name, most in {"rgb": 1e-4, "alpha": 1e-4, "features": 3e-4, "surface": 1e-4}.items():
+        assert np.abs(found[name] - expected[name]).max() < most, name
     assert 0.05 < expected["alpha"].mean() < 0.95
     assert expected["rgb"].std() > 0.01
 

@@ -9,9 +9,11 @@ from typing import Any
 
 from pcore.asset.asset import Asset
 from pcore.asset.content import Content
+from pcore.asset.gaussian_content import read_gaussians
 from pcore.asset.neural_points import NeuralPoints, read_neural_points
 from pcore.contrib.learned_skinning import Skinning
 from pcore.errors import InputError
+from pcore.files.gaussian_file import GAUSSIANS_FILE
 from pcore.files.model_file import MODEL_FILE
 from pcore.files.provenance import Provenance, Stage, provenance_of
 from pcore.files.run_folder import RunFolder, write_guard
@@ -24,7 +26,7 @@ from pcore.relight.relighting import Relighting
 
 Reader = Callable[[Path, str], tuple[Content[Any], Provenance]]
 
-READERS: dict[str, Reader] = {MODEL_FILE: read_neural_points}
+READERS: dict[str, Reader] = {MODEL_FILE: read_neural_points, GAUSSIANS_FILE: read_gaussians}
 """Kinds of objects by the file that a folder of one holds; the first is expected where none is."""
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pcore.asset.saving import load, neural_points_of
 from pcore.errors import CheckpointError
+from pcore.files.gaussian_file import GAUSSIANS_FILE, GaussianSummary, describe_gaussians
 from pcore.files.model_file import MODEL_FILE, ModelSummary, describe_model
 from pcore.files.run_record import RunRecord
 from pcore.files.skinning_file import SKINNING_FILE, SkinningSummary, describe_skinning
@@ -23,7 +24,8 @@ class AssetSummary:
         record: how it came to be; None for a bare model file.
         saved_step: that a training can go on from; None where no state is saved.
         model_file: where its model is or will be.
-        model: sizes and origin of the model; None where none is saved yet.
+        model: sizes and origin of the model; None where none is saved yet, and for Gaussians.
+        gaussians: sizes and origin of an object made of them; None for others.
         skinning: of learned weights; None where none were learned.
         light: in a sentence, or why it cannot be used; None where none was estimated.
     """
@@ -32,8 +34,9 @@ class AssetSummary:
     saved_step: int | None
     model_file: Path
     model: ModelSummary | None
-    skinning: SkinningSummary | None
-    light: str | None
+    gaussians: GaussianSummary | None = None
+    skinning: SkinningSummary | None = None
+    light: str | None = None
 
 
 def summarize(path: Path | str) -> AssetSummary:
@@ -52,16 +55,15 @@ def summarize(path: Path | str) -> AssetSummary:
             saved_step=None,
             model_file=path,
             model=describe_model(path),
-            skinning=None,
-            light=None,
         )
     record, state, model = RunRecord.read(path), path / STATE_FILE, path / MODEL_FILE
-    weights = path / SKINNING_FILE
+    weights, made = path / SKINNING_FILE, path / GAUSSIANS_FILE
     return AssetSummary(
         record=record,
         saved_step=load_state(state).step if state.exists() else None,
-        model_file=model,
+        model_file=made if made.exists() else model,
         model=describe_model(model) if model.exists() else None,
+        gaussians=describe_gaussians(made) if made.exists() else None,
         skinning=describe_skinning(weights) if weights.exists() else None,
         light=_light_of(path) if model.exists() else None,
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pcore.asset.asset import Asset
+from pcore.asset.gaussian_training import gaussian_plan, train_gaussians
 from pcore.asset.saving import asset_of, load, neural_points_of
 from pcore.data.scene import Scene, check_images
 from pcore.errors import InputError
@@ -21,7 +22,8 @@ from pcore.training import presets
 from pcore.training.config import FinetuneConfig, PresetName, PretrainConfig
 from pcore.training.events import Listener, silent
 from pcore.training.finetune import finetune as run_finetuning
-from pcore.training.in_folder import FolderPlan, Train, disk_space, train_in_folder
+from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.in_folder import FolderPlan, disk_space, train_in_folder
 from pcore.training.presets import PretrainName
 from pcore.training.pretrain import pretrain
 from pcore.training.trained import Trained
@@ -55,7 +57,7 @@ class RunOptions:
 
 def train(
     scene: Scene,
-    settings: PretrainConfig | PretrainName = "tiny",
+    settings: PretrainConfig | PretrainName | GaussianConfig = "tiny",
     *,
     folder: Path | str | None = None,
     listener: Listener = silent,
@@ -68,7 +70,8 @@ def train(
 
     Args:
         scene: its `train` split is used, nothing else; every `hold_out`-th view only validates.
-        settings: architecture and schedule, or the name of a preset.
+        settings: architecture and schedule, or the name of a preset; a `GaussianConfig` makes an
+            object of Gaussians, whose light stays in their colours.
         folder: new or empty folder for the run; None keeps everything in memory.
         listener: told of steps, validations, saves.
         device: where to train, and then to draw: "cpu", "cuda", ...
@@ -81,6 +84,17 @@ def train(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     chosen = options or RunOptions()
+    if isinstance(settings, GaussianConfig):
+        plan = gaussian_plan(
+            scene,
+            settings,
+            folder,
+            preset=chosen.preset,
+            resume=chosen.resume,
+            tensorboard=chosen.tensorboard,
+            note=chosen.note,
+        )
+        return train_gaussians(scene, settings, plan, listener, device, keep=folder is not None)
     config = presets.preset(settings) if isinstance(settings, str) else settings
     name = settings if isinstance(settings, str) else presets.preset_of(config)
     limit = config.grow.limit if config.grow else config.points
@@ -253,8 +267,7 @@ def _made(
             needed=needed,
             note=options.note,
         )
-        in_folder: Train[Trained] = run
-        trained = train_in_folder(plan, in_folder, listener)
+        trained = train_in_folder(plan, run, listener)
         asset = load(record.path, device=device)
         if trained is None:
             return asset

@@ -14,6 +14,7 @@ from tyro.conf import Positional, arg
 from pcore.cli.layout import pair_lines, print_lines, room
 
 if TYPE_CHECKING:
+    from pcore.files.gaussian_file import GaussianSummary
     from pcore.files.model_file import ModelSummary
     from pcore.files.run_record import RunRecord
     from pcore.files.skinning_file import SkinningSummary
@@ -52,15 +53,13 @@ def describe(path: Path) -> Rows:
         CheckpointError: there is neither, or what is there is damaged.
     """
     from pcore.asset.summary import summarize
-    from pcore.files.gaussian_file import GAUSSIANS_FILE
 
     summary = summarize(path)
     rows: Rows = [] if summary.record is None else _run_rows(path, summary.record)
     if summary.saved_step is not None:
         rows.append(("can resume from", f"step {summary.saved_step}"))
-    gaussians = summary.model_file.with_name(GAUSSIANS_FILE)
-    if gaussians.is_file():
-        rows += _gaussian_rows(gaussians)
+    if summary.gaussians is not None:
+        rows += _gaussian_rows(summary.model_file, summary.gaussians)
     elif summary.model is None:
         rows.append(("model", "none saved yet"))
     else:
@@ -101,20 +100,6 @@ def _score_rows(folder: Path) -> Rows:
     ]
 
 
-def _gaussian_rows(path: Path) -> Rows:
-    from pcore.files.gaussian_file import load_gaussians
-    from pcore.files.records import to_dict
-
-    saved = load_gaussians(path)
-    rows: Rows = [
-        ("model", str(path)),
-        ("Gaussians", f"{len(saved.gaussians):,}"),
-        ("degree of the harmonics", str(saved.gaussians.degree)),
-    ]
-    rows += _flat(to_dict(saved.footprint), "footprint.")
-    return rows + _flat(to_dict(saved.provenance), "provenance.")
-
-
 def _model_rows(path: Path, summary: ModelSummary) -> Rows:
     from pcore.files.records import to_dict
 
@@ -127,6 +112,22 @@ def _model_rows(path: Path, summary: ModelSummary) -> Rows:
         ("points", f"{summary.points:,}"),
         ("extent", f"({lower}) to ({upper}), world units"),
         *_flat(to_dict(summary.config), "papr."),
+    ]
+
+
+def _gaussian_rows(path: Path, summary: GaussianSummary) -> Rows:
+    from pcore.files.records import to_dict
+
+    came = summary.provenance
+    lower, upper = (", ".join(f"{x:.3g}" for x in corner) for corner in came.extent)
+    return [
+        ("model", f"{path} ({path.stat().st_size / 1e6:.1f} MB)"),
+        ("made by", f"{came.stage}, {came.step} steps, pcore {came.pcore}"),
+        ("trained on", came.scene),
+        ("Gaussians", f"{summary.count:,}"),
+        ("degree of the harmonics", str(summary.degree)),
+        ("extent", f"({lower}) to ({upper}), world units"),
+        *_flat(to_dict(summary.footprint), "footprint."),
     ]
 
 

@@ -35,6 +35,6 @@ def show_result(console: Console, asset: Asset) -> None:
     # Measured: with aware rays and a light, fine-tuning costs more than it brings
     # (docs/benchmarks/quality.md), so that it is no step on the way.
     console.print(Text(f"next: pcore render {path} --edit edit.json"), soft_wrap=True)
-    if asset.record.stage == "pretrain":
+    if asset.record.stage == "pretrain" and asset.record.config.get("model") != "gaussians":
         text = f"the paper's method, for plain rays: pcore finetune {path}"
         console.print(Text(text), soft_wrap=True)

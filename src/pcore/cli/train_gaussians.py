@@ -23,14 +23,10 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         InputError: an option that Gaussians do not have.
         PcoreError: as `fit_gaussians` and the run folder.
     """
+    from pcore.asset.training import RunOptions, train
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.sessions import shown_training
+    from pcore.cli.sessions import show_result, shown_training
     from pcore.data.load import load_scene
-    from pcore.files.records import to_dict
-    from pcore.files.run_folder import bytes_needed
-    from pcore.files.run_record import RunRecord
-    from pcore.training.gaussian_fit import fit_gaussians
-    from pcore.training.in_folder import FolderPlan, train_in_folder
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -42,35 +38,22 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
             Text("images without alpha have no visual hull: Gaussians start before the cameras"),
             soft_wrap=True,
         )
-    numbers = 11 + 3 * (config.degree + 1) ** 2
     with shown_training(console) as (listener, note):
-        plan = FolderPlan(
-            path=command.output,
-            stage="pretrain",
-            scene=command.scene.resolve(),
-            config={
-                "model": "gaussians",
-                "preset": command.preset,
-                "factor": command.factor,
-                "gaussians": to_dict(config),
-            },
+        options = RunOptions(
             resume=command.resume,
             tensorboard=not command.no_tensorboard,
-            needed=bytes_needed(numbers * max(config.points, config.density.limit)),
+            preset=command.preset,
             note=note,
         )
-        train_in_folder(
-            plan,
-            lambda run, tell: fit_gaussians(
-                scene, config, folder=run, listener=tell, device=device
-            ),
-            listener,
+        asset = train(
+            scene,
+            config,
+            folder=command.output,
+            listener=listener,
+            device=device,
+            options=options,
         )
-    validation = RunRecord.read(command.output).notes.get("validation") or {}
-    psnr = validation.get("psnr")
-    quality = "" if psnr is None else f": {psnr:.2f} dB on held-out training views"
-    for line in (f"{command.output}{quality}", f"next: pcore info {command.output}"):
-        console.print(Text(line), soft_wrap=True)
+    show_result(console, asset)
 
 
 def _config(command: TrainCommand) -> GaussianConfig:

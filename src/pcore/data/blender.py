@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from pcore.data.image_files import ImageHeader, read_header
-from pcore.data.image_paths import Finder, Wanted
+from pcore.data.image_paths import Finder, Wanted, is_file
 from pcore.data.images import AlphaOfSplit, ImageCache, ImageSource, check_factor
 from pcore.data.poses import check_poses
 from pcore.data.scene import Split, SplitsOnDemand, View
@@ -181,7 +181,8 @@ def _mask_beside(image: Path, root: Path) -> Path | None:
         folder / f"{stem}.alpha{image.suffix}",
         *(home / kind / f"{file}.png" for kind in ("masks", "mask") for file in (stem, name)),
     ]
-    return next((path for path in candidates if path.is_file()), None)
+    # An image's name may fit its system, and a longer one beside it not.
+    return next((path for path in candidates if is_file(path)), None)
 
 
 def _check_poses(transforms: Transforms, views: Sequence[View]) -> str:

@@ -76,12 +76,12 @@ class Finder:
         name = _plain(wanted)
         for candidate in (name, *(f"{name}{end}" for end in (".png", ".jpg", ".jpeg"))):
             path = self._inside(wanted, Path(f"{self.root / candidate}"))
-            if path.is_file():
+            if is_file(path):
                 return path
         slashes = name.replace("\\", "/")
         path = self._inside(wanted, self.root / slashes)
         for written in (slashes, slashes.removeprefix("./")):
-            found = path if path.is_file() else self._spelled_otherwise(wanted, written)
+            found = path if is_file(path) else self._spelled_otherwise(wanted, written)
             if found is not None:
                 self.spelled[_difference(name, slashes, found)] += 1
                 return found
@@ -176,6 +176,11 @@ class Finder:
             return ""
         listed = ", ".join(sorted(found)[:3])
         return f". A file of that name is there: {listed}; write it so, relative to the folder"
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; a name that is too long, an error to pathlib, is none."""
+    return os.path.isfile(path)  # noqa: PTH113
 
 
 def _plain(wanted: Wanted) -> str:

@@ -68,3 +68,24 @@ def load_gaussians(path: Path | str) -> SavedGaussians:
     except (KeyError, ValueError, InputError) as error:
         raise CheckpointError(f"{path}: expected Gaussians of pcore, got {error}") from error
     return SavedGaussians(gaussians=gaussians, footprint=footprint, provenance=provenance)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussianSummary:
+    """What such a file says about itself."""
+
+    count: int
+    degree: int
+    footprint: Footprint
+    provenance: Provenance
+
+
+def describe_gaussians(path: Path | str) -> GaussianSummary:
+    """Say what a file of Gaussians, or the one in a folder, holds; raises as `load_gaussians`."""
+    saved = load_gaussians(path)
+    return GaussianSummary(
+        count=len(saved.gaussians),
+        degree=saved.gaussians.degree,
+        footprint=saved.footprint,
+        provenance=saved.provenance,
+    )

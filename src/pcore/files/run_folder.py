@@ -118,11 +118,6 @@ class RunFolder(Closing):
         return self.path / GAUSSIANS_FILE
 
     @property
-    def has_model(self) -> bool:
-        """Whether there is something to draw."""
-        return self.model.is_file() or self.gaussians.is_file()
-
-    @property
     def skinning(self) -> Path:
         """The skinning for users, `skinning.safetensors`; only where one was trained."""
         return self.path / SKINNING_FILE

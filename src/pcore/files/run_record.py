@@ -89,8 +89,8 @@ def finished(path: Path) -> bool:
     """Whether a folder holds a training that came to its end."""
     if not begun(path):
         return False
-    whole = any((path / name).is_file() for name in (MODEL_FILE, GAUSSIANS_FILE))
-    return RunRecord.read(path).notes.get("status") == "finished" and whole
+    drawn = any((path / name).is_file() for name in (MODEL_FILE, GAUSSIANS_FILE))
+    return drawn and RunRecord.read(path).notes.get("status") == "finished"
 
 
 def relative(target: Path, start: Path) -> str:

@@ -14,18 +14,22 @@ from pcore.training.schedule import Schedule
 
 @dataclass(frozen=True, kw_only=True)
 class GaussianRates:
-    """Learning rates of Adam; those of 3D Gaussian Splatting, but for the fading."""
+    """Learning rates of Adam, for trainings of some thousand steps.
+
+    3D Gaussian Splatting takes 5e-3, 1e-3, 5e-2, 2.5e-3, 1.25e-4 for its 30,000. With those, 2,400
+    steps end 2.8 dB lower (mean of two objects of our own, held-out training views).
+    """
 
     means: Schedule = field(default_factory=lambda: Schedule(base=1.6e-4, final=0.01))
     """In distances of the cameras from the scene's centre (the median)."""
-    scales: Schedule = field(default_factory=lambda: Schedule(base=5e-3))
+    scales: Schedule = field(default_factory=lambda: Schedule(base=3e-2))
     """Of the logarithms."""
-    quats: Schedule = field(default_factory=lambda: Schedule(base=1e-3))
+    quats: Schedule = field(default_factory=lambda: Schedule(base=1e-2))
     opacities: Schedule = field(default_factory=lambda: Schedule(base=5e-2))
     """Of the logits."""
-    colors: Schedule = field(default_factory=lambda: Schedule(base=2.5e-3))
+    colors: Schedule = field(default_factory=lambda: Schedule(base=2e-2))
     """Of the harmonics of degree 0."""
-    harmonics: Schedule = field(default_factory=lambda: Schedule(base=1.25e-4))
+    harmonics: Schedule = field(default_factory=lambda: Schedule(base=1e-3))
     """Of the others."""
 
     def named(self) -> dict[str, Schedule]:
@@ -48,7 +52,7 @@ class DensityConfig:
     first: int = 300
     last: float = 0.5
     """Share of the steps after which the number stays."""
-    gradient: float = 2e-4
+    gradient: float = 1e-4
     """Gaussians whose mean gradient of the centre on the screen (per half a picture) is above this
     are doubled: small ones by a copy, large ones by two parts."""
     large: float = 0.01

@@ -22,7 +22,6 @@ from pcore.model.papr_config import PaprConfig
 from pcore.training.events import JsonLinesLog, Listener, TensorBoardLog, fan_out
 
 Result = TypeVar("Result")
-Train = Callable[[RunFolder, Listener], Result]
 
 
 def _ignore(text: str) -> None:
@@ -54,7 +53,9 @@ class FolderPlan:
     note: Callable[[str], None] = _ignore
 
 
-def train_in_folder(plan: FolderPlan, train: Train[Result], listener: Listener) -> Result | None:
+def train_in_folder(
+    plan: FolderPlan, train: Callable[[RunFolder, Listener], Result], listener: Listener
+) -> Result | None:
     """Train in a folder and log all events there; a finished run is left as it is.
 
     Args:
@@ -87,12 +88,17 @@ def train_in_folder(plan: FolderPlan, train: Train[Result], listener: Listener) 
         try:
             return _train(plan, run, train, listener)
         except PcoreError:
-            if fresh and not run.state.exists() and not run.has_model:
+            if fresh and not run.state.exists() and not run.model.exists():
                 _remove_traces(run, whole=made)
             raise
 
 
-def _train(plan: FolderPlan, run: RunFolder, train: Train[Result], listener: Listener) -> Result:
+def _train(
+    plan: FolderPlan,
+    run: RunFolder,
+    train: Callable[[RunFolder, Listener], Result],
+    listener: Listener,
+) -> Result:
     step = run.saved_step()
     resumed = None if step is None else (plan.stage, step)
     if plan.resume:

@@ -19,7 +19,7 @@ from pcore.training.config import (
     Rates,
     SkinningTrainConfig,
 )
-from pcore.training.gaussian_config import DensityConfig, GaussianConfig
+from pcore.training.gaussian_config import DensityConfig, GaussianConfig, GaussianRates
 from pcore.training.schedule import Schedule
 
 _PAPER_RATES = Rates(
@@ -133,7 +133,14 @@ _GAUSSIANS: dict[str, GaussianConfig] = {
     "fast": GaussianConfig(
         steps=15_000,
         points=50_000,
-        density=DensityConfig(every=100, first=500, limit=300_000),
+        # The original's, which has twice as many steps.
+        rates=GaussianRates(
+            scales=Schedule(base=5e-3),
+            quats=Schedule(base=1e-3),
+            colors=Schedule(base=2.5e-3),
+            harmonics=Schedule(base=1.25e-4),
+        ),
+        density=DensityConfig(every=100, first=500, gradient=2e-4, limit=300_000),
         validate_every=2500,
         save_every=2500,
     ),

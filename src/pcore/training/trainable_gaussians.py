@@ -149,17 +149,10 @@ class TrainableGaussians:
     def save(self, folder: RunFolder, scene: str) -> list[str]:
         """Write what users load; return the paths."""
         found = self.result()
-        lower, upper = found.gaussians.means.amin(dim=0), found.gaussians.means.amax(dim=0)
-        provenance = Provenance(
-            scene=scene,
-            stage="pretrain",
-            step=self.step,
-            background=found.background,
-            extent=(_vector(lower), _vector(upper)),
-            pcore=pcore_version(),
-        )
         saved = SavedGaussians(
-            gaussians=found.gaussians, footprint=found.footprint, provenance=provenance
+            gaussians=found.gaussians,
+            footprint=found.footprint,
+            provenance=provenance_of_gaussians(found, scene),
         )
         with write_guard(folder.gaussians):
             save_gaussians(folder.gaussians, saved)
@@ -197,9 +190,8 @@ class TrainableGaussians:
             group["params"] = [self.raw[group["name"]]]
         self.optimizer.load_state_dict(state.optimisers["adam"])
         restore_generators({"draws": self.generator}, state.generators)
-        self.slopes, self.seen = (
-            state.optimisers["density"][name].to(device) for name in ("slopes", "seen")
-        )
+        density = state.optimisers["density"]
+        self.slopes, self.seen = (density[name].to(device) for name in ("slopes", "seen"))
         self.step, self.best = state.step, dict(state.best)
 
 
@@ -233,6 +225,19 @@ def trainable_gaussians(
         backdrop=backdrop,
         slopes=slopes,
         seen=seen,
+    )
+
+
+def provenance_of_gaussians(found: TrainedGaussians, scene: str) -> Provenance:
+    """Describe where trained Gaussians come from, as this version of pcore."""
+    means = found.gaussians.means
+    return Provenance(
+        scene=scene,
+        stage="pretrain",
+        step=found.step,
+        background=found.background,
+        extent=(_vector(means.amin(dim=0)), _vector(means.amax(dim=0))),
+        pcore=pcore_version(),
     )
 
 
