@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tests.asset.test_gaussian_light import dark_asset, lit_asset
+from tests.asset.test_lit_gaussians import dark_asset, lit_asset
 
 from pcore.data.load import load_scene
 from pcore.data.scene import Scene
