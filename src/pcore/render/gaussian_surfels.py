@@ -1,8 +1,9 @@
 """What training photos say about the Gaussians of a trained model: normals and colours.
 
-A trained Gaussian is a flat piece of the surface that it lies on: its normal is its shortest axis,
-turned outwards, and that of the surface which pictures show there, half of each. The weight that a pixel gives a Gaussian is the derivative of
-what is blended there, so that sums over pixels are one backward pass of the renderer.
+A trained Gaussian is a flat piece of the surface that it lies on. Its normal is halfway between its
+shortest axis, turned outwards, and the normal of the surface that pictures show there. The weight
+that a pixel gives a Gaussian is the derivative of what is blended there, so that sums over pixels
+are one backward pass of the renderer.
 """
 
 from __future__ import annotations
