@@ -9,7 +9,7 @@ from typing import Any
 
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
-from pcore.asset.gaussian_training import gaussian_record, train_gaussians
+from pcore.asset.gaussian_training import gaussian_plan, train_gaussians
 from pcore.asset.saving import asset_of, load, neural_points_of
 from pcore.data.scene import Scene, check_images
 from pcore.errors import InputError
@@ -86,8 +86,19 @@ def train(
     """
     chosen = options or RunOptions()
     if isinstance(settings, GaussianConfig):
-        path = None if folder is None else Path(folder)
-        return _made_of_gaussians(scene, settings, path, listener, device, chosen)
+        plan = gaussian_plan(
+            scene,
+            settings,
+            folder,
+            preset=chosen.preset,
+            resume=chosen.resume,
+            tensorboard=chosen.tensorboard,
+            note=chosen.note,
+        )
+        asset, learned = train_gaussians(
+            scene, settings, plan, listener, device, keep=folder is not None
+        )
+        return _lit(asset, scene, chosen) if learned else asset
     config = presets.preset(settings) if isinstance(settings, str) else settings
     name = settings if isinstance(settings, str) else presets.preset_of(config)
     limit = config.grow.limit if config.grow else config.points
@@ -278,32 +289,6 @@ def _made(
     if options.light:
         try:
             return estimate_light(asset, scene, observed=trained.observed)
-        except (InputError, OSError) as error:
-            options.note(f"note: {error}")
-    return asset
-
-
-def _made_of_gaussians(
-    scene: Scene,
-    config: GaussianConfig,
-    folder: Path | None,
-    listener: Listener,
-    device: str,
-    options: RunOptions,
-) -> Asset:
-    plan = FolderPlan(
-        path=folder or Path(),
-        stage="pretrain",
-        scene=scene.name if scene.folder is None else scene.folder.resolve(),
-        config=gaussian_record(config, options.preset, scene.factor),
-        resume=options.resume,
-        tensorboard=options.tensorboard,
-        note=options.note,
-    )
-    asset, trained = train_gaussians(scene, config, folder, listener, device, plan)
-    if trained and options.light:
-        try:
-            return estimate_light(asset, scene)
         except (InputError, OSError) as error:
             options.note(f"note: {error}")
     return asset
