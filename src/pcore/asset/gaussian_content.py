@@ -92,10 +92,6 @@ class GaussianContent:
     @property
     def surfels(self) -> Surfels | None:
         """The pieces of surface that they are at rest; None where nobody has estimated them."""
-        return self._surfels
-
-    @cached_property
-    def _surfels(self) -> Surfels | None:
         if self.normals is None:
             return None
         return Surfels.at_rest(self.points.float(), self.normals, torch.zeros(len(self.normals)))
