@@ -117,18 +117,17 @@ def check_same(found: Learned, usual: Learned, scale: float, shift: float) -> No
     positions, surfels = found.model.cloud.positions, found.model.surfels
     assert surfels is not None
     assert usual.model.surfels is not None
-    close = {"rtol": 0.0, "atol": BAR}
-    assert torch.allclose((positions - shift) / scale, usual.model.cloud.positions, **close)
-    assert torch.allclose(surfels.heights / scale, usual.model.surfels.heights, **close)
-    assert torch.allclose((found.means - shift) / scale, usual.means, **close)
+    assert torch.allclose(
+        (positions - shift) / scale, usual.model.cloud.positions, rtol=0, atol=BAR
+    )
+    assert torch.allclose(surfels.heights / scale, usual.model.surfels.heights, rtol=0, atol=BAR)
+    assert torch.allclose((found.means - shift) / scale, usual.means, rtol=0, atol=BAR)
     assert float((found.rgb - usual.rgb).abs().max()) < 5 * BAR
     assert torch.allclose(found.depth / scale, usual.depth, rtol=0, atol=5 * BAR, equal_nan=True)
 
 
 @pytest.mark.parametrize("scale", SCALES)
-def test_scale(
-    box: Scene, usual: Learned, scale: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scale(box: Scene, usual: Learned, scale: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loop, "_REPORT_EVERY", 1)
     check_same(learn(in_units(box, scale)), usual, scale, 0.0)
 

@@ -137,9 +137,7 @@ def _model_config(config: PretrainConfig, scene: Scene) -> PaprConfig:
     # The original draws pictures of any size as they come, and so do its settings.
     widths = [view.camera.pixel_width(scene.center) for view in scene.split("train")]
     pixel = statistics.median(widths) if config.model.samples > 1 else None
-    model = dataclasses.replace(
-        config.model, background=color, reference=reference, pixel=pixel
-    )
+    model = dataclasses.replace(config.model, background=color, reference=reference, pixel=pixel)
     return model if model.frame is not None else in_frame(model, network_frame(scene))
 
 
