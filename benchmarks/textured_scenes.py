@@ -1,6 +1,6 @@
 """Five objects of our own with paint as fine as a few pixels, and true pictures of their states.
 
-    python benchmarks/textured_scenes.py OUT [--resolution 50] [--only NAME]
+    python benchmarks/textured_scenes.py OUT [--resolution 50] [--views 60] [--only NAME]
 
 Makes OUT/vase, OUT/ring, OUT/knot, OUT/pebble and OUT/figure in the layout of evaluation sets
 (states `twist60`, `bend60`, `stretch`, `scale2x`), ray cast by the renderer of the embedded sample:
@@ -31,7 +31,7 @@ Painted = tuple[Array, Array, Array]
 """Vertices (V, 3), faces (F, 3), colours (V, 3) in [0, 1]."""
 
 _RADIUS = 4.0
-_TRAIN_VIEWS, _TEST_VIEWS = 60, 10
+_TEST_VIEWS = 10
 
 
 def main() -> None:
@@ -41,18 +41,19 @@ def main() -> None:
     )
     parser.add_argument("out", type=Path)
     parser.add_argument("--resolution", type=int, default=50, help="pixels a side")
+    parser.add_argument("--views", type=int, default=60, help="training views")
     parser.add_argument("--only", choices=OBJECTS)
     wish = parser.parse_args()
     for name in [wish.only] if wish.only else OBJECTS:
-        write_scene(wish.out / name, OBJECTS[name](), wish.resolution)
+        write_scene(wish.out / name, OBJECTS[name](), wish.views, wish.resolution)
 
 
-def write_scene(folder: Path, painted: Painted, resolution: int) -> None:
+def write_scene(folder: Path, painted: Painted, count: int, resolution: int) -> None:
     """Write photos, states and meshes of an object, sized to a radius of 1 about the origin."""
     vertices, faces, colors = painted
     center = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     vertices = (vertices - center) / np.linalg.norm(vertices - center, axis=1).max()
-    train = camera_poses(_TRAIN_VIEWS, radius=_RADIUS, highest=0.97, phase=0.0)
+    train = camera_poses(count, radius=_RADIUS, highest=0.97, phase=0.0)
     test = camera_poses(_TEST_VIEWS, radius=_RADIUS, highest=0.93, phase=1.234)
 
     def views(place: Path, split: str, poses: Array, mesh: Array, angle_x: float) -> None:

@@ -126,7 +126,7 @@ def test_several_cameras_and_sizes() -> None:
 def test_what_gaussians_cannot_do_is_said() -> None:
     asset = an_asset()
     assert asset.light is None
-    with pytest.raises(InputError, match="light is baked"):
+    with pytest.raises(InputError, match="estimate it"):
         asset.pose(light="still")
     with pytest.raises(InputError, match="drawn by cameras"):
         asset.trace(None, camera().rays())

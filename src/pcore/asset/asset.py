@@ -98,7 +98,7 @@ class Asset:
 
     @property
     def light(self) -> Relighting | None:
-        """The light of its photos; None where none was estimated, or for kinds without one.
+        """The light of its photos; None where none was estimated.
 
         Raises:
             CheckpointError: its file is damaged or belongs to other points.

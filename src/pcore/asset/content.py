@@ -15,6 +15,7 @@ from pcore.files.provenance import Provenance
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
+from pcore.geometry.surfels import Surfels
 from pcore.relight.relighting import Relighting
 from pcore.render.image import Image
 
@@ -102,7 +103,12 @@ class Content(Protocol[P]):
 
     @property
     def light(self) -> Relighting | None:
-        """The light of its photos; None where none was estimated, and for kinds without one."""
+        """The light of its photos; None where none was estimated."""
+        ...
+
+    @property
+    def surfels(self) -> Surfels | None:
+        """The pieces of surface over its points at rest; None where nobody has estimated them."""
         ...
 
     def pose(self, motion: Motion | None, *, rays: RaysName, light: LightName | None) -> P:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from pcore.asset.content import Color, LightName, Motion, MovedPoints, RaysName, Sampling
+from pcore.data.scene import View
 from pcore.deform.jacobian import analytic_maps
 from pcore.errors import InputError
 from pcore.files.gaussian_file import (
@@ -24,7 +26,13 @@ from pcore.gaussians.render import Footprint, PosedGaussians, pose, render, surf
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
+from pcore.geometry.surfels import Surfels
+from pcore.relight.gaussian_light import fit_gaussian_light, gaussian_gains, lit_of
+from pcore.relight.light_file import LIGHT_FILE, load_light, save_light
+from pcore.relight.relighting import Relighting
+from pcore.render.gaussian_surfels import observe_gaussians
 from pcore.render.image import Image
+from pcore.render.surfel_fit import Progress
 
 _TRACE = 1e-6
 """Less opacity than this shows nothing that could have a depth."""
@@ -51,11 +59,16 @@ class GaussianContent:
         gaussians: on the device that does the work.
         footprint: as they were trained.
         background: of their pictures.
+        normals: (N, 3) of the pieces of surface that they are, unit, outwards, on the CPU; zero
+            where that is not known; None where nobody has estimated them.
+        read_light: gives the light of the photos; None where none was estimated.
     """
 
     gaussians: Gaussians
     footprint: Footprint
     background: Color
+    normals: Tensor | None = None
+    read_light: Callable[[], Relighting] | None = None
 
     @property
     def points(self) -> Tensor:
@@ -68,19 +81,29 @@ class GaussianContent:
         return 1
 
     @property
-    def light(self) -> None:
-        """See `Content.light`; baked into the colours."""
-        return
+    def light(self) -> Relighting | None:
+        """The light of the photos, read when it is first needed.
+
+        Raises:
+            CheckpointError: its file is damaged or belongs to other Gaussians.
+        """
+        return None if self.read_light is None else self.read_light()
+
+    @cached_property
+    def surfels(self) -> Surfels | None:
+        """The pieces of surface that they are at rest; None where nobody has estimated them."""
+        if self.normals is None:
+            return None
+        return Surfels.at_rest(self.points.float(), self.normals, torch.zeros(len(self.normals)))
 
     def pose(
         self, motion: Motion | None, *, rays: RaysName, light: LightName | None
     ) -> MovedGaussians:
-        """See `Content.pose`; "plain" moves the means alone and leaves every shape as it is."""
-        if light == "still":
-            raise InputError(
-                "light: expected an object whose light was estimated, got Gaussians, whose light "
-                "is baked into their colours; leave it so (--light baked)"
-            )
+        """See `Content.pose`; "plain" moves the means alone and leaves every shape as it is.
+
+        The light stands still where there is one and shapes are carried along.
+        """
+        relighting = self._relighting(rays, light)
         if motion is None:
             return MovedGaussians(drawn=PosedGaussians(gaussians=self.gaussians))
         if isinstance(motion, MovedPoints):
@@ -89,13 +112,28 @@ class GaussianContent:
             exact = self.points.double()
             positions = motion(exact)
             maps = analytic_maps(motion, self.points) if rays == "aware" else None
+        gains = None
+        if maps is not None and relighting is not None and self.surfels is not None:
+            world = motion.world if isinstance(motion, MovedPoints) else 1.0
+            gains = gaussian_gains(relighting, self.surfels, positions, maps, world=world)
         device = self.gaussians.means.device
         positions = positions.to(self.gaussians.means)
         if maps is None or rays == "plain":
             moved = replace(self.gaussians, means=positions)
             return MovedGaussians(drawn=PosedGaussians(gaussians=moved))
-        linear = torch.linalg.inv(maps.to_rest.double()).to(positions)
-        return MovedGaussians(drawn=pose(self.gaussians, positions, linear.to(device)), maps=maps)
+        linear = torch.linalg.inv(maps.to_rest.double()).to(positions).to(device)
+        factors = None if gains is None else gains.to(positions).unsqueeze(1)
+        return MovedGaussians(drawn=pose(self.gaussians, positions, linear, factors), maps=maps)
+
+    def _relighting(self, rays: RaysName, light: LightName | None) -> Relighting | None:
+        if light == "baked" or (light is None and rays == "plain"):
+            return None
+        if light == "still" and self.read_light is None:
+            raise InputError(
+                f"light: expected a {LIGHT_FILE} in the folder of the run, found none; estimate it "
+                "with `pcore light RUN`, or let it be baked in (--light baked)"
+            )
+        return self.light
 
     def points_of(self, posed: MovedGaussians) -> Tensor:
         """See `Content.points_of`."""
@@ -140,11 +178,35 @@ class GaussianContent:
 
     def save(self, folder: Path, provenance: Provenance) -> None:
         """See `Content.save`."""
-        plain = self.gaussians.detached().to("cpu")
-        save_gaussians(
-            folder / GAUSSIANS_FILE,
-            SavedGaussians(gaussians=plain, footprint=self.footprint, provenance=provenance),
+        self.save_gaussians(folder, provenance)
+        if self.light is not None:
+            save_light(folder / LIGHT_FILE, self.light)
+
+    def save_gaussians(self, folder: Path, provenance: Provenance) -> None:
+        """Write the file of Gaussians alone, with their normals."""
+        saved = SavedGaussians(
+            gaussians=self.gaussians.detached().to("cpu"),
+            footprint=self.footprint,
+            provenance=provenance,
+            normals=self.normals,
         )
+        save_gaussians(folder / GAUSSIANS_FILE, saved)
+
+    def with_light(
+        self, views: Sequence[View], *, progress: Progress | None = None
+    ) -> GaussianContent:
+        """Return the same with normals and the light of photos.
+
+        Args:
+            views: that they were trained on.
+            progress: told (views seen, views in all).
+
+        Raises:
+            InputError: too few Gaussians are pieces of a surface.
+        """
+        observed = observe_gaussians(self.gaussians, self.footprint, views, progress=progress)
+        light = fit_gaussian_light(observed, self.points)
+        return replace(self, normals=observed.normals, read_light=lambda: light)
 
 
 def read_gaussians(path: Path, device: str) -> tuple[GaussianContent, Provenance]:
@@ -158,9 +220,19 @@ def read_gaussians(path: Path, device: str) -> tuple[GaussianContent, Provenance
         CheckpointError: no Gaussians there, or they are damaged.
     """
     saved = load_gaussians(path)
+    normals, light = saved.normals, path / LIGHT_FILE
+    means = saved.gaussians.means
+
+    @cache
+    def read_light() -> Relighting:
+        assert normals is not None
+        return load_light(light, means[lit_of(normals)])
+
     content = GaussianContent(
         gaussians=saved.gaussians.to(device),
         footprint=saved.footprint,
         background=saved.provenance.background,
+        normals=normals,
+        read_light=read_light if normals is not None and light.is_file() else None,
     )
     return content, saved.provenance

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 from pcore.asset.asset import Asset
@@ -23,23 +23,56 @@ _NUMBERS = 11
 """Of a Gaussian besides its harmonics."""
 
 
+def gaussian_plan(
+    scene: Scene,
+    config: GaussianConfig,
+    folder: Path | str | None,
+    *,
+    preset: str | None,
+    resume: bool,
+    tensorboard: bool,
+    note: Callable[[str], None],
+) -> FolderPlan:
+    """What a training of Gaussians in a folder is, beside the training itself."""
+    most = max(config.points, config.density.limit)
+    return FolderPlan(
+        path=Path(folder or ""),
+        stage="pretrain",
+        scene=scene.name if scene.folder is None else scene.folder.resolve(),
+        config={
+            "model": "gaussians",
+            "preset": preset,
+            "factor": scene.factor,
+            "gaussians": to_dict(config),
+        },
+        resume=resume,
+        tensorboard=tensorboard,
+        needed=bytes_needed((_NUMBERS + 3 * (config.degree + 1) ** 2) * most),
+        note=note,
+    )
+
+
 def train_gaussians(
     scene: Scene,
     config: GaussianConfig,
-    folder: Path | None,
+    plan: FolderPlan,
     listener: Listener,
     device: str,
-    plan: FolderPlan,
-) -> Asset:
+    *,
+    keep: bool,
+) -> tuple[Asset, bool]:
     """Learn Gaussians from the training views of a scene.
 
     Args:
         scene: its `train` split is used, nothing else.
         config: numbers, rates, schedule.
-        folder: for the run; None keeps everything in memory.
+        plan: the run folder and its record.
         listener: told of all events.
         device: where to train, and then to draw.
-        plan: the run folder, but for what is written down about it; see `FolderPlan`.
+        keep: write the folder; else everything stays in memory.
+
+    Returns:
+        The object, and whether anything was learned: a finished run is left as it is.
 
     Raises:
         InputError: the folder is in use, or no silhouettes for a visual hull.
@@ -47,28 +80,16 @@ def train_gaussians(
         DependencyError: on a GPU without gsplat.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
-    if folder is None:
+    if not keep:
         found = fit_gaussians(scene, config, listener=listener, device=device)
         record = RunRecord(stage="pretrain", scene=str(plan.scene), config=plan.config)
-        return _asset(found, provenance_of_gaussians(found, scene.name), record, device)
-    numbers = _NUMBERS + 3 * (config.degree + 1) ** 2
-    most = max(config.points, config.density.limit)
-    train_in_folder(
-        replace(plan, needed=bytes_needed(numbers * most)),
+        return _asset(found, provenance_of_gaussians(found, scene.name), record, device), True
+    learned = train_in_folder(
+        plan,
         lambda run, tell: fit_gaussians(scene, config, folder=run, listener=tell, device=device),
         listener,
     )
-    return load(folder, device=device)
-
-
-def gaussian_record(config: GaussianConfig, preset: str | None, factor: int) -> dict[str, object]:
-    """All that decides the result, as JSON values."""
-    return {
-        "model": "gaussians",
-        "preset": preset,
-        "factor": factor,
-        "gaussians": to_dict(config),
-    }
+    return load(plan.path, device=device), learned is not None
 
 
 def _asset(

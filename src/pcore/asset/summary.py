@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pcore.asset.saving import load, neural_points_of
+from pcore.asset.saving import load
 from pcore.errors import CheckpointError
 from pcore.files.gaussian_file import GAUSSIANS_FILE, GaussianSummary, describe_gaussians
 from pcore.files.model_file import MODEL_FILE, ModelSummary, describe_model
@@ -65,7 +65,7 @@ def summarize(path: Path | str) -> AssetSummary:
         model=describe_model(model) if model.exists() else None,
         gaussians=describe_gaussians(made) if made.exists() else None,
         skinning=describe_skinning(weights) if weights.exists() else None,
-        light=_light_of(path) if model.exists() else None,
+        light=_light_of(path) if model.exists() or made.exists() else None,
     )
 
 
@@ -74,7 +74,7 @@ def _light_of(folder: Path) -> str | None:
         return None
     try:
         asset = load(folder)
-        light, surfels = asset.light, neural_points_of(asset, "light").surfels
+        light, surfels = asset.light, asset.content.surfels
     except CheckpointError as error:
         return f"cannot be used: {error}"
     if light is None or surfels is None:

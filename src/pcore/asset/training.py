@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pcore.asset.asset import Asset
-from pcore.asset.gaussian_training import gaussian_record, train_gaussians
+from pcore.asset.gaussian_content import GaussianContent
+from pcore.asset.gaussian_training import gaussian_plan, train_gaussians
 from pcore.asset.saving import asset_of, load, neural_points_of
 from pcore.data.scene import Scene, check_images
 from pcore.errors import InputError
@@ -71,7 +72,7 @@ def train(
     Args:
         scene: its `train` split is used, nothing else; every `hold_out`-th view only validates.
         settings: architecture and schedule, or the name of a preset; a `GaussianConfig` makes an
-            object of Gaussians, whose light stays in their colours.
+            object of Gaussians.
         folder: new or empty folder for the run; None keeps everything in memory.
         listener: told of steps, validations, saves.
         device: where to train, and then to draw: "cpu", "cuda", ...
@@ -85,8 +86,19 @@ def train(
     """
     chosen = options or RunOptions()
     if isinstance(settings, GaussianConfig):
-        path = None if folder is None else Path(folder)
-        return _made_of_gaussians(scene, settings, path, listener, device, chosen)
+        plan = gaussian_plan(
+            scene,
+            settings,
+            folder,
+            preset=chosen.preset,
+            resume=chosen.resume,
+            tensorboard=chosen.tensorboard,
+            note=chosen.note,
+        )
+        asset, learned = train_gaussians(
+            scene, settings, plan, listener, device, keep=folder is not None
+        )
+        return _lit(asset, scene, chosen) if learned else asset
     config = presets.preset(settings) if isinstance(settings, str) else settings
     name = settings if isinstance(settings, str) else presets.preset_of(config)
     limit = config.grow.limit if config.grow else config.points
@@ -194,7 +206,7 @@ def estimate_light(
     """Estimate the light of an object's photos; written beside it where it has a folder.
 
     Where nobody has estimated the surface over its points, as in an imported run, that is done as
-    well, and kept in the model file.
+    well, and kept in the model file. The normals of Gaussians are estimated with it, every time.
 
         asset = estimate_light(asset, asset.scene())
 
@@ -205,13 +217,15 @@ def estimate_light(
         progress: told (views seen, views in all).
 
     Raises:
-        InputError: too few points have a normal that the views agree on, or an object of a kind
-            that has no light.
+        InputError: too few points have a normal that the views agree on.
         SceneError: an image is damaged.
         OSError: the file cannot be written.
     """
-    content, views = neural_points_of(asset, "light"), scene.split("train")
+    views = scene.split("train")
     check_images(views)
+    if isinstance(asset.content, GaussianContent):
+        return _lit_gaussians(asset, asset.content.with_light(views, progress=progress))
+    content = neural_points_of(asset, "light")
     if observed is None:
         observed = observe(content.papr, content.cloud, views, progress=progress)
     if content.surfels is None:
@@ -224,6 +238,15 @@ def estimate_light(
     if asset.record.path is not None:
         save_light(asset.path / LIGHT_FILE, light)
     return replace(asset, content=replace(content, read_light=lambda: light))
+
+
+def _lit_gaussians(asset: Asset, content: GaussianContent) -> Asset:
+    """Keep normals and light of Gaussians, beside the run where there is one."""
+    if asset.record.path is not None:
+        content.save_gaussians(asset.path, asset.provenance)
+        if content.light is not None:
+            save_light(asset.path / LIGHT_FILE, content.light)
+    return replace(asset, content=content)
 
 
 def _base_of(asset: Asset, folder: Path | None) -> dict[str, str]:
@@ -269,26 +292,6 @@ def _made(
         except (InputError, OSError) as error:
             options.note(f"note: {error}")
     return asset
-
-
-def _made_of_gaussians(
-    scene: Scene,
-    config: GaussianConfig,
-    folder: Path | None,
-    listener: Listener,
-    device: str,
-    options: RunOptions,
-) -> Asset:
-    plan = FolderPlan(
-        path=folder or Path(),
-        stage="pretrain",
-        scene=scene.name if scene.folder is None else scene.folder.resolve(),
-        config=gaussian_record(config, options.preset, scene.factor),
-        resume=options.resume,
-        tensorboard=options.tensorboard,
-        note=options.note,
-    )
-    return train_gaussians(scene, config, folder, listener, device, plan)
 
 
 def _in_memory(trained: Trained, scene: Scene, record: RunRecord, place: str) -> Asset:

@@ -28,8 +28,9 @@ class LightCommand:
 
     From then on `pcore render`, `pcore animate` and `pcore eval` light deformed points anew (not
     with `--light baked`). Where the model does not know the surface over its points, as after
-    `pcore import papr`, that is estimated as well and kept in the model file. `pcore train` and
-    `pcore finetune` do all this at their end.
+    `pcore import papr`, that is estimated as well and kept in the model file; Gaussians get the
+    normals of the surface that they are pieces of. `pcore train` and `pcore finetune` do all this
+    at their end.
     """
 
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
@@ -71,7 +72,7 @@ def estimate(asset: Asset, scene: Scene, console: Console) -> None:
     from pcore.cli.results import counting
     from pcore.files.model_file import MODEL_FILE, describe_model
 
-    known = describe_model(asset.path).surfels
+    known = not (asset.path / MODEL_FILE).is_file() or describe_model(asset.path).surfels
     try:
         with counting(console, "light: views") as tell:
             made = estimate_light(asset, scene, progress=tell)
@@ -85,11 +86,10 @@ def estimate(asset: Asset, scene: Scene, console: Console) -> None:
 
 def show_light(asset: Asset, console: Console) -> None:
     """Say what the light of a run is, where one was estimated."""
-    from pcore.asset.saving import neural_points_of
     from pcore.relight.description import describe_light
     from pcore.relight.light_file import LIGHT_FILE
 
-    light, surfels = asset.light, neural_points_of(asset, "light").surfels
+    light, surfels = asset.light, asset.content.surfels
     if light is not None and surfels is not None:
         text = f"{asset.path / LIGHT_FILE}: {describe_light(light, surfels)}"
         console.print(Text(text), soft_wrap=True)

@@ -24,9 +24,11 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         PcoreError: as `fit_gaussians` and the run folder.
     """
     from pcore.asset.training import RunOptions, train
+    from pcore.cli.light import show_light
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result, shown_training
     from pcore.data.load import load_scene
+    from pcore.files.run_record import finished
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -38,6 +40,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
             Text("images without alpha have no visual hull: Gaussians start before the cameras"),
             soft_wrap=True,
         )
+    done = command.resume and finished(command.output)
     with shown_training(console) as (listener, note):
         options = RunOptions(
             resume=command.resume,
@@ -53,6 +56,8 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
             device=device,
             options=options,
         )
+    if not done:
+        show_light(asset, console)
     show_result(console, asset)
 
 

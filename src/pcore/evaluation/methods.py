@@ -9,13 +9,14 @@ from torch import Tensor
 
 from pcore.asset.asset import WHITE, Asset
 from pcore.asset.content import LightName, RaysName
+from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.saving import load
 from pcore.data.scene import Scene
 from pcore.errors import CheckpointError
 from pcore.evaluation.runner import Method
 from pcore.geometry.visibility import seen_by
 
-UNTUNED = "PAPR"
+UNTUNED, GAUSSIANS = "PAPR", "Gaussians"
 _LABELS = {"finetune": "P-CORE"}
 _WAYS: tuple[tuple[RaysName, LightName], ...] = (
     ("plain", "baked"),
@@ -54,7 +55,9 @@ def baseline_of(asset: Asset, given: Path | None, *, device: str = "cpu") -> Ass
 
 
 def label_of(asset: Asset) -> str:
-    """What made it, in tables: `PAPR`, or `P-CORE` after fine-tuning."""
+    """What made it, in tables: `Gaussians`; `PAPR`, or `P-CORE` after fine-tuning."""
+    if isinstance(asset.content, GaussianContent):
+        return GAUSSIANS
     return _LABELS.get(asset.provenance.stage, UNTUNED)
 
 
@@ -119,5 +122,9 @@ def methods_of(
 def _name(label: str, rays: RaysName, light: LightName) -> str:
     if rays == "plain":
         return label
-    name = "aware" if label == UNTUNED else f"aware + {label}"
+    if label == GAUSSIANS:
+        # Shapes are carried by the affine map around each mean.
+        name = "Gaussians affine"
+    else:
+        name = "aware" if label == UNTUNED else f"aware + {label}"
     return f"{name} + light" if light == "still" else name

@@ -6,18 +6,22 @@ import json
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+from torch import Tensor
+
 from pcore.errors import CheckpointError, InputError
 from pcore.files.headers import Companion
 from pcore.files.provenance import Provenance
 from pcore.files.records import from_dict, to_dict
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint
+from pcore.geometry.surfels import of_unit_length
 
 _FILE = Companion(
     noun="gaussians", version="1", mend="train them with `pcore train SCENE --model gaussians`"
 )
 GAUSSIANS_FILE = _FILE.name
 _TENSORS = tuple(field.name for field in fields(Gaussians))
+_NORMALS = "normals"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,11 +32,14 @@ class SavedGaussians:
         gaussians: at rest, world units.
         footprint: how they were trained to meet pixels.
         provenance: where they come from.
+        normals: (N, 3) of the pieces of surface that they are, unit, outwards; zero where that is
+            not known; None where nobody has estimated them.
     """
 
     gaussians: Gaussians
     footprint: Footprint
     provenance: Provenance
+    normals: Tensor | None = None
 
 
 def save_gaussians(path: Path, saved: SavedGaussians) -> None:
@@ -41,9 +48,10 @@ def save_gaussians(path: Path, saved: SavedGaussians) -> None:
     Raises:
         OSError: the file cannot be written; the old one is untouched.
     """
+    normals = {} if saved.normals is None else {_NORMALS: saved.normals}
     _FILE.write(
         path,
-        {name: getattr(saved.gaussians, name) for name in _TENSORS},
+        {name: getattr(saved.gaussians, name) for name in _TENSORS} | normals,
         footprint=json.dumps(to_dict(saved.footprint)),
         provenance=json.dumps(to_dict(saved.provenance)),
     )
@@ -67,7 +75,28 @@ def load_gaussians(path: Path | str) -> SavedGaussians:
         )
     except (KeyError, ValueError, InputError) as error:
         raise CheckpointError(f"{path}: expected Gaussians of pcore, got {error}") from error
-    return SavedGaussians(gaussians=gaussians, footprint=footprint, provenance=provenance)
+    return SavedGaussians(
+        gaussians=gaussians,
+        footprint=footprint,
+        provenance=provenance,
+        normals=_checked(path, tensors.get(_NORMALS), len(gaussians)),
+    )
+
+
+def _checked(path: Path, normals: Tensor | None, count: int) -> Tensor | None:
+    """Return normals of so many Gaussians; CheckpointError where they cannot be that."""
+    if normals is None:
+        return None
+    if tuple(normals.shape) != (count, 3):
+        raise CheckpointError(
+            f"{path}: expected normals ({count}, 3), got {tuple(normals.shape)}; {_FILE.mend}"
+        )
+    unknown = (normals == 0).all(dim=-1)
+    if not bool((unknown | of_unit_length(normals)).all()):
+        raise CheckpointError(
+            f"{path}: expected normals of unit length, or zero where not known; {_FILE.mend}"
+        )
+    return normals
 
 
 @dataclass(frozen=True, kw_only=True)

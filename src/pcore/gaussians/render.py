@@ -18,7 +18,7 @@ from pcore.gaussians.carry import carried_covariances, polar
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.spherical_harmonics import colors, rotated
 from pcore.geometry.camera import Camera
-from pcore.kernels.gaussian_rasterization import rasterization
+from pcore.kernels.gaussian_rasterization import RasterizeMode, rasterization
 
 PIXEL = 1 / 12
 """Variance of a pixel, pixels squared."""
@@ -183,7 +183,7 @@ def render_views(
         *size,
         near_plane=near,
         eps2d=footprint.variance,
-        rasterize_mode="antialiased" if footprint.antialiased else "classic",
+        rasterize_mode=_mode(footprint),
         backgrounds=background.to(gaussians.means).expand(len(viewmats), 3),
         render_mode="RGB+ED",
         covars=posed.covariances,
@@ -191,6 +191,47 @@ def render_views(
     return GaussianPictures(
         rgb=image[..., :3], alpha=alpha[..., 0], depth=image[..., 3], means2d=meta["means2d"]
     )
+
+
+def blended(
+    gaussians: Gaussians, values: Tensor, camera: Camera, *, footprint: Footprint
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Blend any values of Gaussians at rest as their colours are blended, over zeros.
+
+    Linear in the values: its gradient to them sums pixels by the weights of the blending.
+
+    Args:
+        gaussians: N of them.
+        values: (N, D).
+        camera: who looks.
+        footprint: as the Gaussians were trained.
+
+    Returns:
+        Values (H, W, D), opacity (H, W) and expected camera z (H, W), world units; 0 where nothing
+        is.
+    """
+    viewmats, intrinsics = view_matrices([camera], gaussians.means)
+    distances = (gaussians.means.detach() - camera.center.to(gaussians.means)).norm(dim=-1)
+    image, alpha, _ = rasterization(
+        gaussians.means,
+        gaussians.quats,
+        gaussians.scales,
+        gaussians.opacities,
+        values,
+        viewmats,
+        intrinsics,
+        camera.width,
+        camera.height,
+        near_plane=_NEAR * float(distances.mean()),
+        eps2d=footprint.variance,
+        rasterize_mode=_mode(footprint),
+        render_mode="RGB+ED",
+    )
+    return image[0, ..., :-1], alpha[0, ..., 0], image[0, ..., -1]
+
+
+def _mode(footprint: Footprint) -> RasterizeMode:
+    return "antialiased" if footprint.antialiased else "classic"
 
 
 def view_matrices(cameras: Sequence[Camera], like: Tensor) -> tuple[Tensor, Tensor]:

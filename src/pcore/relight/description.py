@@ -16,7 +16,7 @@ def describe_light(relighting: Relighting, surfels: Surfels) -> str:
     x, y, z = (float(one) for one in light.directions[int(falling.argmax())])
     ratio = float(falling.max() / falling.min().clamp_min(1e-3 * falling.max()))
     known = float(surfels.known.to(torch.float32).mean())
-    shown = relighting.positions[surfels.known]
+    shown = surfels.places[surfels.known]
     size = float((shown.amax(dim=0) - shown.amin(dim=0)).norm()) if len(shown) else 0.0
     nearness = size * light.mean_nearness
     height = float(surfels.heights.median())

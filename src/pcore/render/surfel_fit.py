@@ -102,7 +102,7 @@ def observe(
     cloud = cloud.detached().to(device)
     posed = PosedCloud.at_rest(cloud)
     sums = torch.zeros(len(cloud), 7)
-    kept = {len(views) * step // _MOST_VIEWS for step in range(_MOST_VIEWS)}
+    kept = compared(len(views))
     shown: list[Shown] = []
     for number, view in enumerate(views, start=1):
         seen = _look(papr, posed, view, sums)
@@ -121,6 +121,11 @@ def observe(
     colors = torch.where(known[:, None] & ~there.isnan(), there, around)
     heights = torch.full_like(attention, lift)
     return Observed(normals=normal, colors=colors, attention=attention, heights=heights)
+
+
+def compared(count: int) -> set[int]:
+    """Numbers of the views, of so many, that are compared with one another."""
+    return {count * step // _MOST_VIEWS for step in range(_MOST_VIEWS)}
 
 
 def height_of(points: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: float) -> float:
@@ -212,25 +217,44 @@ def _colors(places: Tensor, normals: Tensor, shown: Shown, close: float) -> Tens
 
 def _look(papr: Papr, posed: PosedCloud, view: View, sums: Tensor) -> Shown:
     """Add normal, colour and 1 of every pixel to its points, by the weights of their attention."""
-    largest = max(view.camera.width, view.camera.height)
-    stride = math.ceil(largest / _LARGEST_SIDE)
-    camera = view.camera.resized(view.camera.width // stride, view.camera.height // stride)
-    rgba = _shrunk(view.rgba(), camera.height, camera.width)
+    camera, rgba = small(view)
     rays, shape = camera.rays().flat(), (camera.height, camera.width)
     parts = [_met(papr, posed, rays[part]) for part in torch.arange(len(rays.origins)).split(8192)]
     columns = [torch.cat(each).reshape(*shape, -1) for each in zip(*parts, strict=True)]
     alpha, surface, weights, points = columns[0][..., 0], columns[1], columns[2], columns[3]
     image = Image(rgb=rgba[..., :3], alpha=alpha, depth=camera.depth(surface), surface=surface)
-    normal = normals(image, camera)
-    solid = alpha > _SOLID
-    if view.has_alpha:
+    seen, shown = told(image, camera, rgba, masked=view.has_alpha)
+    used = seen[..., 6] > 0
+    share = weights[used].unsqueeze(-1) * seen[used].unsqueeze(1)
+    sums.index_add_(0, points[used].flatten(), share.flatten(0, 1))
+    return shown
+
+
+def small(view: View) -> tuple[Camera, Tensor]:
+    """Camera and straight colours (H, W, 4) of a view with at most 200 pixels a side."""
+    largest = max(view.camera.width, view.camera.height)
+    stride = math.ceil(largest / _LARGEST_SIDE)
+    camera = view.camera.resized(view.camera.width // stride, view.camera.height // stride)
+    return camera, _shrunk(view.rgba(), camera.height, camera.width)
+
+
+def told(image: Image, camera: Camera, rgba: Tensor, *, masked: bool) -> tuple[Tensor, Shown]:
+    """What the pixels of a photo say: normal, colour and 1 (H, W, 7), zeros where nothing.
+
+    Args:
+        image: what the model shows there.
+        camera: of both.
+        rgba: (H, W, 4) the photo.
+        masked: whether the photo knows what is solid.
+    """
+    normal, solid = normals(image, camera), image.alpha > _SOLID
+    if masked:
         solid &= rgba[..., 3] > _SOLID
     used = ~normal.isnan().any(dim=-1) & solid
-    seen = torch.cat([normal, rgba[..., :3], torch.ones(*shape, 1)], dim=-1)[used]
-    share = weights[used].unsqueeze(-1) * seen.unsqueeze(1)
-    sums.index_add_(0, points[used].flatten(), share.flatten(0, 1))
+    one = torch.ones(*solid.shape, 1)
+    seen = torch.cat([normal, rgba[..., :3], one], dim=-1).where(used.unsqueeze(-1), 0.0)
     depth = image.depth.masked_fill(~solid, math.nan)
-    return Shown(camera=camera, rgb=rgba[..., :3], depth=depth)
+    return seen, Shown(camera=camera, rgb=rgba[..., :3], depth=depth)
 
 
 def _met(papr: Papr, posed: PosedCloud, rays: RayBundle) -> tuple[Tensor, Tensor, Tensor, Tensor]:

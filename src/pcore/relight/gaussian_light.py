@@ -1,0 +1,115 @@
+"""How the light on Gaussians changes when an edit moves them.
+
+Light is computed for those that are pieces of the surface, and handed on to the others, by the mean
+of the logarithm over neighbours that face the same way.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pcore.geometry.local_maps import LocalMaps
+from pcore.geometry.neighbours import nearest
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
+from pcore.geometry.surfels import Surfels, known_normals
+from pcore.relight.estimate import fit_light
+from pcore.relight.relighting import Relighting
+from pcore.render.surfel_fit import Observed
+
+_MOST = 20_000
+"""Pieces of surface that light is computed for, at most; evenly among all."""
+_BESIDE = 16
+"""Neighbours that hand their light on."""
+_LIKE = 0.5
+"""Least cosine between the normals of two that are lit alike."""
+
+
+def lit_of(normals: Tensor) -> Tensor:
+    """Indices (K,) of the Gaussians that light is computed for, given normals (N, 3)."""
+    known = known_normals(normals).nonzero()[:, 0]
+    if len(known) <= _MOST:
+        return known
+    return known[torch.linspace(0, len(known) - 1, _MOST, dtype=torch.float64).long()]
+
+
+def fit_gaussian_light(observed: Observed, means: Tensor) -> Relighting:
+    """Estimate the light of the photos of Gaussians.
+
+    Args:
+        observed: what photos say about N of them (`pcore.render.gaussian_surfels`).
+        means: (N, 3) world units.
+
+    Returns:
+        The light on the Gaussians of `lit_of`.
+
+    Raises:
+        InputError: too few of them are pieces of a surface.
+    """
+    lit = lit_of(observed.normals)
+    part = Observed(
+        normals=observed.normals[lit],
+        colors=observed.colors[lit],
+        attention=observed.attention[lit],
+        heights=observed.heights[lit],
+    )
+    return fit_light(part, means.detach().cpu().float()[lit])
+
+
+@torch.no_grad()
+def gaussian_gains(
+    relighting: Relighting,
+    surfels: Surfels,
+    positions: Tensor,
+    local_maps: LocalMaps,
+    *,
+    world: float = 1.0,
+) -> Tensor:
+    """Find by which factor the light on Gaussians has changed, while it stands still.
+
+    Args:
+        relighting: from `fit_gaussian_light`.
+        surfels: pieces of surface at rest of all N.
+        positions: (N, 3) where the means are now, finite, world units.
+        local_maps: how space moved around them.
+        world: factor by which the lamps are scaled about the origin meanwhile.
+
+    Returns:
+        Bounded factors (N,) on the brightness that photos stored, float32 on the CPU.
+
+    Raises:
+        InputError: as `Relighting.gains`.
+    """
+    lit = lit_of(surfels.normals)
+    rest, moved = surfels.places[lit], positions.detach().cpu().float()[lit]
+    over = Surfels.at_rest(rest, surfels.normals[lit], surfels.heights[lit])
+    maps = LocalMaps(to_rest=local_maps.to_rest.detach().cpu().float()[lit])
+    cloud = PointCloud(
+        positions=rest, features=rest.new_zeros(len(lit), 0), influence=rest.new_zeros(len(lit))
+    )
+    posed = PosedCloud(
+        cloud=cloud, positions=moved, local_maps=maps, surfels=over.moved(moved, maps)
+    )
+    found = relighting.gains(posed, world=world)
+    return _handed_on(found, lit, surfels)
+
+
+def _handed_on(found: Tensor, lit: Tensor, surfels: Surfels) -> Tensor:
+    """Factors (N,) of all, given those (K,) of the lit ones."""
+    gains = torch.ones(len(surfels))
+    gains[lit] = found
+    others = torch.ones(len(surfels), dtype=torch.bool)
+    others[lit] = False
+    rows = others.nonzero()[:, 0]
+    if len(rows) == 0 or len(lit) == 0:
+        return gains
+    places, normals = surfels.places, surfels.normals
+    beside, _ = nearest(places[lit], places[rows], min(_BESIDE, len(lit)))
+    alike = (normals[lit][beside] * normals[rows].unsqueeze(1)).sum(dim=-1) > _LIKE
+    alike |= ~known_normals(normals[rows]).unsqueeze(1)
+    # Where no neighbour faces the same way, all of them count.
+    alike |= ~alike.any(dim=1, keepdim=True)
+    logs = found.log()[beside] * alike
+    gains[rows] = (logs.sum(dim=1) / alike.sum(dim=1)).exp()
+    return gains
