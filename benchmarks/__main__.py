@@ -1,7 +1,7 @@
 """`python -m benchmarks speed [--out FILE] [--gate]` and `python -m benchmarks gpu DATA`.
 
 `gpu` takes only packages that an image with PyTorch for a GPU has, and pydantic: see
-docs/benchmarks/speed.md for how to bring that along.
+docs/research/speed.md for how to bring that along.
 """
 
 from __future__ import annotations

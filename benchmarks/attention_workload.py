@@ -12,6 +12,8 @@ from benchmarks import dense, scenes
 from benchmarks.measure import in_turns
 from benchmarks.metrics import Metric
 from benchmarks.plan import Plan
+from pcore.geometry.posed import PosedCloud
+from pcore.render.trace import trace
 from pcore.training.presets import preset
 
 AT_ONCE = 64 * 64 * 30_000
@@ -59,7 +61,7 @@ def _calls(size: Size, plan: Plan) -> Iterator[tuple[str, dict[str, Callable[[],
     leaves = [cloud.positions, cloud.features, cloud.influence, *papr.attention.parameters()]
 
     def ours() -> Tensor:
-        found = papr.attend(cloud, rays)[0]
+        found = trace(papr, PosedCloud.at_rest(cloud), rays, stop_encoding=True)
         return found.features.square().mean() + found.background.mean()
 
     def other(pairs: int) -> Tensor:

@@ -42,8 +42,8 @@ def measure(asset: pcore.Asset, state: State, rounds: int) -> dict[str, float]:
     """Medians over test cameras of a state; ratios are those of pictures drawn in turn."""
     moved = state.move(asset.points)
     start = time.process_time()
-    maps = state.frames(asset.points, moved)
-    edits = {"frames": time.process_time() - start}
+    maps = state.local_maps(asset.points, moved)
+    edits = {"local maps": time.process_time() - start}
     motion = pcore.MovedPoints(positions=moved, local_maps=maps, world=state.world)
     poses = {
         "plain": asset.pose(motion, rays="plain", light="baked"),

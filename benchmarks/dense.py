@@ -17,6 +17,7 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels.reference import LENGTH_GUARD, encode, scaling
 from pcore.model.papr import Papr
+from pcore.render.tiles import colour
 
 PAIRS = 2**18
 """Ray-point pairs of a chunk."""
@@ -57,7 +58,7 @@ def papr_picture(
     for start in range(0, len(flat.origins), most):
         found.append(attend(papr, cloud, flat[start : start + most], pairs))
     features, background = (torch.cat(parts) for parts in zip(*found, strict=True))
-    return papr.shade(features.unflatten(0, rays.shape), 1 - background.unflatten(0, rays.shape))
+    return colour(papr, features.unflatten(0, rays.shape), 1 - background.unflatten(0, rays.shape))
 
 
 def attend(papr: Papr, cloud: PointCloud, rays: RayBundle, pairs: int) -> tuple[Tensor, Tensor]:

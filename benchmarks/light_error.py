@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from baked_light import face_frames
-from pcore.relight.photos import Observed
 from reprojected_truth import look_up
 from torch import Tensor
 from torch.nn import functional as F
@@ -29,7 +28,10 @@ from pcore.data.scene import View
 from pcore.evaluation.ground_truth import mesh_depth
 from pcore.evaluation.states import CANONICAL, open_states
 from pcore.geometry.local_maps import LocalMaps
-from pcore.relight.estimate import shading_from
+from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
+from pcore.relight.estimate import fit_light
+from pcore.render.surfel_fit import Observed
 from pcore.sample.sample_render import MeshCaster, sample_surface
 
 _FACING = 0.3
@@ -65,9 +67,14 @@ def table(root: Path, factor: int, count: int) -> None:
     colors, seen = colours(points, normals, photos, truth.canonical, faces)
     kept = (seen >= 2).nonzero()[:count, 0]
     spots, points, normals = spots.some(kept), points[kept], normals[kept]
-    observed = Observed(normals=normals, colors=colors[kept], attention=seen[kept], lift=0.0)
-    shading = shading_from(observed, points)
-    nearness = shading.light.mean_nearness
+    heights = torch.zeros(len(points))
+    observed = Observed(normals=normals, colors=colors[kept], attention=seen[kept], heights=heights)
+    relighting = fit_light(observed, points)
+    cloud = PointCloud(
+        positions=points, features=torch.zeros(len(points), 1), influence=torch.ones(len(points))
+    )
+    surfels = observed.surfels(cloud)
+    nearness = relighting.light.mean_nearness
     print(
         f"| {root.name}, lamps at 1 / {nearness:.3f} | baked in | standing still |\n|---|---|---|"
     )
@@ -79,9 +86,14 @@ def table(root: Path, factor: int, count: int) -> None:
         expected, visible = colours(there, facing, views, vertices, faces)
         gains = torch.ones(len(points))
         if name is not None:
-            skin = shading.skin(spots.frames(truth.canonical, vertices), there.float())
-            assert skin.gains is not None
-            gains = skin.gains
+            maps, places = spots.local_maps(truth.canonical, vertices), there.float()
+            posed = PosedCloud(
+                cloud=cloud,
+                positions=places,
+                local_maps=maps,
+                surfels=surfels.moved(places, maps),
+            )
+            gains = relighting.gains(posed)
         lit = (visible > 0).nonzero()[:, 0]
         errors = (
             (found.clamp(0, 1)[lit] - expected[lit]).square().mean().sqrt()
@@ -125,11 +137,11 @@ class Spots:
         places = np.einsum("ni,nic->nc", self._weights, vertices[mine])
         return torch.from_numpy(places).float(), torch.where(alike, round_, flat).float()
 
-    def frames(self, before: np.ndarray, after: np.ndarray) -> LocalMaps:
+    def local_maps(self, before: np.ndarray, after: np.ndarray) -> LocalMaps:
         """Maps of the triangles, from one mesh to another."""
         mine = self._faces[self._face]
         back = face_frames(before[mine]) @ np.linalg.pinv(face_frames(after[mine]))
-        return LocalMaps(rest=self.of(before)[0], to_rest=torch.from_numpy(back).float())
+        return LocalMaps(to_rest=torch.from_numpy(back).float())
 
 
 def colours(

@@ -17,9 +17,11 @@ from benchmarks.metrics import Metric
 from benchmarks.plan import Plan
 from pcore.geometry.camera import Camera
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
-from pcore.render.picture import FAST_THRESHOLD, render
+from pcore.render.picture import FAST_THRESHOLD
+from pcore.render.trace import trace
 from pcore.training.presets import preset
 
 _KEPT = 0.5
@@ -46,7 +48,10 @@ def measure_step(plan: Plan) -> Iterator[tuple[str, Metric]]:
     side, count = (12, 200) if plan.quick else (160, 30_000)
     papr, cloud = _papr(count, plan)
     rays = scenes.on_device(scenes.patch(side, 5 * side), plan.device)
-    peak = peak_bytes(lambda: _gradients(papr, cloud, lambda: papr(cloud, rays).rgb), plan.device)
+    peak = peak_bytes(
+        lambda: _gradients(papr, cloud, lambda: scenes.training_colours(papr, cloud, rays)),
+        plan.device,
+    )
     yield from _memory(f"step/{side}x{side}/{count}", peak, 5.0 if plan.bars else None)
 
 
@@ -59,7 +64,7 @@ def _steps(
         return _gradients(papr, cloud, lambda: dense.papr_picture(papr, cloud, rays, pairs=pairs))
 
     ways = {
-        "ours": lambda: _gradients(papr, cloud, lambda: papr(cloud, rays).rgb),
+        "ours": lambda: _gradients(papr, cloud, lambda: scenes.training_colours(papr, cloud, rays)),
         "chunks": lambda: other(dense.PAIRS),
     }
     pairs = side**2 * len(cloud)
@@ -99,7 +104,7 @@ def _gradient_errors(
         exact_papr, exact_cloud, lambda: dense.papr_picture(exact_papr, exact_cloud, exact_rays)
     )
     for kind, picture in (
-        ("ours", lambda: papr(cloud, rays).rgb),
+        ("ours", lambda: scenes.training_colours(papr, cloud, rays)),
         ("dense", lambda: dense.papr_picture(papr, cloud, rays)),
     ):
         found = _gradients(papr, cloud, picture)
@@ -141,8 +146,8 @@ def _pictures(
         return dense.papr_picture(papr, cloud, crop, pairs=pairs)
 
     ways: dict[str, Callable[[], object]] = {
-        "exact": lambda: render(papr, cloud, camera),
-        "fast": lambda: render(papr, sharp, camera, threshold=FAST_THRESHOLD),
+        "exact": lambda: scenes.picture(papr, cloud, camera),
+        "fast": lambda: scenes.picture(papr, sharp, camera, FAST_THRESHOLD),
         "chunks": lambda: slow(dense.PAIRS),
     }
     if part**2 * count <= AT_ONCE:
@@ -159,7 +164,7 @@ def _pictures(
     yield "fast/psnr", fast_error(papr, sharp, camera)
     yield from _memory("exact", peak_bytes(ways["exact"], plan.device), None)
     with torch.no_grad():
-        error = float((papr(cloud, crop).rgb - slow(dense.PAIRS)).abs().max())
+        error = float((scenes.training_colours(papr, cloud, crop) - slow(dense.PAIRS)).abs().max())
     yield "exact/error", Metric(value=error, direction="lower", tolerance=9.0, bar=1e-4)
 
 
@@ -168,8 +173,8 @@ def fast_error(papr: Papr, cloud: PointCloud, camera: Camera) -> Metric:
 
     The peak is the exact picture's own range: colours of untrained networks do not fill [0, 1].
     """
-    exact = render(papr, cloud, camera).rgb
-    fast = render(papr, cloud, camera, threshold=FAST_THRESHOLD).rgb
+    exact = scenes.picture(papr, cloud, camera)
+    fast = scenes.picture(papr, cloud, camera, FAST_THRESHOLD)
     peak = float(exact.max() - exact.min())
     error = float((fast - exact).square().mean().clamp_min(1e-12 * peak**2))
     return Metric(
@@ -191,6 +196,6 @@ def sharpened(papr: Papr, cloud: PointCloud, rays: RayBundle) -> tuple[PointClou
     kept, most = 1.0, 2**20 * float(cloud.influence.max())
     while kept > _KEPT and float(cloud.influence.max()) < most:
         cloud = replace(cloud, influence=1.25 * cloud.influence)
-        weights = papr.attend(cloud, rays[::8, ::8].flat())[0].weights
+        weights = trace(papr, PosedCloud.at_rest(cloud), rays[::8, ::8]).weights
         kept = float((weights >= FAST_THRESHOLD).double().mean())
     return cloud, kept

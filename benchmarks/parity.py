@@ -18,6 +18,7 @@ from benchmarks import scenes
 from benchmarks.metrics import Metric
 from benchmarks.plan import Plan
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels import cpu_search, functional, reference
 from pcore.kernels.backends import usable
@@ -93,7 +94,10 @@ class _Case:
 
     def values_and_gradients(self, threshold: float) -> tuple[list[Tensor], list[Tensor]]:
         """Features and background, and gradients for random cotangents."""
-        found = self.papr.attention(self.cloud, self.rays, self.neighbours, self.rays, threshold)
+        posed = PosedCloud.at_rest(self.cloud)
+        found = self.papr.attention(
+            posed, self.rays, self.neighbours, self.rays, threshold, stop_encoding=True
+        )
         values = [found.features, found.background]
         generator, loss = torch.Generator().manual_seed(1), torch.zeros(())
         for one in values:

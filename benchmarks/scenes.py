@@ -12,9 +12,11 @@ from pcore.deform.simple import Twist
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.papr import Papr
 from pcore.model.papr_config import PaprConfig
+from pcore.render.picture import render, render_rays
 
 _DISTANCE = 4.0
 _ANGLE = 0.6911
@@ -71,6 +73,18 @@ def on_device(rays: RayBundle, device: torch.device) -> RayBundle:
 def doubled(rays: RayBundle) -> RayBundle:
     """Return the rays in float64."""
     return RayBundle(origins=rays.origins.double(), directions=rays.directions.double())
+
+
+def training_colours(papr: Papr, cloud: PointCloud, rays: RayBundle) -> Tensor:
+    """Colours (H, W, 3) of rays as a step of training renders them, with gradients."""
+    posed = PosedCloud.at_rest(cloud)
+    return render_rays(papr, posed, rays, stop_encoding=True, geometry=False).rgb
+
+
+@torch.no_grad()
+def picture(papr: Papr, cloud: PointCloud, camera: Camera, threshold: float = 0.0) -> Tensor:
+    """Colours (H, W, 3) that a camera sees, as `pcore render` draws them."""
+    return render(papr, PosedCloud.at_rest(cloud), camera, threshold=threshold).rgb
 
 
 def papr(config: PaprConfig, points: Tensor, device: torch.device) -> tuple[Papr, PointCloud]:

@@ -23,7 +23,7 @@ from pcore.data.scene import Scene
 from pcore.geometry.point_cloud import PointCloud
 from pcore.metrics.perceptual import find_weights
 from pcore.model.papr import Papr
-from pcore.render.picture import FAST_THRESHOLD, render
+from pcore.render.picture import FAST_THRESHOLD
 from pcore.training.config import PatchConfig, PretrainConfig
 from pcore.training.events import Event, StepReport, ValidationReport
 from pcore.training.presets import preset
@@ -159,8 +159,8 @@ def _pictures(
 ) -> Iterator[tuple[str, Metric]]:
     camera, turns = scenes.camera(size), 2 if plan.quick else 8
     for kind, threshold, bar in zip(("exact", "fast"), (0.0, FAST_THRESHOLD), bars, strict=True):
-        draw: Callable[[], object] = lambda threshold=threshold: render(  # noqa: E731
-            papr, cloud, camera, threshold=threshold
+        draw: Callable[[], object] = lambda threshold=threshold: scenes.picture(  # noqa: E731
+            papr, cloud, camera, threshold
         )
         times = [seconds(draw) for _ in range(turns)]
         rate, promised = 1 / statistics.median(times[1:]), None if plan.quick else bar

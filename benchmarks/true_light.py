@@ -27,13 +27,14 @@ from torch import Tensor
 
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.content import LightName
+from pcore.asset.saving import neural_points_of
 from pcore.data.load import load_scene
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.methods import open_subject
 from pcore.evaluation.runner import Method, carry
 from pcore.evaluation.states import CANONICAL, State, open_states
 from pcore.geometry.neighbours import nearest
-from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surface_search import SurfaceSearch
 
 _BLUR = 0.7
@@ -75,11 +76,14 @@ class TrueLight:
         self._asset, self._truth = asset, truth
         if asset.light is None:
             raise SystemExit(f"{asset.path}: no light; `pcore light` estimates it")
-        self._shading = asset.light
+        self._content = neural_points_of(asset, "true light")
+        if self._content.surfels is None:
+            raise SystemExit(f"{asset.path}: no surfels; `pcore light` estimates them")
+        self._surfels = self._content.surfels
         views = load_scene(scene)
         self._photos = PhotoSurface(views, scene / "meshes.npz")
         self._faces = outwards(truth.canonical, truth.faces)
-        places = self._shading.rest.places.double().numpy()
+        places = self._surfels.places.double().numpy()
         anchors = SurfaceSearch(truth.canonical, self._faces).closest(places)
         self._spots = Spots(self._faces, anchors.face, anchors.barycentric)
         canonical = truth.canonical
@@ -106,21 +110,19 @@ class TrueLight:
 
     def _with_true_gains(self, posed: Posed, detailed: State, vertices: np.ndarray) -> Posed:
         """The object with true factors of the points that photos and true pictures show."""
-        cloud: PointCloud = posed.content
-        if cloud.skin is None:
+        cloud: PosedCloud = posed.content
+        if cloud.surfels is None or cloud.gains is None:
             return posed
         views = [shot.view for shot in detailed.shots]
         there, seen = colours(*self._spots.of(vertices), views, vertices, self._faces)
         before, photographed = self._rest
-        known = torch.nonzero((seen > 0) & (photographed > 0) & self._shading.known).squeeze(1)
+        known = torch.nonzero((seen > 0) & (photographed > 0) & self._surfels.known).squeeze(1)
         gains = (there.mean(dim=1) + _DARK) / (before.mean(dim=1) + _DARK)
-        rest = self._shading.positions
-        skin = replace(
-            cloud.skin,
-            gains=gains.float().nan_to_num(1.0).clamp(1 / _LARGEST, _LARGEST),
-            beside=known[nearest(rest[known], rest, _BESIDE)[0]],
-        )
-        return replace(posed, content=cloud.covered(skin))
+        rest = cloud.cloud.positions
+        beside = known[nearest(rest[known], rest, _BESIDE)[0]]
+        gains = gains.float().nan_to_num(1.0).clamp(1 / _LARGEST, _LARGEST)
+        surfels = replace(cloud.surfels, beside=beside)
+        return replace(posed, content=replace(cloud, surfels=surfels, gains=gains))
 
 
 def solid(rgb: Tensor) -> Tensor:

@@ -13,12 +13,16 @@ import tyro
 
 import pcore
 from pcore.cli.main import VERBS
+from pcore.editing.regions import REGION_SHAPES
+from pcore.editing.registry import EDIT_TYPES
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 COMMAND = re.compile(r"(?:/usr/bin/time -v )?(pcore [^`]*)")
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
 REPOSITORY_PATH = re.compile(r"`((?:tests|docs|scripts|examples|src)/[\w./-]*)`")
+SHORT = (".", "guide", "tutorials")
+"""Folders of docs/ whose pages are for users: 100 lines of 100 columns at most."""
 NAME = re.compile(r"`(pcore(?:\.\w+)+)`")
 
 
@@ -71,14 +75,39 @@ def import_spec(name: str) -> bool:
 
 
 def test_there_are_commands_to_check() -> None:
+    page = ROOT / "docs" / "guide" / "commands.md"
     verbs = {
         verb.name
         for verb in VERBS
-        for command in commands(ROOT / "README.md")
+        for command in commands(page)
         if command.startswith(f"pcore {verb.name}")
     }
     assert verbs == {verb.name for verb in VERBS} - {"doctor"}
-    assert "`pcore doctor`" in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "`pcore doctor`" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("page", "lines"),
+    [(ROOT / "README.md", 80)]
+    + [(page, 100) for folder in SHORT for page in sorted((ROOT / "docs" / folder).glob("*.md"))],
+    ids=lambda value: value.name if isinstance(value, Path) else None,
+)
+def test_pages_for_users_are_short(page: Path, lines: int) -> None:
+    found = page.read_text(encoding="utf-8").splitlines()
+    assert len(found) <= lines
+    assert [line for line in found if len(line) > 100] == []
+
+
+def test_the_moving_picture_is_small() -> None:
+    picture = ROOT / "docs" / "images" / "edit.gif"
+    assert picture.stat().st_size <= 2_000_000
+    assert f"](docs/images/{picture.name})" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_every_edit_and_region_has_its_figure() -> None:
+    figures = (ROOT / "scripts" / "make_figures.py").read_text(encoding="utf-8")
+    kinds = [*EDIT_TYPES, *REGION_SHAPES]
+    assert [kind for kind in kinds if f'"{kind}"' not in figures] == []
 
 
 @pytest.mark.parametrize("page", [p for p in pages_with(COMMAND) if commands(p.values[0])])

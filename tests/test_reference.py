@@ -2,6 +2,7 @@
 
 import json
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from tests.seeded_runs import TWIST, write_moving_edit
 
 import pcore
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "index.md"
 
 
 def blocks() -> list[str]:
@@ -31,3 +32,10 @@ def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     code = compile("\n".join(blocks()), str(PAGE), "exec")
     exec(code, {"__name__": "reference"})
     assert (tmp_path / "runs" / "new-pcore" / "model.safetensors").is_file()
+
+
+def test_pages_made_from_the_code_are_up_to_date() -> None:
+    made = runpy.run_path(str(PAGE.parents[2] / "scripts" / "make_reference.py"))
+    for name, page in (("names.md", "names_page"), ("edit-file.md", "edit_file_page")):
+        written = (PAGE.parent / name).read_text(encoding="utf-8")
+        assert written == made[page](), f"{name}: run `python scripts/make_reference.py`"

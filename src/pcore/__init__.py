@@ -27,11 +27,9 @@ if TYPE_CHECKING:
     from pcore.geometry.camera import Camera
     from pcore.geometry.orbit import orbit_around
     from pcore.geometry.point_cloud import PointCloud
-    from pcore.geometry.posed import PosedCloud
     from pcore.geometry.rays import RayBundle
     from pcore.model.papr import Papr
     from pcore.render.image import Image
-    from pcore.render.picture import render, render_rays
     from pcore.training.config import FinetuneConfig, PretrainConfig
     from pcore.training.presets import finetune_preset, preset
     from pcore.training.pretrain import pretrain
@@ -51,7 +49,6 @@ __all__ = [
     "PcoreError",
     "PointCloud",
     "Posed",
-    "PosedCloud",
     "PretrainConfig",
     "RayBundle",
     "RunOptions",
@@ -72,8 +69,6 @@ __all__ = [
     "parse_edit",
     "preset",
     "pretrain",
-    "render",
-    "render_rays",
     "train",
 ]
 
@@ -90,7 +85,6 @@ _HOMES = {
     "PcoreError": "pcore.errors",
     "PointCloud": "pcore.geometry.point_cloud",
     "Posed": "pcore.asset.asset",
-    "PosedCloud": "pcore.geometry.posed",
     "PretrainConfig": "pcore.training.config",
     "RayBundle": "pcore.geometry.rays",
     "RunOptions": "pcore.asset.training",
@@ -110,8 +104,6 @@ _HOMES = {
     "parse_edit": "pcore.editing.script",
     "preset": "pcore.training.presets",
     "pretrain": "pcore.training.pretrain",
-    "render": "pcore.render.picture",
-    "render_rays": "pcore.render.picture",
     "train": "pcore.asset.training",
 }
 

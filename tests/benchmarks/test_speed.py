@@ -19,8 +19,10 @@ from benchmarks.speed import BASELINE, gate
 
 from benchmarks import dense, metrics, scenes
 from pcore.geometry.point_cloud import PointCloud
+from pcore.geometry.posed import PosedCloud
 from pcore.kernels.reference import nearest_to_rays
 from pcore.model.papr import Papr
+from pcore.render.trace import trace
 from pcore.training.presets import preset
 
 
@@ -126,7 +128,7 @@ def test_the_dense_picture_is_that_of_the_specification(
     monkeypatch.setenv("PCORE_KERNELS", "reference")
     (papr, cloud), rays = untrained, scenes.patch(8, 40)
     with torch.no_grad():
-        expected = papr(cloud, rays).rgb
+        expected = scenes.training_colours(papr, cloud, rays)
         for most in (17, 4096):
             found = dense.papr_picture(papr, cloud, rays, pairs=1000, most=most)
             torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
@@ -138,7 +140,7 @@ def test_scores_of_untrained_models_are_cut_about_as_in_trained_ones(
     """Where all or none were cut, the backward pass would have less or more to do."""
     papr, cloud = untrained
     with torch.no_grad():
-        weights = papr.attend(cloud, scenes.patch(8, 40).flat())[0].weights
+        weights = trace(papr, PosedCloud.at_rest(cloud), scenes.patch(8, 40)).weights
     cut = weights == weights.amin(dim=1, keepdim=True)
     assert 0.3 < float(cut.double().mean()) < 0.8
 

@@ -103,7 +103,7 @@ def test_skinning_learns_along(
     assert skinning.network.config == skinning_preset(recipe).network  # pyright: ignore[reportArgumentType]
     assert ("skinning" in logged_losses(out)) is (recipe == "ours")
     capsys.readouterr()
-    assert main(["info", str(out)]) == 0
+    assert main(["info", str(out), "--settings"]) == 0
     rows = {line.split(maxsplit=1)[0]: line for line in capsys.readouterr().out.splitlines()}
     assert rows["config.finetune.skinning.anchors"].split()[-1] == "128"
     assert rows["skinning.along_cloud"].split()[-1] == ("true" if recipe == "ours" else "false")

@@ -15,7 +15,7 @@ from pcore.cli.main import main
 def test_tiny_learns_real_images(
     scene: str, psnr: float, shared_data: Path, tmp_path: Path
 ) -> None:
-    """Mean over the 50 test views, 100 x 100 pixels; docs/benchmarks/quality.md has the figures."""
+    """Mean over the 50 test views, 100 x 100 pixels; docs/research/quality.md has the figures."""
     run = tmp_path / scene
     source = str(shared_data / "nerf_synthetic" / scene)
     assert main(["train", source, "-o", str(run), "--factor", "4", "--device", "cpu"]) == 0

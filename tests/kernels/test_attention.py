@@ -261,7 +261,7 @@ def test_the_value_network_of_the_reference_sees_the_kept_pairs_alone(
     monkeypatch.setenv("PCORE_KERNELS", "reference")
     found = attend(inputs, rules)
     compare(found, expected)
-    kept = int((functional._cut(found[0].weights, 0.2) != 0).sum())
+    kept = int((functional.cut(found[0].weights, 0.2) != 0).sum())
     assert rows == [kept]
     assert kept < int((found[0].weights > 0).sum()) or shape[0] < 2 or cutoff == 1e-6
 

@@ -77,7 +77,7 @@ for shape in ((14, 30, 6), (1, 9, 4), (0, 4, 2)):
         before = len(seen)
         found = attend(some, rules)
         compare(found, attend(double(some), rules))
-        kept = int((functional._cut(found[0].weights, rules.threshold) != 0).sum())
+        kept = int((functional.cut(found[0].weights, rules.threshold) != 0).sum())
         assert seen[before:] == [kept], (shape, seen[before:], kept)
         assert kept < int((found[0].weights > 0).sum()) or rules.threshold < 0.1 or shape[0] < 2
 

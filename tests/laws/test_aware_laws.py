@@ -1,4 +1,4 @@
-"""Laws of deformation-aware rays (docs/guide/deformation-aware.md)."""
+"""Laws of deformation-aware rays (docs/concepts/deformation-aware-rays.md)."""
 
 from __future__ import annotations
 

@@ -66,10 +66,10 @@ class Arm(Deformation):
         return torch.stack([cos * x + sin * z, y, cos * z - sin * x], dim=-1)
 
 
-def network() -> Papr:
+def network(**changes: Any) -> Papr:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(3)
-        return Papr(CONFIG).double().requires_grad_(False).eval()
+        return Papr(replace(CONFIG, **changes)).double().requires_grad_(False).eval()
 
 
 def rod() -> tuple[PointCloud, Tensor]:
@@ -207,6 +207,17 @@ def test_deformed_pictures_have_the_gradients_of_differences(rays: str, surfels:
         return drawn(values, rays=rays, surfels=surfels, direct=False)
 
     check(draw, ("points", "angle", "features", *CAMERA))
+
+
+def test_without_a_reference_rays_from_the_other_end_begin_where_the_points_say() -> None:
+    def draw(values: dict[str, Tensor]) -> Image:
+        cloud = PointCloud(**{name: values[old] for name, old in _CLOUD.items()})
+        posed = PosedCloud(
+            cloud=cloud, positions=values["moved"], local_maps=LocalMaps(to_rest=values["maps"])
+        )
+        return render(network(reference=None), posed, seen_by(values))
+
+    check(draw, ("points", "moved", "maps", "camera place"))
 
 
 @pytest.mark.parametrize("surfels", [False, True])

@@ -16,7 +16,7 @@ from pcore.files.run_folder import RunFolder
 from pcore.training import trainable
 from pcore.training.budget import Budget
 from pcore.training.config import Rates
-from pcore.training.events import Saved, StepReport, Stopped, SurfaceReport, ValidationReport
+from pcore.training.events import Saved, StepReport, Stopped, ValidationReport
 from pcore.training.loop import Plan, run_loop
 from pcore.training.losses import Losses
 from pcore.training.schedule import Schedule
@@ -31,7 +31,6 @@ def plan(**changes: Any) -> Plan:
         "rates": RATES.named(),
         "validate_every": 2,
         "save_every": 3,
-        "views": (),
         "validation": (),
         "background": "white",
         "scene": "box",
@@ -145,7 +144,6 @@ def test_events_come_in_order(
         (StepReport, 24),
         (ValidationReport, 24),
         (Saved, 24),
-        (SurfaceReport, 24),
         (Saved, 24),
         (Stopped, 24),
     ]

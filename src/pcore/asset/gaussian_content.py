@@ -89,8 +89,13 @@ class GaussianContent:
         """
         return None if self.read_light is None else self.read_light()
 
-    @cached_property
+    @property
     def surfels(self) -> Surfels | None:
+        """See `Content.surfels`."""
+        return self._surfels
+
+    @cached_property
+    def _surfels(self) -> Surfels | None:
         """The pieces of surface that they are at rest; None where nobody has estimated them."""
         if self.normals is None:
             return None

@@ -286,9 +286,16 @@ def _made(
         asset = load(record.path, device=device)
         if trained is None:
             return asset
+    return _lit(asset, scene, options, trained.observed)
+
+
+def _lit(
+    asset: Asset, scene: Scene, options: RunOptions, observed: Observed | None = None
+) -> Asset:
+    """Return the same with the light of its photos, where that is wanted and possible."""
     if options.light:
         try:
-            return estimate_light(asset, scene, observed=trained.observed)
+            return estimate_light(asset, scene, observed=observed)
         except (InputError, OSError) as error:
             options.note(f"note: {error}")
     return asset

@@ -33,7 +33,7 @@ def show_result(console: Console, asset: Asset) -> None:
     quality = "" if psnr is None else f": {psnr:.2f} dB on held-out training views"
     console.print(Text(f"{path}{quality}"), soft_wrap=True)
     # Measured: with aware rays and a light, fine-tuning costs more than it brings
-    # (docs/benchmarks/quality.md), so that it is no step on the way.
+    # (docs/research/quality.md), so that it is no step on the way.
     console.print(Text(f"next: pcore render {path} --edit edit.json"), soft_wrap=True)
     if asset.record.stage == "pretrain" and asset.record.config.get("model") != "gaussians":
         text = f"the paper's method, for plain rays: pcore finetune {path}"

@@ -25,7 +25,7 @@ from pcore.validation import check_count
 
 @dataclass(frozen=True, kw_only=True)
 class SkinningFitConfig:
-    """How skinning weights are fitted; the values were measured (docs/adr/0006-skinning.md)."""
+    """How skinning weights are fitted; the values were measured (docs/research/skinning.md)."""
 
     steps: int = 800
     """Random deformations, one per step."""

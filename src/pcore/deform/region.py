@@ -37,7 +37,8 @@ def ramp(distance: Tensor, falloff: float) -> Tensor:
     if falloff == 0.0:
         return (distance <= 0).to(distance)
     rest = (1.0 - distance / falloff).clamp(0.0, 1.0)
-    return rest**3 * (10.0 - 15.0 * rest + 6.0 * rest * rest)
+    # Rounding may lift it above 1 by the last bit, which is no weight.
+    return (rest**3 * (10.0 - 15.0 * rest + 6.0 * rest * rest)).clamp(max=1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""Means over views, and what one method gains over another. Formulas: docs/guide/evaluation.md."""
+"""Means over views, and what one method gains over another. Formulas: docs/concepts/metrics.md."""
 
 from __future__ import annotations
 

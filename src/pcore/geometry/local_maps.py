@@ -20,7 +20,7 @@ class LocalMaps:
     """The way back to rest from around each of N posed points.
 
     Near point i a deformation is affine: x' = p'_i + A_i (x - p_i). A ray of the posed scene is
-    therefore, seen from point i, a ray of the rest state (docs/guide/deformation-aware.md).
+    therefore, seen from point i, a ray of the rest state (docs/concepts/deformation-aware-rays.md).
 
     Attributes:
         to_rest: (N, 3, 3) inverses of the local maps: x - p_i = to_rest_i (x' - p'_i).

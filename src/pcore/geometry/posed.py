@@ -91,6 +91,14 @@ class PosedCloud:
         middle = (lower + upper) / 2
         return middle, float((self.positions.detach() - middle).norm(dim=-1).max())
 
+    @property
+    def followed_sphere(self) -> tuple[Tensor, float | Tensor]:
+        """The same, with its radius a tensor () where autograd follows the points."""
+        if not (torch.is_grad_enabled() and self.positions.requires_grad):
+            return self.sphere
+        middle = (self.positions.amin(dim=0) + self.positions.amax(dim=0)) / 2
+        return middle, (self.positions - middle).norm(dim=-1).max()
+
     @cached_property
     def growth(self) -> float:
         """How many times as far from their neighbours as at rest points are.

@@ -113,7 +113,7 @@ class RayBundle:
         places = self.origins - middle.origins[:, None] + along[:, None] * self.directions
         return (places - foot[:, None]).square().sum(dim=-1).amax(dim=1).sqrt()
 
-    def from_other_ends(self, center: Tensor, radius: float) -> RayBundle:
+    def from_other_ends(self, center: Tensor, radius: float | Tensor) -> RayBundle:
         """Return the same lines from their other ends, as far behind a sphere's middle as before.
 
         Args:

@@ -44,7 +44,7 @@ def visible_from(points: Tensor, camera: Camera, spacing: float) -> Tensor:
     The picture is cut into square cells, 2 spacings wide at the mean depth of the cloud. A point
     is seen when it lies inside the picture and at most 2 spacings behind the nearest point of its
     cell. Depths are those of the points, not of a rendering: those are means over points, which
-    lie within the object, and say less about what is in front (docs/guide/editing.md).
+    lie within the object, and say less about what is in front (docs/research/diagnosis.md).
 
     Args:
         points: (N, 3) world units.

@@ -23,6 +23,7 @@ from pcore.kernels import (
 )
 from pcore.kernels.backends import backend, of_attention, of_search, takes_cpu
 from pcore.kernels.networks import Layers
+from pcore.kernels.shares import background_softmax, cut, pooled_alone
 
 
 def nearest_to_rays(origins: Tensor, directions: Tensor, points: Tensor, k: int) -> Tensor:
@@ -179,12 +180,12 @@ def proximity_attention(
     scores = F.relu(scores + constants.unsqueeze(-1))
     scores = scores * influence.index_select(0, neighbours.flatten()).view(neighbours.shape)
     scores = scores.masked_fill(~answering, -math.inf)
-    background, weights = _background_softmax(scores, rules.background_score)
-    used = weights if rules.threshold == 0 else _cut(weights, rules.threshold)
+    background, weights = background_softmax(scores, rules.background_score)
+    used = weights if rules.threshold == 0 else cut(weights, rules.threshold)
     pool = work.attention_features
     # The CPU kernels leave out pairs without weight whatever they are given.
     if rules.threshold > 0 and work is not cpu_attention:
-        pool = _pooled_alone(pool)
+        pool = pooled_alone(pool)
     pooled = pool(waves, features, neighbours, used, value)
     # The last linear layer commutes with the weighted sum: once per ray, not once per pair.
     out = F.linear(pooled, value.weights[-1]) + used.sum(dim=-1, keepdim=True) * value.biases[-1]
@@ -215,42 +216,6 @@ def _attention(name: str) -> ModuleType:
 
         return triton_attention
     return cpu_attention if name == "cpu" else reference_attention
-
-
-def _background_softmax(scores: Tensor, background_score: float) -> tuple[Tensor, Tensor]:
-    """Softmax over k points and the background; then the points' weights renormalised.
-
-    The renormalised weights a_i / sum a are the softmax of the points alone. Computed so, they
-    neither underflow nor divide by a vanishing sum when the background outweighs every point.
-    """
-    constant = scores.new_full((scores.shape[0], 1), background_score)
-    attention = torch.softmax(torch.cat([scores, constant], dim=-1), dim=-1)
-    none = torch.isneginf(scores).all(dim=-1, keepdim=True)
-    weights = torch.softmax(scores.masked_fill(none, 0.0), dim=-1).masked_fill(none, 0.0)
-    return attention[:, -1], weights
-
-
-def _cut(weights: Tensor, threshold: float) -> Tensor:
-    """Drop small weights and scale up the others; the greatest of a ray always stays."""
-    kept = weights.where(weights >= weights.amax(dim=-1, keepdim=True).clamp_max(threshold), 0.0)
-    return kept / kept.sum(dim=-1, keepdim=True).clamp_min(torch.finfo(kept.dtype).tiny)
-
-
-def _pooled_alone(pool: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """Let the value network see the pairs with a weight alone, each as a ray with one neighbour."""
-
-    def pooled(
-        waves: Tensor, features: Tensor, neighbours: Tensor, weights: Tensor, value: Layers
-    ) -> Tensor:
-        kept = weights != 0
-        pairs = kept.flatten().nonzero().squeeze(-1)
-        alone = (one.flatten()[pairs].unsqueeze(-1) for one in (neighbours, weights))
-        found = pool(waves[pairs], features, *alone, value)
-        # Pairs come in the order of their rays. Sums of segments, unlike index_add, come out of a
-        # GPU the same every time.
-        return torch.segment_reduce(found, "sum", lengths=kept.sum(dim=-1), axis=0, unsafe=True)
-
-    return pooled
 
 
 def pull_back(

@@ -1,6 +1,6 @@
 """Depth error, holes and spill of one picture against the true geometry.
 
-Formulas and the reasons for the thresholds: `docs/guide/metrics.md`.
+Formulas and the reasons for the thresholds: `docs/concepts/metrics.md`.
 """
 
 from __future__ import annotations

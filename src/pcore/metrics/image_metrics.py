@@ -1,6 +1,6 @@
 """PSNR, SSIM and LPIPS of one picture, over the whole image or over its foreground.
 
-Definitions as formulas: `docs/guide/metrics.md`. Which variant belongs to which published way of
+Definitions as formulas: `docs/concepts/metrics.md`. Which variant belongs to which published way of
 measuring: `pcore.evaluation.protocol`.
 """
 

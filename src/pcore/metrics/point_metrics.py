@@ -1,4 +1,4 @@
-"""Distances between point clouds: Chamfer, earth mover's, F-score (docs/guide/metrics.md)."""
+"""Distances between point clouds: Chamfer, earth mover's, F-score (docs/concepts/metrics.md)."""
 
 from __future__ import annotations
 

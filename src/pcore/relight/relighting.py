@@ -2,7 +2,7 @@
 
 Photos have the light baked into their colours, and an edit carries it along: a side that is turned
 downwards stays as bright as it was. With an estimate of the light, the surface over every deformed
-point gets the factor by which the light on it changes (docs/guide/light.md).
+point gets the factor by which the light on it changes (docs/concepts/light.md).
 """
 
 from __future__ import annotations

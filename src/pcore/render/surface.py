@@ -3,7 +3,8 @@
 The paper's surface point is the mean of the points by their weights (`Hits.centroid`), which the
 consistency losses ask for. At the rim of an arm before a body it lies in the air between them: a
 depth that nothing has, a speck in a point cloud. Pictures take one layer of points: its mean, or,
-where the surface over them is known, the place where a ray meets the surfels (docs/guide/light.md).
+where the surface over them is known, the place where a ray meets the surfels
+(docs/concepts/light.md).
 
 The colours of a ray are sharper than its points are apart, since attention has learned where
 between them an edge runs. A mean over points is not, and knows nothing of the edge that light
@@ -65,29 +66,29 @@ def surface_of(
     if cutoff is None and posed.surfels is None:
         return surface, None
     ray_of_hit = torch.nonzero(mask).squeeze(-1)
-    lines, hits = rays[ray_of_hit], hits[ray_of_hit]
-    weights, places = first_layer(posed, lines, hits, cutoff)
+    lines, points = rays[ray_of_hit], hits.neighbours[ray_of_hit]
+    weights, places = first_layer(posed, lines, hits.weights[ray_of_hit], points, cutoff)
     gains = None
     if posed.surfels is not None:
-        places, found = intersect(posed.surfels, posed.gains, lines, weights, hits.neighbours)
+        places, found = intersect(posed.surfels, posed.gains, lines, weights, points)
         if found is not None:
             gains = torch.ones_like(surface[:, 0]).index_copy(0, ray_of_hit, found.to(surface))
     return surface.index_copy(0, ray_of_hit, places.to(surface)), gains
 
 
 def first_layer(
-    posed: PosedCloud, rays: RayBundle, hits: Hits, cutoff: float | None
+    posed: PosedCloud, rays: RayBundle, weights: Tensor, points: Tensor, cutoff: float | None
 ) -> tuple[Tensor, Tensor]:
     """Weights (R, k) of the points of the layer that rays meet first, and its mean place (R, 3).
 
     Args:
         posed: the points.
         rays: (R,) world units.
-        hits: what they hit, not nothing.
+        weights: (R, k) of the points that they hit, not all zero.
+        points: (R, k) indices of those.
         cutoff: how far from the first of them, at rest, a layer's points lie at most; None: all
             are one layer.
     """
-    weights, points = hits.weights, hits.neighbours
     positions, rest = posed.positions, posed.seen_positions
     if cutoff is not None and _by_kernel(weights, positions):
         # Points are ordered along one ray: where it begins does not matter.

@@ -10,7 +10,7 @@
    opacity from the outside only: where an edit lays the inside open, a ray that enters may pass the
    far side, whose inner face no photo has shown. Such a line is traced from its other end.
 
-Why and how well: docs/guide/deformation-aware.md, ADR 5. An index says what it numbers:
+Why and how well: docs/concepts/deformation-aware-rays.md, ADR 5. An index says what it numbers:
 `ray_of_near` holds the rays that near rows are of. Autograd follows everything but the choice of
 the points that a ray meets.
 """
@@ -88,7 +88,7 @@ def trace(
     ray_of_gap = gaps(hits, posed, lines, papr.config.cutoff)
     if len(ray_of_gap) == 0:
         return hits
-    other_ends = lines[ray_of_gap].from_other_ends(*posed.sphere)
+    other_ends = lines[ray_of_gap].from_other_ends(*posed.followed_sphere)
     back = _trace_layers(papr, posed, other_ends, attend)
     gap_of_solid = torch.nonzero(back.background < 1 - SOLID).squeeze(-1)
     return hits.with_rows(ray_of_gap[gap_of_solid], back[gap_of_solid])
@@ -107,13 +107,13 @@ def _trace_layers(papr: Papr, posed: PosedCloud, rays: RayBundle, attend: _Atten
         lines, candidates, ray_of_near = lines[near], candidates[near], ray_of_near[near]
     front = attend(lines, neighbours, seen)
     hits = front.spread_over(nearest, ray_of_near)
-    open_ = torch.nonzero(has_back & (front.background > 1 - OPAQUE)).squeeze(-1)
-    if len(open_) == 0:
+    near_of_open = torch.nonzero(has_back & (front.background > 1 - OPAQUE)).squeeze(-1)
+    if len(near_of_open) == 0:
         return hits
-    lines, candidates = lines[open_], candidates[open_]
+    lines, candidates = lines[near_of_open], candidates[near_of_open]
     neighbours, seen, _ = layer_of(posed, lines, candidates, k, cutoff, back_layer=True)
     back = attend(lines, neighbours, seen)
-    return composite_over(hits, ray_of_near[open_], back)
+    return composite_over(hits, ray_of_near[near_of_open], back)
 
 
 @torch.no_grad()
@@ -125,20 +125,19 @@ def search(
     Args:
         posed: the points.
         rays: of any batch shape, world units; those of a pixel share a search.
-        k: how many neighbours a ray has, at most the number of the points.
-        cutoff: distance beyond which a point gets no attention, world units; None for no limit.
+        k: how many neighbours a ray has, at most as many as points.
+        cutoff: distance beyond which a point gets no attention, world units; None: no limit.
 
     Returns:
-        The k nearest points (R, k) of all rays, nearest first; which rays (M,) may be near points;
-        and the candidates (M, c) for the neighbours of those.
+        The k nearest points (R, k) of all rays, nearest first; which rays (M,) may be near points,
+        and the candidates (M, c) for their neighbours.
     """
     if posed.local_maps is None or posed.moved_as_one:
         lines = rays.flat() if posed.local_maps is None else _moved_back(posed, rays.flat())
         found = nearest_to_rays(lines.origins, lines.directions, posed.seen_positions, k)
         return found, torch.arange(len(found), device=found.device), found
     pixels, maps, positions = rays.by_pixel(), posed.local_maps, posed.positions
-    samples = pixels.shape[1]
-    middle = pixels.middle()
+    samples, middle = pixels.shape[1], pixels.middle()
     # The nearest in the rest state are sought among more than k of the deformed state.
     wanted = CANDIDATES * maps.anisotropy * k * (SHARED if samples > 1 else 1.0)
     count = max(k, math.ceil(min(wanted, MOST_CANDIDATES)))
@@ -154,8 +153,8 @@ def search(
     wide = torch.nonzero((spread > WIDEST * width)[pixel_of_near]).squeeze(-1)
     if len(wide):
         alone = pixels[pixel_of_near[wide]].flat()
-        found = nearest_to_rays(alone.origins, alone.directions, positions, count)
-        candidates.index_copy_(0, _rays_of(wide, samples), found)
+        own = nearest_to_rays(alone.origins, alone.directions, positions, count)
+        candidates.index_copy_(0, _rays_of(wide, samples), own)
     nearest = shared[:, :k].repeat_interleave(samples, dim=0)
     return nearest, _rays_of(pixel_of_near, samples), candidates
 
@@ -180,8 +179,7 @@ def layer_of(
         back_layer: those behind the foremost layer instead of the foremost.
 
     Returns:
-        Neighbours (M, k); the rays (M,), or (M, k) as each neighbour sees them; and which of the
-        rays (M,) have a layer behind.
+        Neighbours (M, k); the rays (M,), or (M, k) as each sees them; which have a layer behind.
     """
     maps = posed.local_maps
     one_layer = torch.zeros(len(candidates), dtype=torch.bool, device=candidates.device)
