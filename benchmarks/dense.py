@@ -68,8 +68,10 @@ def attend(papr: Papr, cloud: PointCloud, rays: RayBundle, pairs: int) -> tuple[
         near = nearest_to_rays(
             rays.origins, rays.directions, cloud.positions, config.neighbours, pairs
         )
-    points, d = cloud.positions[near], rays.directions.unsqueeze(1)
-    to_point = points - rays.origins.unsqueeze(1)
+    points, origins, d = cloud.positions[near], rays.origins, rays.directions.unsqueeze(1)
+    if config.frame is not None:
+        points, origins = config.frame.from_world(points), config.frame.from_world(origins)
+    to_point = points - origins.unsqueeze(1)
     guarded = d / (d.square().sum(dim=-1, keepdim=True) + LENGTH_GUARD)
     along = (to_point * d).sum(dim=-1, keepdim=True) * guarded
     octaves = config.octaves

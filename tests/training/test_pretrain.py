@@ -178,7 +178,9 @@ def test_the_hull_encloses_the_object(box: Scene) -> None:
 
 def test_the_grid_of_the_original(box: Scene) -> None:
     points = pretrain(box, replace(FROZEN, start="grid", points=125)).cloud.positions
-    axis = torch.linspace(-1.2, 1.2, 5)
+    # As large as that of a scene of the usual size (`Scene.radius` of NeRF-Synthetic).
+    half = 1.2 * box.radius / 1.3654
+    axis = torch.linspace(-half, half, 5)
     expected = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).reshape(-1, 3)
     assert torch.allclose(points, expected, atol=5e-4)
 

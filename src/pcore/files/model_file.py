@@ -238,7 +238,9 @@ def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
             "train`), import the original's checkpoint again (`pcore import papr`), or use the "
             "pcore that wrote it"
         )
-    config = from_dict(PaprConfig, _json(path, header, "config"), where=f"{path}: config")
+    # Models that were made before networks had a frame of their own have none.
+    settings = {"frame": None, **_json(path, header, "config")}
+    config = from_dict(PaprConfig, settings, where=f"{path}: config")
     provenance = from_dict(
         Provenance, _json(path, header, "provenance"), where=f"{path}: provenance"
     )

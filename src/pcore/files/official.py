@@ -125,7 +125,8 @@ def to_official_state(papr: Papr, cloud: PointCloud) -> dict[str, Tensor]:
     files; the cut-off has no counterpart there.
 
     Raises:
-        InputError: the model uses a cut-off, or encodes with several numbers of octaves.
+        InputError: the model uses a cut-off, encodes with several numbers of octaves, or has a
+            frame of its own.
     """
     octaves = papr.config.octaves
     if octaves != Octaves.all(octaves.point):
@@ -136,6 +137,13 @@ def to_official_state(papr: Papr, cloud: PointCloud) -> dict[str, Tensor]:
         raise InputError(
             "official checkpoint: expected a model without a cut-off, got cutoff = "
             f"{papr.config.cutoff}; the original lets every point answer every ray"
+        )
+    frame = papr.config.frame
+    if frame is not None:
+        raise InputError(
+            "official checkpoint: expected networks that see world coordinates, got a frame about "
+            f"{frame.center} with the unit {frame.unit:g}; the original knows scenes of the usual "
+            "size about the origin: bring the cameras there before training"
         )
     out = {_official_name(ours): _copy(v) for ours, v in papr.state_dict().items()}
     out["points"] = _copy(cloud.positions) * papr.config.coord_scale

@@ -104,12 +104,16 @@ class ProximityAttention(nn.Module):
                 original's training.
         """
         queries, constants = self._queries(_of_query(seen.directions))
-        inside, octaves = self.key.innorm, self.config.octaves
+        inside, octaves, frame = self.key.innorm, self.config.octaves, self.config.frame
+        places, origins = posed.seen_positions, seen.origins
+        if frame is not None:
+            places, origins = frame.from_world(places), frame.from_world(origins)
+        cutoff = self.config.cutoff
         features, background, weights, answering = proximity_attention(
-            posed.seen_positions,
+            places,
             posed.cloud.features,
             posed.cloud.influence,
-            seen.origins,
+            origins,
             seen.directions,
             neighbours,
             queries=queries,
@@ -120,7 +124,7 @@ class ProximityAttention(nn.Module):
                 scale=self.config.coord_scale,
                 frequencies=(octaves.point, octaves.along, octaves.across),
                 background_score=self.config.background_score,
-                cutoff=self.config.cutoff,
+                cutoff=None if cutoff is None else cutoff / self.config.unit,
                 threshold=threshold,
                 stop_encoding=stop_encoding,
             ),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from torch import Tensor
+
 from pcore.errors import InputError
 from pcore.geometry.pixel_samples import check_samples
 
@@ -39,7 +41,8 @@ class Octaves:
     """Octaves of the positional encodings of what a ray and a point are to each other.
 
     The original has one number L for all of them. Waves shorter than what photos can tell apart
-    only help to learn them by heart (ADR 9). With 0 octaves a part stays as it is, in world units.
+    only help to learn them by heart (ADR 9). With 0 octaves a part stays as it is, in units of the
+    networks' frame.
     """
 
     point: int = 6
@@ -85,13 +88,38 @@ class ReferenceOrigin:
 
 
 @dataclass(frozen=True, kw_only=True)
+class NetworkFrame:
+    """The coordinates that networks see: world coordinates about a middle, in another unit."""
+
+    center: tuple[float, float, float]
+    """What is the origin there, world units."""
+    unit: float
+    """What is 1 there, world units."""
+
+    def __post_init__(self) -> None:
+        numbers = (*self.center, self.unit)
+        if not all(math.isfinite(x) for x in numbers) or self.unit <= 0:
+            raise InputError(
+                "PAPR: expected a finite center and a positive unit of the networks' frame, got "
+                f"{self.center} and {self.unit}"
+            )
+
+    def from_world(self, places: Tensor) -> Tensor:
+        """Places (..., 3), world units, in this frame."""
+        return (places - places.new_tensor(self.center)) / self.unit
+
+
+@dataclass(frozen=True, kw_only=True)
 class PaprConfig:
     """Architecture of PAPR; the defaults are the original's `chair` configuration."""
 
     neighbours: int = 20
     """Points that a ray attends to (k)."""
     coord_scale: float = 10.0
-    """Positions are multiplied by this before they are encoded."""
+    """Positions in the networks' frame are multiplied by this before they are encoded."""
+    frame: NetworkFrame | None = None
+    """What networks see places in, so that units and origin of the world do not matter. None (the
+    original): world coordinates. Training chooses it from the scene where it is None."""
     octaves: Octaves = field(default_factory=Octaves)
     """Octaves of the positional encodings."""
     feature_size: int = 64
@@ -122,6 +150,11 @@ class PaprConfig:
     pixel: float | None = None
     """Width of a pixel of the training photos at the object's middle, world units: what the
     renderer network knows (`pcore.render.raster`). None: pictures are drawn as they come."""
+
+    @property
+    def unit(self) -> float:
+        """World units in one unit of the networks' frame."""
+        return 1.0 if self.frame is None else self.frame.unit
 
     def __post_init__(self) -> None:
         if self.neighbours < 1 or self.feature_size < 1:

@@ -22,7 +22,7 @@ Origin = Literal["camera", "reference"]
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """Learning rates; that of the points is in scaled units (world units times coord_scale)."""
+    """Learning rates; that of the points is in units of the networks' frame times coord_scale."""
 
     points: Schedule
     attention: Schedule
@@ -122,7 +122,7 @@ class PretrainConfig:
     opacity_weight: float = 0.0
     """Weight of the squared error of the opacity against the alpha channel, where there is one."""
     front_weight: float = 0.0
-    """Weight of attention behind the first point of a ray (world units squared)."""
+    """Weight of attention behind the first point of a ray (squared units of the networks)."""
     background: Background = "white"
     """Behind images with alpha; "random" draws another colour every step and renders on white."""
     prune: PruneConfig | None = None
@@ -218,7 +218,7 @@ class FinetuneConfig:
     opacity_weight: float = 0.0
     """Weight of the squared error of the canonical opacity against the alpha channel."""
     front_weight: float = 0.0
-    """Weight of attention behind the first point of a ray (world units squared)."""
+    """Weight of attention behind the first point of a ray (squared units of the networks)."""
     lpips_weight: float = 0.0
     """Weight of LPIPS in the canonical photometric loss."""
     lpips_trunk: TrunkName = "vgg"

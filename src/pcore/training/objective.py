@@ -49,7 +49,7 @@ class Objective:
             opacity_weight=config.opacity_weight,
             lpips_weight=config.lpips_weight,
             perceptual=self._perceptual,
-            front_weight=config.front_weight,
+            front_weight=config.front_weight / work.papr.config.unit**2,
         )
         rgb = patch.rgb if config.texture_target == "photo" else image.rgb
         canonical = canonical_of(image, work.cloud, patch.rays, rgb, config.foreground_alpha)

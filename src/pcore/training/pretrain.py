@@ -20,6 +20,7 @@ from pcore.model.papr_config import PaprConfig, ReferenceOrigin
 from pcore.training.compiling import compile_networks
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
+from pcore.training.frame import in_frame, network_frame
 from pcore.training.loop import Plan, autocast, run_loop
 from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric, training_image
 from pcore.training.patches import draw_patch
@@ -84,7 +85,7 @@ def pretrain(
                     opacity_weight=config.opacity_weight,
                     lpips_weight=config.lpips_weight,
                     perceptual=perceptual,
-                    front_weight=config.front_weight,
+                    front_weight=config.front_weight / work.papr.config.unit**2,
                 )
             )
         return mean_of(found)
@@ -111,12 +112,13 @@ def pretrain(
 def _begin(
     scene: Scene, views: Sequence[View], config: PretrainConfig, device: torch.device
 ) -> Trainable:
+    model = _model_config(config, scene)
     # Weights come from torch's global generator; fork it so that the library leaves it alone.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        papr = Papr(_model_config(config, scene))
+        papr = Papr(model)
         generator = torch.Generator().manual_seed(config.seed)
-        positions = start_positions(scene, views, config, generator)
+        positions = start_positions(scene, views, config, model.frame, generator)
         features = torch.randn(len(positions), papr.config.feature_size, generator=generator)
     cloud = PointCloud(
         positions=positions.to(device),
@@ -135,7 +137,8 @@ def _model_config(config: PretrainConfig, scene: Scene) -> PaprConfig:
     # The original draws pictures of any size as they come, and so do its settings.
     widths = [view.camera.pixel_width(scene.center) for view in scene.split("train")]
     pixel = statistics.median(widths) if config.model.samples > 1 else None
-    return dataclasses.replace(config.model, background=color, reference=reference, pixel=pixel)
+    model = dataclasses.replace(config.model, background=color, reference=reference, pixel=pixel)
+    return model if model.frame is not None else in_frame(model, network_frame(scene))
 
 
 def _due(step: int, when: PruneConfig | GrowConfig) -> bool:

@@ -12,6 +12,7 @@ from torch import Tensor
 from pcore.data.poses import closest_to_axes
 from pcore.data.scene import Scene, View
 from pcore.errors import InputError
+from pcore.model.papr_config import NetworkFrame
 from pcore.training.config import PretrainConfig
 from pcore.training.population import grid_points, hull_points
 
@@ -42,9 +43,20 @@ class StartReport:
 
 
 def start_positions(
-    scene: Scene, views: Sequence[View], config: PretrainConfig, generator: torch.Generator
+    scene: Scene,
+    views: Sequence[View],
+    config: PretrainConfig,
+    frame: NetworkFrame | None,
+    generator: torch.Generator,
 ) -> Tensor:
     """Points (N, 3) float32 that training begins with, world units.
+
+    Args:
+        scene: says where the object is.
+        views: training views that are not held out.
+        config: how many and where.
+        frame: that of the networks, in which the original's grid stands; None: world coordinates.
+        generator: of the draws.
 
     Raises:
         InputError: a bad file, no masks for a visual hull, or points that no camera sees.
@@ -58,10 +70,10 @@ def start_positions(
             )
         return hull_points(config.points, views, scene.lower, scene.upper, generator=generator)
     if config.start == "grid":
-        half = torch.full((3,), _GRID_HALF_SIDE)
-        points = grid_points(config.points, -half, half)
-    else:
-        points = start_from_file(Path(config.start))
+        middle, unit = ((0.0, 0.0, 0.0), 1.0) if frame is None else (frame.center, frame.unit)
+        center, half = torch.tensor(middle), _GRID_HALF_SIDE * unit
+        return grid_points(config.points, center - half, center + half)
+    points = start_from_file(Path(config.start))
     check_start(points, views, config.start)
     return points
 
@@ -80,7 +92,7 @@ def check_start(points: Tensor, views: Sequence[View], start: str) -> tuple[str,
     Args:
         points: (N, 3) world units.
         views: training views.
-        start: "grid" or the file they come from.
+        start: the file they come from.
 
     Returns:
         A sentence each.
@@ -89,23 +101,16 @@ def check_start(points: Tensor, views: Sequence[View], start: str) -> tuple[str,
         InputError: next to none of the points are in view.
     """
     found = report_start(points, views)
-    what = (
-        f"the grid of side {2 * _GRID_HALF_SIDE:g} about the origin" if start == "grid" else start
+    line = (
+        f"{start}: {found.seen:,} of {found.points:,} points lie in what the cameras see; are they "
+        "in the coordinates of the cameras?"
     )
-    mend = (
-        "start from a file of points, or move the scene to the origin"
-        if start == "grid"
-        else "are they in the coordinates of the cameras?"
-    )
-    line = f"{what}: {found.seen:,} of {found.points:,} points lie in what the cameras see; {mend}"
     if found.seen < max(1.0, _LEAST * found.points):
         raise InputError(line)
-    if start == "grid":
-        return ()
     notes = (line,) if found.seen < _MOST * found.points else ()
     if found.outside is not None and found.outside > _OUTSIDE * found.points:
         notes += (
-            f"{what}: {found.outside:,} of {found.points:,} points lie outside of the masks of "
+            f"{start}: {found.outside:,} of {found.points:,} points lie outside of the masks of "
             "views that see them; are they in the coordinates of the cameras, with the same axes "
             "and unit?",
         )

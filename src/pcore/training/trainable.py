@@ -26,6 +26,8 @@ from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
 
 _CLOUD = ("positions", "features", "influence")
+_ADAM_GUARD = 1e-8
+"""Adam's usual one."""
 
 
 @dataclass(kw_only=True)
@@ -76,7 +78,8 @@ class Trainable:
         for group in self.optimizer.param_groups:
             group["lr"] = rates[group["name"]].at(self.step, steps)
         # The points' rate is in scaled units, the points themselves are in world units.
-        self.optimizer.param_groups[0]["lr"] /= self.papr.config.coord_scale
+        config = self.papr.config
+        self.optimizer.param_groups[0]["lr"] *= config.unit / config.coord_scale
 
     def result(self, weights: Mapping[str, Tensor] | None = None) -> Trained:
         """Networks and points to hand over: of `weights`, or as they are."""
@@ -162,10 +165,12 @@ def trainable(
         [tensors["influence"]],
         list(papr.unet.parameters()),
     ]
-    groups = [
+    groups: list[dict[str, Any]] = [
         {"params": group, "name": name}
         for name, group in zip(Rates.__dataclass_fields__, parameters, strict=True)
     ]
+    # Gradients of the points are per world unit, and so must be what keeps Adam's steps finite.
+    groups[0]["eps"] = _ADAM_GUARD / papr.config.unit
     if skinning is not None:
         network = skinning.network.requires_grad_(True)
         groups.append({"params": list(network.parameters()), "name": "skinning"})
