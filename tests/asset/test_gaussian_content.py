@@ -13,7 +13,7 @@ import pcore
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.saving import load
-from pcore.asset.training import train
+from pcore.asset.training import RunOptions, train
 from pcore.data.load import load_scene
 from pcore.data.scene import Scene
 from pcore.deform.simple import uniform_scale
@@ -67,7 +67,12 @@ def test_what_is_trained_in_a_folder_is_what_is_loaded_and_what_memory_gives(
     tmp_path: Path,
 ) -> None:
     scene = load_scene(write_scene(tmp_path / "box", states=False))
-    made = train(scene, CONFIG, folder=tmp_path / "run")
+    notes: list[str] = []
+    options = RunOptions(note=notes.append)
+    made = train(scene, CONFIG, folder=tmp_path / "run", options=options)
+    # Six steps make no surface that light could fall on.
+    assert "at least 50 points with a normal" in notes[-1]
+    assert made.light is None
     found = load(tmp_path / "run")
     assert len(found) == len(made) == 50
     assert found.provenance.scene == "box"

@@ -91,11 +91,6 @@ class GaussianContent:
 
     @property
     def surfels(self) -> Surfels | None:
-        """See `Content.surfels`."""
-        return self._surfels
-
-    @cached_property
-    def _surfels(self) -> Surfels | None:
         """The pieces of surface that they are at rest; None where nobody has estimated them."""
         if self.normals is None:
             return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from pcore.asset.asset import Asset
@@ -13,6 +14,7 @@ from pcore.files.provenance import Provenance
 from pcore.files.records import to_dict
 from pcore.files.run_folder import bytes_needed
 from pcore.files.run_record import RunRecord
+from pcore.relight.light_file import LIGHT_FILE, save_light
 from pcore.training.events import Listener
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.gaussian_fit import fit_gaussians
@@ -90,6 +92,19 @@ def train_gaussians(
         listener,
     )
     return load(plan.path, device=device), learned is not None
+
+
+def keep_light(asset: Asset, content: GaussianContent) -> Asset:
+    """Give an object content with normals and a light, and write both where it has a folder.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    if asset.record.path is not None:
+        content.save_gaussians(asset.path, asset.provenance)
+        if content.light is not None:
+            save_light(asset.path / LIGHT_FILE, content.light)
+    return replace(asset, content=content)
 
 
 def _asset(

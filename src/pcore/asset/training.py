@@ -9,7 +9,7 @@ from typing import Any
 
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
-from pcore.asset.gaussian_training import gaussian_plan, train_gaussians
+from pcore.asset.gaussian_training import gaussian_plan, keep_light, train_gaussians
 from pcore.asset.saving import asset_of, load, neural_points_of
 from pcore.data.scene import Scene, check_images
 from pcore.errors import InputError
@@ -224,7 +224,7 @@ def estimate_light(
     views = scene.split("train")
     check_images(views)
     if isinstance(asset.content, GaussianContent):
-        return _lit_gaussians(asset, asset.content.with_light(views, progress=progress))
+        return keep_light(asset, asset.content.with_light(views, progress=progress))
     content = neural_points_of(asset, "light")
     if observed is None:
         observed = observe(content.papr, content.cloud, views, progress=progress)
@@ -240,13 +240,16 @@ def estimate_light(
     return replace(asset, content=replace(content, read_light=lambda: light))
 
 
-def _lit_gaussians(asset: Asset, content: GaussianContent) -> Asset:
-    """Keep normals and light of Gaussians, beside the run where there is one."""
-    if asset.record.path is not None:
-        content.save_gaussians(asset.path, asset.provenance)
-        if content.light is not None:
-            save_light(asset.path / LIGHT_FILE, content.light)
-    return replace(asset, content=content)
+def _lit(
+    asset: Asset, scene: Scene, options: RunOptions, observed: Observed | None = None
+) -> Asset:
+    """Estimate the light where that is wished and possible; else the note says why it is not."""
+    if options.light:
+        try:
+            return estimate_light(asset, scene, observed=observed)
+        except (InputError, OSError) as error:
+            options.note(f"note: {error}")
+    return asset
 
 
 def _base_of(asset: Asset, folder: Path | None) -> dict[str, str]:
@@ -287,18 +290,6 @@ def _made(
         if trained is None:
             return asset
     return _lit(asset, scene, options, trained.observed)
-
-
-def _lit(
-    asset: Asset, scene: Scene, options: RunOptions, observed: Observed | None = None
-) -> Asset:
-    """Return the same with the light of its photos, where that is wanted and possible."""
-    if options.light:
-        try:
-            return estimate_light(asset, scene, observed=observed)
-        except (InputError, OSError) as error:
-            options.note(f"note: {error}")
-    return asset
 
 
 def _in_memory(trained: Trained, scene: Scene, record: RunRecord, place: str) -> Asset:

@@ -1,8 +1,9 @@
 """What training photos say about the Gaussians of a trained model: normals and colours.
 
-A trained Gaussian is a flat piece of the surface that it lies on: its shortest axis is the normal,
-and photos say which side is outside. The weight that a pixel gives a Gaussian is the derivative of
-what is blended there, so that sums over pixels are one backward pass of the renderer.
+A trained Gaussian is a flat piece of the surface that it lies on. Its normal is halfway between its
+shortest axis, turned outwards, and the normal of the surface that pictures show there. The weight
+that a pixel gives a Gaussian is the derivative of what is blended there, so that sums over pixels
+are one backward pass of the renderer.
 """
 
 from __future__ import annotations
@@ -93,12 +94,13 @@ def _normals(gaussians: Gaussians, facing: Tensor, attention: Tensor) -> Tensor:
         attention: (N,) sums of the weights.
     """
     axis, flat = shortest_axes(gaussians)
-    along = (axis * facing).sum(dim=1)
-    length = facing.norm(dim=1)
+    along, length = (axis * facing).sum(dim=1), facing.norm(dim=1)
     axis = torch.where(along[:, None] < 0, -axis, axis)
     agreed = flat & (along.abs() > _AGREE * length)
-    # A round Gaussian lies on the surface all the same, whose normal pictures show.
-    normal = torch.where(agreed[:, None], axis, F.normalize(facing, dim=1))
+    shown = F.normalize(facing, dim=1)
+    # Half of each: an axis knows finer shapes, pictures are calmer. A round Gaussian lies on the
+    # surface all the same, whose normal pictures show.
+    normal = torch.where(agreed[:, None], F.normalize(axis + shown, dim=1), shown)
     known = (attention > _SEEN) & (gaussians.opacities > _OPAQUE) & (length > _ALIKE * attention)
     return normal * known[:, None]
 

@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from tests.render.test_gaussian_surfels import COUNT, a_ball, photos
@@ -137,6 +138,33 @@ def test_photos_tell_the_light(tmp_path: Path) -> None:
     saved = replace(asset, content=made).save(tmp_path / "run")
     assert saved.light is not None
     assert torch.equal(pcore.load(tmp_path / "run").content.points, asset.points)
+
+
+def write_photos(folder: Path) -> Path:
+    (folder / "train").mkdir(parents=True)
+    frames: list[dict[str, Any]] = []
+    for number, view in enumerate(photos(a_ball())):
+        pixels = (255 * view.rgba()).round().to(torch.uint8).numpy()
+        Image.fromarray(pixels).save(folder / "train" / f"r_{number}.png")
+        pose = view.camera.world_from_camera.tolist()
+        frames.append({"file_path": f"./train/r_{number}", "transform_matrix": pose})
+    text = json.dumps({"camera_angle_x": 0.6, "frames": frames})
+    (folder / "transforms_train.json").write_text(text)
+    return folder
+
+
+def test_python_estimates_what_the_command_estimates(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, run = write_photos(tmp_path / "photos"), tmp_path / "run"
+    dark_asset().save(run)
+    made = pcore.estimate_light(dark_asset(), pcore.load_scene(scene))
+    assert main(["light", str(run), "--scene", str(scene), "--device", "cpu"]) == 0
+    found = pcore.load(run)
+    assert "brightest on surfaces that face" in capsys.readouterr().out
+    assert torch.equal(
+        cast("torch.Tensor", gains(found, TURN)), cast("torch.Tensor", gains(made, TURN))
+    )
 
 
 def test_normals_and_lights_of_others_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,28 @@
+"""Which methods runs are compared by."""
+
+from __future__ import annotations
+
+import pytest
+from tests.asset.test_lit_gaussians import dark_asset, lit_asset
+
+from pcore.data.load import load_scene
+from pcore.data.scene import Scene
+from pcore.errors import InputError
+from pcore.evaluation.methods import methods_of
+from tiny_scene import write_scene
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return load_scene(write_scene(tmp_path_factory.mktemp("scene") / "box", states=False))
+
+
+def test_gaussians_are_compared_with_their_shapes_and_their_light(scene: Scene) -> None:
+    names = [one.name for one in methods_of([lit_asset()], scene, rays="both", light=None)]
+    assert names == ["Gaussians", "Gaussians affine", "Gaussians affine + light"]
+    names = [one.name for one in methods_of([lit_asset()], scene, rays="aware", light="baked")]
+    assert names == ["Gaussians affine"]
+    names = [one.name for one in methods_of([dark_asset()], scene, rays="both", light=None)]
+    assert names == ["Gaussians", "Gaussians affine"]
+    with pytest.raises(InputError, match="pcore light RUN"):
+        methods_of([dark_asset()], scene, rays="both", light="still")
