@@ -15,6 +15,7 @@ import torch
 from PIL import ExifTags, Image
 from toys import CONFIG, toy_cameras, toy_cloud, write_cameras, write_run, write_scene
 
+from pcore.asset.saving import load
 from pcore.cli.main import main
 from pcore.cli.train import check_shows
 from pcore.data.image_files import read_header
@@ -254,10 +255,10 @@ def test_some_empty_pictures_are_told_of(world: Path, capsys: pytest.CaptureFixt
 
 def test_a_run_that_shows_nothing_is_an_error(world: Path) -> None:
     scene = load_scene(world / "ball")
-    check_shows(world / "run", scene, "cpu")
+    check_shows(load(world / "run"), scene)
     write_run(world / "away", scene="../ball", config=replace(CONFIG, background_score=1e4))
     with pytest.raises(TrainingError, match="the run is saved, but nothing is to be seen in its p"):
-        check_shows(world / "away", scene, "cpu")
+        check_shows(load(world / "away"), scene)
 
 
 # --- notes --------------------------------------------------------------------------------------

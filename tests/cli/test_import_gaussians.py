@@ -107,6 +107,7 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(folder: Path):
     (run / "gaussians.safetensors").unlink()
     with pytest.raises(CheckpointError, match="no model"):
         exported(run, "out.ply")
-    papr = write_run(folder / "papr", points=20)
+    papr = folder / "papr"
+    write_run(papr, points=20)
     with pytest.raises(InputError, match="run of Gaussians"):
         exported(papr, "out.ply")
