@@ -18,11 +18,11 @@ import numpy as np
 import torch
 from PIL import Image
 
-from pcore.cli.runtime import prepare_torch
 from pcore.data.load import load_scene
 from pcore.data.scene import View
 from pcore.evaluation.protocol import STANDARD, ImageScores, measure
 from pcore.gaussians.render import PosedGaussians, render
+from pcore.kernels.memory import keep_freed_memory
 from pcore.training.events import Event, ValidationReport
 from pcore.training.gaussian_fit import fit_gaussians
 from pcore.training.presets import gaussian_preset
@@ -39,7 +39,9 @@ def main() -> None:
     parser.add_argument("--steps", type=int)
     parser.add_argument("--pictures", type=Path, help="folder for the first test view of each")
     wish = parser.parse_args()
-    prepare_torch(1)
+    keep_freed_memory()
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
     config = gaussian_preset("tiny")
     if wish.steps:
         config = replace(config, steps=wish.steps)

@@ -9,6 +9,7 @@ import tyro
 from rich.console import Console
 from tests.data.splat_files import write_ply
 from tests.gaussians.some import some_gaussians
+from toys import write_run
 
 from pcore.cli.deform import DeformCommand, deform
 from pcore.cli.export import ExportCommand, export
@@ -104,5 +105,8 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(folder: Path):
         exported(run, "out.obj")
     load_gaussians(run)
     (run / "gaussians.safetensors").unlink()
-    with pytest.raises(InputError, match="run of Gaussians"):
+    with pytest.raises(CheckpointError, match="no model"):
         exported(run, "out.ply")
+    papr = write_run(folder / "papr", points=20)
+    with pytest.raises(InputError, match="run of Gaussians"):
+        exported(papr, "out.ply")

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -11,7 +12,7 @@ from pcore.data.points import save_points
 from pcore.data.scene import Scene
 from pcore.errors import InputError
 from pcore.training.pretrain import pretrain
-from pcore.training.start_cloud import check_start, report_start
+from pcore.training.start_cloud import check_start, report_start, start_from_file
 from small_training import pretrain_config
 from tiny_scene import CORNERS
 
@@ -98,3 +99,9 @@ def test_a_grid_stands_where_the_cameras_look(box: Scene) -> None:
     config = pretrain_config(start="grid", points=125, steps=1)
     here, there = (pretrain(scene, config).cloud.positions for scene in (box, moved))
     assert torch.allclose(there - AWAY, here, atol=2e-3)
+
+
+def test_points_at_one_place_are_no_start(tmp_path: Path) -> None:
+    np.save(tmp_path / "one.npy", np.ones((50, 3)))
+    with pytest.raises(InputError, match="all 50 at one place"):
+        start_from_file(tmp_path / "one.npy")

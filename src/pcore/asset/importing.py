@@ -6,12 +6,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pcore.asset.asset import Asset
+from pcore.asset.asset import WHITE, Asset
+from pcore.asset.content import Color
 from pcore.asset.saving import load
+from pcore.files.gaussian_file import SavedGaussians, save_gaussians
 from pcore.files.official import load_official
-from pcore.files.provenance import provenance_of
+from pcore.files.provenance import Provenance, pcore_version, provenance_of
 from pcore.files.records import to_dict
-from pcore.files.run_folder import RunFolder, bytes_needed
+from pcore.files.run_folder import RunFolder, bytes_needed, write_guard
+from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.render import Footprint
 from pcore.model.papr_config import ReferenceOrigin
 
 
@@ -52,4 +56,52 @@ def import_papr(
     ) as run:
         run.save_model(official.state, official.cloud, config, came)
         run.update(status="finished", step=step)
+    return load(folder)
+
+
+def save_imported(
+    gaussians: Gaussians,
+    footprint: Footprint,
+    folder: Path | str,
+    *,
+    file: Path,
+    scene: Path | None = None,
+    background: Color | None = None,
+) -> Asset:
+    """Make an asset of Gaussians that another program trained.
+
+    Args:
+        gaussians: in the world of the cameras, float32 on the CPU.
+        footprint: how that program met pixels.
+        folder: new or empty folder for the run.
+        file: where they come from.
+        scene: folder of their photos; None where they are not known.
+        background: of their pictures; None is white.
+
+    Raises:
+        InputError: the folder is in use.
+        TrainingError: it cannot be written.
+    """
+    name = str(scene or file)
+    lower, upper = gaussians.means.amin(dim=0).tolist(), gaussians.means.amax(dim=0).tolist()
+    provenance = Provenance(
+        scene=name,
+        stage="import",
+        step=0,
+        background=background or WHITE,
+        extent=((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])),
+        pcore=pcore_version(),
+    )
+    source = {"file": str(file), "footprint": to_dict(footprint)}
+    with RunFolder.create(
+        Path(folder),
+        stage="import",
+        scene=name,
+        config={"model": "gaussians", "source": source},
+        needed=bytes_needed(sum(tensor.numel() for tensor in vars(gaussians).values())),
+    ) as run:
+        saved = SavedGaussians(gaussians=gaussians, footprint=footprint, provenance=provenance)
+        with write_guard(run.gaussians):
+            save_gaussians(run.gaussians, saved)
+        run.update(status="finished", step=0)
     return load(folder)

@@ -11,6 +11,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.options import Count, Number, optional
+from pcore.errors import InputError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,19 +54,23 @@ def export(command: ExportCommand, console: Console) -> None:
         EditError: the edit file is not valid, or folds space everywhere.
         InputError: a run without Gaussians, or a file that cannot be written.
     """
+    from pcore.asset.gaussian_content import GaussianContent
     from pcore.asset.posing import script_of
+    from pcore.asset.saving import load
     from pcore.cli.deform_gaussians import edit_notes
-    from pcore.cli.import_gaussians import check_gaussian_run
     from pcore.cli.runtime import prepare_torch
     from pcore.data.splat_file import splats_of
     from pcore.data.splat_formats import check_splat_output, save_splats
     from pcore.editing.gaussian_edit import edited_gaussians
-    from pcore.files.gaussian_file import load_gaussians
 
     check_splat_output(command.output)
-    check_gaussian_run(command.run_folder)
     prepare_torch(command.threads)
-    saved = load_gaussians(command.run_folder)
+    saved = load(command.run_folder).content
+    if not isinstance(saved, GaussianContent):
+        raise InputError(
+            f"{command.run_folder}: expected a run of Gaussians, got one of PAPR's points, which "
+            "have no Gaussians; train with `pcore train SCENE --model gaussians`"
+        )
     file, notes = splats_of(saved.gaussians, str(command.run_folder)), list[str]()
     if command.edit is not None:
         script = script_of(command.edit, command.time)

@@ -11,7 +11,6 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.options import Count, Folder, optional
-from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.data.splat_file import SplatFile
@@ -66,6 +65,7 @@ def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
         SceneError: the scene is damaged.
         TrainingError: the run cannot be written.
     """
+    from pcore.asset.importing import save_imported
     from pcore.cli.runtime import prepare_torch
     from pcore.data.splat_formats import read_splats
     from pcore.gaussians.render import Footprint
@@ -75,7 +75,14 @@ def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
     file = read_splats(command.file)
     gaussians = _single(_in_world(file.gaussians, command.transform))
     agreement = _compared(gaussians, footprint, command)
-    _write(command, gaussians, footprint, agreement)
+    save_imported(
+        gaussians,
+        footprint,
+        command.output,
+        file=command.file,
+        scene=command.scene,
+        background=None if agreement is None else agreement.background,
+    )
     lines = [f"{command.output}: {len(gaussians):,} Gaussians of degree {gaussians.degree}"]
     if agreement is not None:
         lines.append(f"  {agreement.views} photos are met by {agreement.psnr:.1f} dB")
@@ -114,41 +121,6 @@ def _compared(
     return found
 
 
-def _write(
-    command: ImportGaussiansCommand,
-    gaussians: Gaussians,
-    footprint: Footprint,
-    agreement: Agreement | None,
-) -> None:
-    from pcore.files.gaussian_file import SavedGaussians, save_gaussians
-    from pcore.files.provenance import Provenance, pcore_version
-    from pcore.files.records import to_dict
-    from pcore.files.run_folder import RunFolder, bytes_needed, write_guard
-
-    scene = str(command.scene or command.file)
-    lower, upper = gaussians.means.amin(dim=0).tolist(), gaussians.means.amax(dim=0).tolist()
-    provenance = Provenance(
-        scene=scene,
-        stage="import",
-        step=0,
-        background=(1.0, 1.0, 1.0) if agreement is None else agreement.background,
-        extent=((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])),
-        pcore=pcore_version(),
-    )
-    source = {"file": str(command.file), "footprint": to_dict(footprint)}
-    with RunFolder.create(
-        command.output,
-        stage="import",
-        scene=scene,
-        config={"model": "gaussians", "source": source},
-        needed=bytes_needed(sum(tensor.numel() for tensor in vars(gaussians).values())),
-    ) as run:
-        saved = SavedGaussians(gaussians=gaussians, footprint=footprint, provenance=provenance)
-        with write_guard(run.gaussians):
-            save_gaussians(run.gaussians, saved)
-        run.update(status="finished", step=0)
-
-
 def _notes(file: SplatFile, gaussians: Gaussians) -> list[str]:
     notes: list[str] = []
     if file.flat:
@@ -160,14 +132,3 @@ def _notes(file: SplatFile, gaussians: Gaussians) -> list[str]:
             "it; move it to the origin first"
         )
     return notes
-
-
-def check_gaussian_run(path: Path) -> None:
-    """Raise InputError unless a folder is a run of Gaussians."""
-    from pcore.files.run_folder import RunFolder
-
-    if not RunFolder.open(path).gaussians.is_file():
-        raise InputError(
-            f"{path}: expected a run of Gaussians, got one of PAPR's points, which have no "
-            "Gaussians; train with `pcore train SCENE --model gaussians`"
-        )

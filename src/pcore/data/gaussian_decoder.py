@@ -20,9 +20,17 @@ def main() -> None:
     os.dup2(2, 1)
     import gaussforge  # pyright: ignore[reportMissingImports]
 
-    found: dict[str, Any] = gaussforge.GaussForge().read(sys.stdin.buffer.read(), sys.argv[1])
+    content, forge = sys.stdin.buffer.read(), gaussforge.GaussForge()
+    found: dict[str, Any] = forge.read(content, sys.argv[1])
+    if found.get("error") == "std::bad_cast":
+        # So its `read` ends for all Gaussians without harmonics; its `convert` does not.
+        found = forge.convert(content, sys.argv[1], "ply")
+        if not found.get("data"):
+            found = {"error": "it holds no Gaussians"}
     if "error" in found:
         answer.write(json.dumps({"error": str(found["error"])}).encode() + b"\n")
+    elif isinstance(found["data"], bytes):
+        answer.write(b'{"ply": true}\n' + found["data"])
     else:
         data: dict[str, Any] = found["data"]
         arrays = [bytes(data.get(name) or b"") for name in _ARRAYS]

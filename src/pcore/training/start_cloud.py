@@ -83,7 +83,13 @@ def start_from_file(path: Path) -> Tensor:
     # Reading such files takes a package that no other training needs.
     from pcore.data.points import load_points
 
-    return load_points(path)
+    points = load_points(path)
+    if len(points) > 1 and bool((points == points[0]).all()):
+        raise InputError(
+            f"{path}: expected points of some extent to start from, got all {len(points):,} at one "
+            "place; give another file, or leave out --init"
+        )
+    return points
 
 
 def check_start(points: Tensor, views: Sequence[View], start: str) -> tuple[str, ...]:
