@@ -3,6 +3,7 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import pcore
 from pcore.editing.animation import parse_animation
 from pcore.editing.session import EditSession
 
+JSON_BLOCK = re.compile(r"```json\n(.*?)```", re.DOTALL)
 GUIDE = Path(__file__).parents[2] / "docs" / "guide"
 
 
@@ -33,14 +35,24 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> torch.Tensor:
     return points
 
 
+EDIT_PAGES = ("edit-files", "edit-types", "edit-shapes", "edit-keys", "regions")
+
+
+def indented_edits(text: str) -> list[dict[str, Any]]:
+    """JSON objects of indented blocks, which may go over several lines."""
+    bare = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    blocks = re.findall(r"(?:^    .*\n)+", bare, re.MULTILINE)
+    return [json.loads(block) for block in blocks if block.startswith("    {")]
+
+
 def test_every_example_of_the_guide_works(here: torch.Tensor):
-    text = (GUIDE / "edit-files.md").read_text(encoding="utf-8")
-    edits = [json.loads(line) for line in re.findall(r"^    (\{.*\})$", text, re.MULTILINE)]
+    texts = [(GUIDE / f"{page}.md").read_text(encoding="utf-8") for page in EDIT_PAGES]
+    edits = [edit for text in texts for edit in indented_edits(text)]
     assert {edit["type"] for edit in edits} == {
         "twist", "bend", "taper", "stretch", "scale", "rigid",
         "part", "cage", "mesh", "displacement", "anchors",
     }  # fmt: skip
-    whole = [json.loads(one) for one in re.findall(r"```json\n(.*?)```", text, re.DOTALL)]
+    whole = [json.loads(one) for text in texts for one in JSON_BLOCK.findall(text)]
     assert len(whole) == 3
     for content in [*whole, *({"version": 2, "edits": [edit]} for edit in edits)]:
         animation = parse_animation(content)
