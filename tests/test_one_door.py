@@ -49,3 +49,9 @@ def test_objects_come_through_the_door(path: Path) -> None:
     assert not around
     # `RunFolder` is what trainings write; who reads one asks the asset for its record.
     assert "RunFolder" not in path.read_text(encoding="utf-8")
+
+
+def test_no_file_name_stands_twice() -> None:
+    """Whoever looks for a file by its name finds one; verbs are named like what they call."""
+    names = [path.name for path in LIBRARY if path.name != "__init__.py"]
+    assert not {name for name in names if names.count(name) > 1}

@@ -11,9 +11,9 @@ from torch.nn import functional as F
 from pcore.errors import InputError
 from pcore.geometry.surfels import spacing_of
 from pcore.relight import estimate as light_fit
-from pcore.relight.config import DEFAULT
 from pcore.relight.estimate import brightness_of, fit_lamps, fit_light
 from pcore.relight.lamps import Light, sphere
+from pcore.relight.relight_config import DEFAULT
 from pcore.relight.relighting import reaching
 from pcore.relight.shadows import Shadows, shadows_of
 from pcore.render.surfel_fit import Observed

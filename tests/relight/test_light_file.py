@@ -8,9 +8,9 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 
 from pcore.errors import CheckpointError
-from pcore.relight.config import RelightConfig
 from pcore.relight.lamps import Light
 from pcore.relight.light_file import LIGHT_FILE, load_light, save_light
+from pcore.relight.relight_config import RelightConfig
 from pcore.relight.relighting import Relighting
 
 POINTS = torch.rand(7, 3, generator=torch.Generator().manual_seed(1))

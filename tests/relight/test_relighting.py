@@ -11,8 +11,8 @@ from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
-from pcore.relight.config import DEFAULT
 from pcore.relight.lamps import Light, sphere
+from pcore.relight.relight_config import DEFAULT
 from pcore.relight.relighting import Relighting
 
 ENCODING, LARGEST_GAIN = DEFAULT.encoding, DEFAULT.largest_gain

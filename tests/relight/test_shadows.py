@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from pcore.relight import shadows
-from pcore.relight.config import DEFAULT, RelightConfig
 from pcore.relight.lamps import sphere
+from pcore.relight.relight_config import DEFAULT, RelightConfig
 from pcore.relight.shadows import shadows_of
 
 UP = torch.tensor([[0.0, 0.0, 1.0]])

@@ -52,7 +52,7 @@ def describe(path: Path) -> Rows:
     Raises:
         CheckpointError: there is neither, or what is there is damaged.
     """
-    from pcore.asset.summary import summarize
+    from pcore.asset.asset_summary import summarize
 
     summary = summarize(path)
     rows: Rows = [] if summary.record is None else _run_rows(path, summary.record)

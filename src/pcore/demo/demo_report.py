@@ -7,7 +7,7 @@ from pathlib import Path
 
 import torch
 
-from pcore.asset.summary import summarize
+from pcore.asset.asset_summary import summarize
 from pcore.demo.demo_folder import DemoFolder
 from pcore.demo.demo_settings import DemoSettings
 from pcore.demo.demo_story import (

@@ -21,8 +21,8 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.surfels import Surfels, known_normals, spacing_of
-from pcore.relight.config import DEFAULT, RelightConfig
 from pcore.relight.lamps import Light, falling_of, sphere
+from pcore.relight.relight_config import DEFAULT, RelightConfig
 from pcore.relight.relighting import Relighting, hidden_share
 from pcore.relight.shadows import Shadows, shadows_of
 from pcore.render.surfel_fit import Observed

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.surfels import of_unit_length
-from pcore.relight.config import DEFAULT, RelightConfig
+from pcore.relight.relight_config import DEFAULT, RelightConfig
 
 
 @dataclass(frozen=True, kw_only=True)

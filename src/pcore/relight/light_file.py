@@ -11,8 +11,8 @@ from torch import Tensor
 from pcore.errors import CheckpointError, InputError
 from pcore.files.headers import Companion
 from pcore.files.records import from_dict, to_dict
-from pcore.relight.config import RelightConfig
 from pcore.relight.lamps import Light
+from pcore.relight.relight_config import RelightConfig
 from pcore.relight.relighting import Relighting
 
 _FILE = Companion(

@@ -16,8 +16,8 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
-from pcore.relight.config import DEFAULT, RelightConfig
 from pcore.relight.lamps import Light, falling_of
+from pcore.relight.relight_config import DEFAULT, RelightConfig
 from pcore.relight.shadows import Shadows, shadows_of
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from pcore.geometry.rays import perpendicular
 from pcore.geometry.surfels import known_normals
 from pcore.kernels.numba_bridge import as_float32, use_torch_threads
-from pcore.relight.config import DEFAULT, RelightConfig
+from pcore.relight.relight_config import DEFAULT, RelightConfig
 
 _REACH = 2
 """A point covers the cells beside its own, and so matters to cells around others at twice that."""

@@ -20,11 +20,11 @@ from pcore.model.papr_config import PaprConfig, ReferenceOrigin
 from pcore.training.compiling import compile_networks
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
-from pcore.training.frame import in_frame, network_frame
 from pcore.training.loop import Plan, autocast, run_loop
 from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric, training_image
 from pcore.training.patches import draw_patch
 from pcore.training.population import growth_mixture, growth_sites, replace_rows
+from pcore.training.scene_frame import in_frame, network_frame
 from pcore.training.start_cloud import start_positions
 from pcore.training.trainable import Trainable, trainable
 from pcore.training.trained import Trained
