@@ -26,6 +26,8 @@ from gltf_files import cube
 from mutations import bytes_mutated, json_mutated, text_mutated, tree_mutated
 from PIL import Image
 from ply_files import FACE, box, ply
+from tests.data.splat_files import columns_of, ply_bytes, splat_bytes
+from tests.gaussians.some import some_gaussians
 from toys import CONFIG, toy_cameras, toy_cloud, write_cameras, write_run, write_scene
 
 from pcore.asset.saving import load
@@ -36,6 +38,7 @@ from pcore.data.images import read_rgba
 from pcore.data.load import load_cameras, load_scene
 from pcore.data.meshes import read_mesh
 from pcore.data.points import load_points, read_point_file, save_moved
+from pcore.data.splat_formats import read_splats
 from pcore.editing.animation import load_animation
 from pcore.errors import PcoreError
 from pcore.files.model_file import load_model
@@ -115,6 +118,11 @@ def points_of(content: Callable[[], bytes]) -> Callable[[Path], None]:
         put(world, "twist.json", json.dumps(TWIST))
 
     return make
+
+
+def splat(world: Path) -> None:
+    put(world, "in.splat", splat_bytes(6))
+    put(world, "twist.json", json.dumps(TWIST))
 
 
 def colored(encoding: str) -> bytes:
@@ -326,6 +334,22 @@ FORMATS = {
         ),
         read=read_points("in.ply"),
         command=DEFORM,
+    ),
+    "PLY of Gaussians": Format(
+        file="in.ply",
+        make=points_of(lambda: ply_bytes(columns_of(some_gaussians(6)))),
+        mutate=lambda content, random: random.choice((bytes_mutated, text_mutated))(
+            content, random
+        ),
+        read=lambda world: read_splats(world / "in.ply"),
+        command=DEFORM,
+    ),
+    "splat": Format(
+        file="in.splat",
+        make=splat,
+        mutate=bytes_mutated,
+        read=lambda world: read_splats(world / "in.splat"),
+        command="deform in.splat --edit twist.json -o new.splat",
     ),
     "NPY": Format(
         file="in.npy",
