@@ -16,12 +16,12 @@ from pcore.data.pictures import (
     depth_picture,
     depth_range,
     normal_picture,
-    replacing,
     to_bytes,
     write_png,
     write_raw,
 )
 from pcore.data.video import VideoWriter, require_video, write_video
+from pcore.data.whole_file import replacing
 from pcore.errors import DependencyError, InputError
 from pcore.geometry.orbit import orbit_cameras
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import os
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +11,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from pcore.data.whole_file import replace_file
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 
@@ -102,24 +101,6 @@ def normal_picture(normals: Tensor, world_from_camera: Tensor) -> Tensor:
     """
     in_camera = normals @ world_from_camera[:3, :3].to(normals)
     return ((in_camera + 1) / 2).nan_to_num(1.0)
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    """Write a file so that nobody ever sees half of it; OSError leaves an old one untouched."""
-    with replacing(path) as partial:
-        partial.write_bytes(content)
-
-
-@contextmanager
-def replacing(path: Path) -> Generator[Path]:
-    """Give a hidden file beside `path` to write, which takes its place when all went well."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        yield partial
-        partial.replace(path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
 
 
 def _check_picture(path: Path, rgb: Tensor) -> None:

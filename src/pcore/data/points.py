@@ -17,6 +17,7 @@ from trimesh.exchange.gltf import export_glb
 from pcore.data.file_kinds import kind_of
 from pcore.data.ply import plain_ply
 from pcore.data.point_ply import PointPly, read_point_ply
+from pcore.data.whole_file import write_whole
 from pcore.errors import InputError
 
 POINT_SUFFIXES = (".npy", ".ply")
@@ -125,7 +126,7 @@ def save_points(
     else:
         triangles = None if faces is None else faces.detach().cpu().numpy()
         content = plain_ply(_checked(path, array).numpy(), _paint(path, array, colors), triangles)
-    _replace(path, content)
+    write_whole(path, content, "points")
 
 
 def save_moved(
@@ -154,7 +155,7 @@ def save_moved(
     if path.suffix.lower() == ".ply" and ply is not None and ply.can_be_moved():
         _checked(path, array)
         jacobians = None if maps is None else maps.detach().cpu().numpy()
-        _replace(path, ply.moved(array, jacobians))
+        write_whole(path, ply.moved(array, jacobians), "points")
         return ply.stays()
     save_points(path, moved, source.colors, source.faces)
     whole = path.suffix.lower() == ".ply"
@@ -181,22 +182,7 @@ def save_point_glb(path: Path | str, points: Tensor, colors: Tensor | None = Non
     _checked(path, array)
     turned = np.stack([array[:, 0], array[:, 2], -array[:, 1]], axis=1)
     body = trimesh.PointCloud(turned, colors=_paint(path, array, colors))
-    _replace(path, export_glb(trimesh.Scene(body)))
-
-
-def _replace(path: Path, content: bytes) -> None:
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: expected an existing folder to write to, got {path.parent}")
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_bytes(content)
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(
-            f"{path}: cannot write the points ({error.strerror}); "
-            "expected a place that can be written to"
-        ) from error
+    write_whole(path, export_glb(trimesh.Scene(body)), "points")
 
 
 def check_point_path(path: Path) -> None:

@@ -11,6 +11,7 @@ from pcore.data.gaussian_splat import read_splat, splat_content
 from pcore.data.ply import Ply, parse_ply
 from pcore.data.ply_header import read_header
 from pcore.data.splat_file import SplatFile
+from pcore.data.whole_file import write_whole
 from pcore.errors import InputError
 
 OUTPUTS = (".ply", ".splat", ".glb")
@@ -107,7 +108,7 @@ def save_splats(path: Path | str, file: SplatFile) -> tuple[str, ...]:
         content = glb_content(file.gaussians)
         if degree > HIGHEST_DEGREE:
             notes.append(f"glTF knows degree 0 to 3: degree {degree} is not written")
-    _replace(path, content)
+    write_whole(path, content, "Gaussians")
     return tuple(notes)
 
 
@@ -132,18 +133,3 @@ def _content(path: Path) -> bytes:
         raise InputError(f"{path}: no such file; expected a file of Gaussians") from error
     except OSError as error:
         raise InputError(f"{path}: cannot read the file: {error.strerror}") from error
-
-
-def _replace(path: Path, content: bytes) -> None:
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: expected an existing folder to write to, got {path.parent}")
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_bytes(content)
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(
-            f"{path}: cannot write the Gaussians ({error.strerror}); expected a place that can be "
-            "written to"
-        ) from error

@@ -11,7 +11,8 @@ from typing import Any, Self
 import torch
 from torch import Tensor, nn
 
-from pcore.data.pictures import replacing, to_bytes
+from pcore.data.pictures import to_bytes
+from pcore.data.whole_file import replacing
 from pcore.errors import DependencyError, InputError
 from pcore.validation import check_count
 

@@ -1,0 +1,50 @@
+"""Files that are there whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pcore.errors import InputError
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Write a file so that nobody ever sees half of it; OSError leaves an old one untouched."""
+    with replacing(path) as partial:
+        partial.write_bytes(content)
+
+
+@contextmanager
+def replacing(path: Path) -> Generator[Path]:
+    """Give a hidden file beside `path` to write, which takes its place when all went well."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        yield partial
+        partial.replace(path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def write_whole(path: Path, content: bytes, what: str) -> None:
+    """Write a file as `replace_file` does, for verbs that say what they write.
+
+    Args:
+        path: where to; the folder must exist.
+        content: all of it.
+        what: for the message, what it holds.
+
+    Raises:
+        InputError: a place that cannot be written to.
+    """
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: expected an existing folder to write to, got {path.parent}")
+    try:
+        replace_file(path, content)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot write the {what} ({error.strerror}); expected a place that can be "
+            "written to"
+        ) from error
