@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pcore.asset.asset import Asset
     from pcore.data.scene import Scene
     from pcore.training.config import PretrainConfig
+    from pcore.training.gaussian_config import GaussianConfig
 
 _LOOKS, _LOOK_SIDE, _LEAST_SIDE, _FAINT = 3, 64, 4, 0.02
 """Views that are looked at in the end, sizes of these pictures, and what opacity is nothing."""
@@ -112,13 +113,9 @@ def train(command: TrainCommand, console: Console) -> None:
         TrainingError: training diverged or cannot write, or nothing is to be seen at its end.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
-    from pcore.asset.training import RunOptions
-    from pcore.asset.training import train as make
-    from pcore.cli.light import show_light
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.sessions import show_result, shown_training
+    from pcore.cli.sessions import show_result
     from pcore.data.load import load_scene
-    from pcore.files.run_record import finished
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -127,6 +124,26 @@ def train(command: TrainCommand, console: Console) -> None:
     command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{command.preset}, {config.steps:,} steps on {device}")
+    asset = trained(command, scene, config, device, console)
+    if config.steps >= _EARLY:
+        check_shows(asset, scene)
+    show_result(console, asset)
+
+
+def trained(
+    command: TrainCommand,
+    scene: Scene,
+    config: PretrainConfig | GaussianConfig,
+    device: str,
+    console: Console,
+) -> Asset:
+    """Train with progress shown; say what the light is, unless the run was finished before."""
+    from pcore.asset.training import RunOptions
+    from pcore.asset.training import train as make
+    from pcore.cli.light import show_light
+    from pcore.cli.sessions import shown_training
+    from pcore.files.run_record import finished
+
     done = command.resume and finished(command.output)
     with shown_training(console) as (listener, note):
         options = RunOptions(
@@ -146,9 +163,7 @@ def train(command: TrainCommand, console: Console) -> None:
         )
     if not done:
         show_light(asset, console)
-    if config.steps >= _EARLY:
-        check_shows(asset, scene)
-    show_result(console, asset)
+    return asset
 
 
 def check_shows(asset: Asset, scene: Scene) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from pcore.cli.train import TrainCommand, announce
+from pcore.cli.train import TrainCommand, announce, trained
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,12 +23,9 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         InputError: an option that Gaussians do not have.
         PcoreError: as `fit_gaussians` and the run folder.
     """
-    from pcore.asset.training import RunOptions, train
-    from pcore.cli.light import show_light
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.sessions import show_result, shown_training
+    from pcore.cli.sessions import show_result
     from pcore.data.load import load_scene
-    from pcore.files.run_record import finished
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -40,25 +37,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
             Text("images without alpha have no visual hull: Gaussians start before the cameras"),
             soft_wrap=True,
         )
-    done = command.resume and finished(command.output)
-    with shown_training(console) as (listener, note):
-        options = RunOptions(
-            resume=command.resume,
-            tensorboard=not command.no_tensorboard,
-            preset=command.preset,
-            note=note,
-        )
-        asset = train(
-            scene,
-            config,
-            folder=command.output,
-            listener=listener,
-            device=device,
-            options=options,
-        )
-    if not done:
-        show_light(asset, console)
-    show_result(console, asset)
+    show_result(console, trained(command, scene, config, device, console))
 
 
 def _config(command: TrainCommand) -> GaussianConfig:
