@@ -298,6 +298,11 @@ def read_run(world: Path) -> None:
     assert found.record.scene_folder is None or found.record.scene_folder.is_dir()
 
 
+def bytes_or_text_mutated(content: bytes, random: Random) -> bytes:
+    """For files with a header in text before bytes."""
+    return random.choice((bytes_mutated, text_mutated))(content, random)
+
+
 DEFORM = "deform in.ply --edit twist.json -o new.ply"
 APPLY = "edit apply points.npy --edit edit.json -o new.npy"
 RENDER = "render run -o new --device cpu"
@@ -329,18 +334,14 @@ FORMATS = {
     "PLY in bytes": Format(
         file="in.ply",
         make=points_of(lambda: colored("binary_big_endian")),
-        mutate=lambda content, random: random.choice((bytes_mutated, text_mutated))(
-            content, random
-        ),
+        mutate=bytes_or_text_mutated,
         read=read_points("in.ply"),
         command=DEFORM,
     ),
     "PLY of Gaussians": Format(
         file="in.ply",
         make=points_of(lambda: ply_bytes(columns_of(some_gaussians(6)))),
-        mutate=lambda content, random: random.choice((bytes_mutated, text_mutated))(
-            content, random
-        ),
+        mutate=bytes_or_text_mutated,
         read=lambda world: read_splats(world / "in.ply"),
         command=DEFORM,
     ),
