@@ -112,8 +112,8 @@ def _sample(folder: DemoFolder, settings: DemoSettings, console: Console) -> Non
 
 def _pretrain(folder: DemoFolder, settings: DemoSettings, console: Console, device: str) -> None:
     from pcore.asset.training import train
+    from pcore.capture.load import load_scene
     from pcore.cli.sessions import shown_training
-    from pcore.data.load import load_scene
     from pcore.demo.demo_folder import stamp_of
     from pcore.files.records import to_dict
 
@@ -135,8 +135,8 @@ def _pretrain(folder: DemoFolder, settings: DemoSettings, console: Console, devi
 def _finetune(folder: DemoFolder, settings: DemoSettings, console: Console, device: str) -> None:
     from pcore.asset.saving import load
     from pcore.asset.training import finetune
+    from pcore.capture.load import load_scene
     from pcore.cli.sessions import shown_training
-    from pcore.data.load import load_scene
     from pcore.demo.demo_folder import stamp_of
     from pcore.files.model_file import MODEL_FILE
     from pcore.files.records import to_dict

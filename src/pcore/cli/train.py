@@ -113,9 +113,9 @@ def train(command: TrainCommand, console: Console) -> None:
         TrainingError: training diverged or cannot write, or nothing is to be seen at its end.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
+    from pcore.capture.load import load_scene
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
-    from pcore.data.load import load_scene
 
     prepare_torch(command.threads)
     device = pick_device(command.device)

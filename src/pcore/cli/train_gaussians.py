@@ -23,9 +23,9 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         InputError: an option that Gaussians do not have.
         PcoreError: as `fit_gaussians` and the run folder.
     """
+    from pcore.capture.load import load_scene
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
-    from pcore.data.load import load_scene
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
