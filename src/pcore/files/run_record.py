@@ -55,9 +55,7 @@ class RunRecord:
 
     @property
     def scene_folder(self) -> Path | None:
-        """Folder of the scene that it was trained on, or the file in it that was given; None when it
-        is not on this machine.
-        """
+        """Folder (or file) of the scene that it was trained on; None when it is not here."""
         if not self.scene or self.stage == "import":
             return None  # An import records a name, and a folder of that name may be anything.
         # Our own runs record it as seen from the run, so that both can move together.
