@@ -137,7 +137,7 @@ class ImageSource:
         """
         if self.lens is None:
             return None
-        lens, size = self.lens, self._size
+        lens, size = self.lens, self.size
         return self.cache.get(self._valid_key, lambda: self._shrunk(lens.sources(*size)[1]))
 
     def shown(self) -> Tensor:
@@ -147,10 +147,11 @@ class ImageSource:
 
     @property
     def _valid_key(self) -> Hashable:
-        return ("valid", self._size, self.lens, self.crop, self.factor)
+        return ("valid", self.size, self.lens, self.crop, self.factor)
 
     @property
-    def _size(self) -> tuple[int, int]:
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the whole picture as it is decoded, before lens, crop and factor."""
         header = self.header
         return header.upright_size if self.upright else (header.width, header.height)
 
@@ -162,7 +163,7 @@ class ImageSource:
             rgba = torch.cat([rgba[..., :3], rgba[..., 3:] * mask[..., None]], dim=-1)
         if self.lens is None:
             return area_downscale(_part(rgba, self.crop), self.factor)
-        places, seen = self.lens.sources(*self._size)
+        places, seen = self.lens.sources(*self.size)
         rgba = straight_picture(rgba, places)
         valid = self.cache.get(self._valid_key, lambda: self._shrunk(seen))
         return area_downscale(_part(rgba, self.crop), self.factor) * valid[..., None]
