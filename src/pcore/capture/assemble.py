@@ -49,7 +49,7 @@ def scene_of(capture: Capture, *, root: Path, given: Path, factor: int, cache: I
     cameras, names = [view.camera for view in views], [view.name for view in views]
     notes = [*capture.notes, *_counted(taken), check_poses(poses, cameras, names, capture.where)]
     if skipped:
-        notes.append(_say_skipped(skipped, len(capture.photos)))
+        notes.append(_say_skipped(skipped, len(capture.photos) + len(capture.skipped)))
     splits = _splits(capture, taken, tuple(note for note in notes if note))
     return Scene(
         name=root.name,
@@ -193,7 +193,9 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _too_few(capture: Capture, taken: Sequence[Opened], skipped: Sequence[Skipped]) -> str:
-    said = f". {_say_skipped(skipped, len(capture.photos))}" if skipped else ""
+    said = (
+        f". {_say_skipped(skipped, len(capture.photos) + len(capture.skipped))}" if skipped else ""
+    )
     return (
         f"{capture.where}: expected at least {_LEAST} photos with poses, got {len(taken)}; take or "
         f"pose more{said}"

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from pcore.capture.colmap_model import image_count, kind_of, read_model
 from pcore.capture.colmap_records import Model, ModelImage
 from pcore.capture.photo_folders import find_photos
-from pcore.capture.photos import Capture, Photo, RawPoints
+from pcore.capture.photos import Capture, Photo, RawPoints, pictures_in
+from pcore.data.scene import Skipped
 from pcore.errors import SceneError
 
 _PLACES = ("sparse", "colmap_sparse", "colmap/sparse", "distorted/sparse", ".")
@@ -89,6 +90,7 @@ def read_colmap(root: Path, found: FoundModel, factor: int) -> Capture:
         sparse=_points(model),
         splits=_listed(root, model.images),
         notes=[note for note in (found.note, *photos.notes) if note],
+        skipped=_without_pose(root, photos.paths),
         shrunk=photos.shrunk,
     )
 
@@ -100,6 +102,14 @@ def opengl_pose(rotation: np.ndarray, translation: np.ndarray) -> torch.Tensor:
         pose[:3, :3] = rotation.T @ _OPENGL
         pose[:3, 3] = -rotation.T @ translation
     return torch.from_numpy(pose)
+
+
+def _without_pose(root: Path, paths: Sequence[Path | None]) -> list[Skipped]:
+    """Pictures beside those of the model that it has no pose for."""
+    used = {path for path in paths if path is not None}
+    beside = {one for folder in {path.parent for path in used} for one in pictures_in(folder)}
+    names = sorted(one.relative_to(root.resolve()).as_posix() for one in beside - used)
+    return [Skipped(name=name, reason="no pose in the model") for name in names]
 
 
 def _photo(model: Model, image: ModelImage, path: Path | None) -> Photo:
