@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from pcore.cli.train import TrainCommand, announce, trained
+from pcore.cli.train import EARLY, TrainCommand, announce, check_shows, trained, warn_of_start
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,21 +23,27 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         InputError: an option that Gaussians do not have.
         PcoreError: as `fit_gaussians` and the run folder.
     """
+    from pcore.capture.load import load_scene
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
-    from pcore.data.load import load_scene
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
     config = _config(command)
     scene = load_scene(command.scene, factor=command.factor)
+    masked = all(view.has_alpha for view in scene.split("train"))
+    start = config.start if config.start != "auto" else "hull" if masked else "views"
+    warn_of_start(scene, start, console, otherwise="views")
     announce(console, scene, f"Gaussians, {command.preset}, {config.steps:,} steps on {device}")
-    if not all(view.has_alpha for view in scene.split("train")):
+    if start == "views":
         console.print(
             Text("images without alpha have no visual hull: Gaussians start before the cameras"),
             soft_wrap=True,
         )
-    show_result(console, trained(command, scene, config, device, console))
+    asset = trained(command, scene, config, device, console)
+    if config.steps >= EARLY:
+        check_shows(asset, scene)
+    show_result(console, asset)
 
 
 def _config(command: TrainCommand) -> GaussianConfig:
