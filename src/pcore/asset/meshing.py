@@ -46,10 +46,12 @@ class Meshing:
         resolution: voxels along the longest side of the box.
         closed: close the surface where no camera has looked, so that it can be printed.
         box: lower and upper corner (3,) of what is meshed, world units; None: the object's points.
+        smooth: see `fuse`, voxels.
         crumbs: keep parts that are smaller than a hundredth of all.
     """
 
-    resolution: int = 256
+    resolution: int = 200
+    smooth: float = 1.0
     closed: bool = False
     box: tuple[Tensor, Tensor] | None = None
     crumbs: bool = False
@@ -96,25 +98,48 @@ def mesh_of(
     """
     how = how or Meshing()
     check_count("mesh: resolution", how.resolution, minimum=8)
+    if not 0 <= how.smooth < how.resolution:
+        raise InputError(f"mesh: expected a smoothing of 0 voxels or more, got {how.smooth}")
     lower, upper = box_of(asset.points) if how.box is None else how.box
     voxel = float((upper - lower).max()) / how.resolution
-    if cameras is None:
-        cameras = cameras_around(asset.points)
-    chosen = [cameras[k] for k in sorted({len(cameras) * k // _VIEWS for k in range(_VIEWS)})]
-    black, views = asset.over((0.0, 0.0, 0.0)), list[DepthView]()
-    for number, camera in enumerate(chosen, start=1):
-        closer = looking_at_box(camera, lower, upper, voxel)
-        if closer is not None:
-            views.append(depth_view(black.render(None, closer, fast=True).cpu(), closer))
-        if progress is not None:
-            progress(number, len(chosen))
-    vertices, faces = fuse(views, lower, upper, voxel, closed=how.closed)
+    views = pictures_of(asset, cameras, (lower, upper), voxel, progress=progress)
+    vertices, faces = fuse(views, lower, upper, voxel, smooth=how.smooth, closed=how.closed)
     crumbs = 0
     if not how.crumbs:
         vertices, faces, crumbs = _without_crumbs(vertices, faces)
     colors = surface_colors(vertices, vertex_normals(vertices, faces), views, voxel)
     mesh = SurfaceMesh(vertices=vertices, faces=faces, colors=colors)
-    return Meshed(mesh=mesh, views=tuple(views), voxel=voxel, crumbs=crumbs)
+    return Meshed(mesh=mesh, views=views, voxel=voxel, crumbs=crumbs)
+
+
+def pictures_of(
+    asset: Asset,
+    cameras: Sequence[Camera] | None,
+    box: tuple[Tensor, Tensor],
+    pixel: float,
+    *,
+    progress: Progress | None = None,
+) -> tuple[DepthView, ...]:
+    """Take pictures of an object at rest, cut to a box.
+
+    Args:
+        asset: the object.
+        cameras: see `mesh_of`.
+        box: lower and upper corner (3,), world units.
+        pixel: width of a pixel in the middle of the box, world units.
+        progress: told (pictures taken, pictures in all).
+    """
+    if cameras is None:
+        cameras = cameras_around(asset.points)
+    chosen = [cameras[k] for k in sorted({len(cameras) * k // _VIEWS for k in range(_VIEWS)})]
+    black, views = asset.over((0.0, 0.0, 0.0)), list[DepthView]()
+    for number, camera in enumerate(chosen, start=1):
+        closer = looking_at_box(camera, *box, pixel)
+        if closer is not None:
+            views.append(depth_view(black.render(None, closer, fast=True).cpu(), closer))
+        if progress is not None:
+            progress(number, len(chosen))
+    return tuple(views)
 
 
 def map_of(asset: Asset, edit: Edit | None, *, time: float | None = None) -> Deformation:
@@ -163,9 +188,7 @@ def cameras_around(points: Tensor) -> list[Camera]:
     ]
 
 
-def looking_at_box(
-    camera: Camera, lower: Tensor, upper: Tensor, voxel: float
-) -> Camera | None:
+def looking_at_box(camera: Camera, lower: Tensor, upper: Tensor, voxel: float) -> Camera | None:
     """The same camera cut to a box, with pixels a voxel wide there; None where it sees nothing."""
     ends = torch.stack([lower, upper]).float()
     corners = torch.cartesian_prod(*ends.unbind(dim=1))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, gaussian_filter
 from torch import Tensor
 
 from pcore.errors import DependencyError, InputError
@@ -25,14 +25,16 @@ from pcore.render.image import Image, normals
 from pcore.render.surfel_fit import Shown
 
 _SOLID = 0.5
-_BLOCK = 4
+_BLOCK = 5
 """Voxels along a side of the blocks that are looked at or left out as a whole."""
-_BAND = 3.0
+_BAND = 4.0
 """Voxels at which distances are cut off; less than a block, so that one block around suffices."""
 _JUMP = 6.0
 """Voxels by which four neighbouring pixels may differ and still be one surface: 80 degrees steep
 where a pixel is a voxel wide."""
 _LEAST_COSINE = 0.1
+_RIM = 0.15
+"""Cosine of pixels at the rim of the object, whose normal is not known."""
 _FREE = 0.05
 """Weight of a ray that passes, beside the cosine of one that hits: many pass close to a surface and
 would push it inwards; enough of them sweep away what floats."""
@@ -61,7 +63,7 @@ def depth_view(image: Image, camera: Camera) -> DepthView:
     """
     solid = (image.alpha >= _SOLID) & image.depth.isfinite()
     towards = torch.nn.functional.normalize(camera.center - image.surface, dim=-1)
-    cosine = (normals(image, camera) * towards).sum(dim=-1).nan_to_num(0.0) * solid
+    cosine = (normals(image, camera) * towards).sum(dim=-1).nan_to_num(_RIM) * solid
     depth = image.depth.masked_fill(~solid, math.nan)
     straight = image.rgb / image.alpha.clamp_min(_SOLID).unsqueeze(-1)
     return DepthView(camera=camera, rgb=straight, depth=depth, cosine=cosine.clamp(0, 1))
@@ -74,6 +76,7 @@ def fuse(
     upper: Tensor,
     voxel: float,
     *,
+    smooth: float = 1.0,
     closed: bool = False,
 ) -> tuple[Tensor, Tensor]:
     """Make the mesh that the pictures agree on.
@@ -83,6 +86,8 @@ def fuse(
         lower: (3,) corner of the box to look in, world units.
         upper: (3,) the other corner.
         voxel: side of a voxel, world units.
+        smooth: standard deviation, voxels, of a filter over the distances: pictures of a learned
+            object do not agree to a voxel on where its surface is. 0 is none.
         closed: end the surface nowhere: what no camera has seen is inside. Else it ends there.
 
     Returns:
@@ -106,7 +111,10 @@ def fuse(
         # Where free and unseen space meet far from any surface there is a surface now.
         near |= _borders(coarse, near)
     field, seen = grid.spread(coarse, near, views)
-    field[~seen] = -1.0
+    # Outside of all pictures is no part of the object.
+    field[~seen] = np.where(field[~seen] > 0, 1.0, -1.0)
+    shown = seen & (field < 1.0)
+    field = gaussian_filter(field, smooth)
     # A rim of empty space: nothing ends at the box.
     padded = np.pad(field, 1, constant_values=1.0)
     if not (padded.min() < 0 < padded.max()):
@@ -114,7 +122,7 @@ def fuse(
     vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="descent")
     vertices = vertices.astype(np.float64) - 1.0
     if not closed:
-        faces = faces[_on_seen(vertices, seen)[faces].all(axis=1)]
+        faces = faces[_on_seen(vertices, shown)[faces].all(axis=1)]
     return _compact(torch.from_numpy(vertices), torch.from_numpy(faces.astype(np.int64)), grid)
 
 
@@ -179,7 +187,7 @@ class _Grid:
             values[rows[part]] = own.numpy().reshape(len(part), -1)
         cubes = values.reshape(*self.blocks, _BLOCK, _BLOCK, _BLOCK).transpose(0, 3, 1, 4, 2, 5)
         field = np.ascontiguousarray(cubes).reshape(sides)
-        return field, ~np.isnan(field)
+        return field, np.isfinite(field)
 
 
 def _places(view: DepthView) -> Tensor:
@@ -191,14 +199,12 @@ def _places(view: DepthView) -> Tensor:
     return (rays.origins[solid] + rays.directions[solid] * steps[solid].unsqueeze(-1)).double()
 
 
-def _far_away(
-    grid: _Grid, views: Sequence[DepthView], which: BoolArray
-) -> NDArray[np.float32]:
+def _far_away(grid: _Grid, views: Sequence[DepthView], which: BoolArray) -> NDArray[np.float32]:
     """The field at the middles of these blocks, which are no surface; NaN where not seen."""
     found = np.full(grid.blocks, np.nan, dtype=np.float32)
     found[which] = _distances(grid.centers(np.argwhere(which)), views, grid.voxel).numpy()
     # The mean of a block's middle, far from any surface, stands for which side it is on.
-    return np.sign(found)
+    return np.where(np.isfinite(found), np.sign(found), found)
 
 
 def _borders(coarse: NDArray[np.float32], near: BoolArray) -> BoolArray:
@@ -212,18 +218,21 @@ def _borders(coarse: NDArray[np.float32], near: BoolArray) -> BoolArray:
 def _distances(places: Tensor, views: Sequence[DepthView], voxel: float) -> Tensor:
     """Means (M,) over views of distances of places (M, 3) from the surface, in bands.
 
-    Positive outside; NaN where no view tells.
+    Positive outside; NaN where no view tells, infinity outside of all pictures.
     """
     total, weight = torch.zeros(len(places)), torch.zeros(len(places))
+    framed = torch.zeros(len(places), dtype=torch.bool)
     for view in views:
-        value, sure = _told(places.float(), view, voxel)
+        value, sure, inside = _told(places.float(), view, voxel)
         total += value * sure
         weight += sure
-    return torch.where(weight > 0, total / weight.clamp_min(1e-9), math.nan)
+        framed |= inside
+    mean = torch.where(weight > 0, total / weight.clamp_min(1e-9), math.nan)
+    return torch.where(framed, mean, math.inf)
 
 
-def _told(places: Tensor, view: DepthView, voxel: float) -> tuple[Tensor, Tensor]:
-    """What one view says of places (M, 3): distances in bands, and weights; 0 where nothing."""
+def _told(places: Tensor, view: DepthView, voxel: float) -> tuple[Tensor, Tensor, Tensor]:
+    """What one view says of places (M, 3): distances in bands, weights, and if it frames them."""
     camera, band = view.camera, _BAND * voxel
     column, row, z = camera.project(places)
     inside = (z > 0) & (column >= 0) & (column < camera.width)
@@ -242,7 +251,7 @@ def _told(places: Tensor, view: DepthView, voxel: float) -> tuple[Tensor, Tensor
     free = empty | (distance > band)
     told = smooth & (cosine > _LEAST_COSINE) & (distance > -band)
     value = torch.where(free, 1.0, (distance / band).clamp(-1, 1)).nan_to_num(1.0)
-    return value, torch.where(free, _FREE, cosine * told) * inside
+    return value, torch.where(free, _FREE, cosine * told) * inside, inside
 
 
 def _pixel(plane: Tensor, row: Tensor, column: Tensor) -> Tensor:
@@ -252,19 +261,21 @@ def _pixel(plane: Tensor, row: Tensor, column: Tensor) -> Tensor:
 
 
 def _between(plane: Tensor, row: Tensor, column: Tensor) -> tuple[Tensor, Tensor]:
-    """Bilinear values (M,) between pixels' centres, and how far the four are apart."""
+    """Bilinear values (M,) between pixels' centres, and how far the known of the four are apart."""
     top, left = row.floor(), column.floor()
     down, right = row - top, column - left
     corners = [_pixel(plane, top + i, left + j) for i in (0, 1) for j in (0, 1)]
     four = torch.stack(corners)
-    upper = torch.lerp(corners[0], corners[1], right)
-    lower = torch.lerp(corners[2], corners[3], right)
-    spread = (four.amax(dim=0) - four.amin(dim=0)).nan_to_num(math.inf)
-    return torch.lerp(upper, lower, down), spread
+    shares = torch.stack([(1 - down) * (1 - right), (1 - down) * right, down * (1 - right)])
+    shares = torch.cat([shares, (down * right)[None]]).masked_fill(four.isnan(), 0.0)
+    # At the rim those that there are.
+    mean = (shares * four.nan_to_num(0.0)).sum(dim=0) / shares.sum(dim=0)
+    least, most = four.nan_to_num(math.inf).amin(dim=0), four.nan_to_num(-math.inf).amax(dim=0)
+    return mean, torch.where(mean.isnan(), math.inf, most - least)
 
 
 def _on_seen(vertices: NDArray[np.float64], seen: BoolArray) -> BoolArray:
-    """Which vertices (V, 3), in voxels, lie on an edge of the grid whose ends were both seen."""
+    """Which vertices (V, 3), in voxels, lie on an edge of the grid whose ends are both seen."""
     most = np.array(seen.shape) - 1
     low = np.clip(np.floor(vertices).astype(int), 0, most)
     high = np.clip(np.ceil(vertices).astype(int), 0, most)
