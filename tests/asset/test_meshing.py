@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from truth_asset import paint, truth_asset
 
 from pcore.asset.mesh_finish import finished
 from pcore.asset.meshing import Meshing, box_of, looking_at_box, map_of, mesh_of, moved_mesh
 from pcore.errors import EditError, InputError
 from pcore.geometry.orbit import orbit_around
 from pcore.geometry.surface_search import SurfaceSearch
-from truth_asset import paint, truth_asset
 
 pytest.importorskip("skimage", reason="the extra mesh is not installed")
 pytest.importorskip("embreex", reason="the extra sample is not installed")

@@ -130,7 +130,7 @@ def pictures_of(
         progress: told (pictures taken, pictures in all).
     """
     if cameras is None:
-        cameras = cameras_around(asset.points)
+        cameras = cameras_around(*box)
     chosen = [cameras[k] for k in sorted({len(cameras) * k // _VIEWS for k in range(_VIEWS)})]
     black, views = asset.over((0.0, 0.0, 0.0)), list[DepthView]()
     for number, camera in enumerate(chosen, start=1):
@@ -179,20 +179,25 @@ def box_of(points: Tensor) -> tuple[Tensor, Tensor]:
     return ends[0] - slack, ends[1] + slack
 
 
-def cameras_around(points: Tensor) -> list[Camera]:
-    """Cameras all around points (N, 3), above and below."""
+def cameras_around(lower: Tensor, upper: Tensor) -> list[Camera]:
+    """Cameras all around a box between corners (3,), all of which they see, above and below."""
+    corners = corners_of(lower, upper)
     return [
         camera
         for elevation in _ELEVATIONS
-        for camera in orbit_around(points, 12, elevation=math.radians(elevation))
+        for camera in orbit_around(corners, 12, elevation=math.radians(elevation))
     ]
+
+
+def corners_of(lower: Tensor, upper: Tensor) -> Tensor:
+    """Corners (8, 3) float32 of a box."""
+    return torch.cartesian_prod(*torch.stack([lower, upper]).float().unbind(dim=1))
 
 
 def looking_at_box(camera: Camera, lower: Tensor, upper: Tensor, voxel: float) -> Camera | None:
     """The same camera cut to a box, with pixels a voxel wide there; None where it sees nothing."""
-    ends = torch.stack([lower, upper]).float()
-    corners = torch.cartesian_prod(*ends.unbind(dim=1))
-    middle = ends.mean(dim=0)
+    corners = corners_of(lower, upper)
+    middle = corners.mean(dim=0)
     column, row, depth = camera.project(corners)
     left, top, right, bottom = 0.0, 0.0, float(camera.width), float(camera.height)
     if bool((depth > 0).all()):

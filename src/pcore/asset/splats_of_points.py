@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from pcore.asset.asset import Asset
-from pcore.asset.meshing import cameras_around, map_of
+from pcore.asset.meshing import box_of, cameras_around, map_of
 from pcore.asset.picture_set import Named, save_picture_set, straight
 from pcore.asset.posing import Edit
 from pcore.capture.load import load_scene
@@ -78,7 +78,7 @@ def splats_of_points(
     Raises:
         InputError: nothing is to be seen.
     """
-    chosen = _spread(cameras or cameras_around(asset.points))
+    chosen = _spread(cameras or cameras_around(*box_of(asset.points)))
     total, found = len(chosen) + steps, list[float]()
 
     def tell(done: int) -> None:
