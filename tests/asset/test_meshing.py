@@ -84,7 +84,7 @@ def test_an_edited_mesh_is_the_edit_of_the_mesh(meshed, capsule):
 
 
 def test_the_unit_of_the_world_does_not_matter(meshed, capsule):
-    asset, cameras, found = meshed
+    _, cameras, found = meshed
     shift = np.array([300.0, -200.0, 100.0])
     large = truth_asset(1000 * capsule.vertices + shift, np.asarray(capsule.faces))
     moved = []

@@ -82,9 +82,9 @@ def test_depth_of_16_bits_and_of_real_numbers(tmp_path: Path):
     np.testing.assert_allclose(stored * step, [[1.0, 2.5], [0.0, 3.9999]], atol=step / 2)
     assert depth_step(4000.0) == pytest.approx(0.1)
     exr = pytest.importorskip("OpenEXR", reason="the extra mesh is not installed")
-    save_exr(tmp_path / "a.exr", Z=depth)
+    save_exr(tmp_path / "a.exr", Y=depth)
     with exr.File(str(tmp_path / "a.exr")) as file:
-        planes = file.channels()["Z"].pixels
+        planes = file.channels()["Y"].pixels
     np.testing.assert_array_equal(planes, [[1.0, 2.5], [np.inf, np.float32(3.9999)]])
 
 
@@ -94,7 +94,7 @@ def test_depth_that_cannot_be_written_is_refused(tmp_path: Path, monkeypatch: py
             depth_step(farthest)
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     with pytest.raises(DependencyError, match="--no-exr"):
-        save_exr(tmp_path / "a.exr", Z=torch.ones(2, 2))
+        save_exr(tmp_path / "a.exr", Y=torch.ones(2, 2))
 
 
 def test_painted_points_read_back(tmp_path: Path):

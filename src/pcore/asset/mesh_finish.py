@@ -136,5 +136,5 @@ def _grown(image: Tensor, known: NDArray[np.bool_]) -> Tensor:
     """Fill the picture beside its islands with the colours of their rims, for smooth look-ups."""
     from scipy.ndimage import distance_transform_edt
 
-    _, index = distance_transform_edt(~known, return_indices=True)
+    index: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
     return image[torch.from_numpy(index[0]).long(), torch.from_numpy(index[1]).long()]

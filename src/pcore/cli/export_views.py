@@ -136,7 +136,7 @@ def _write_depth(
         "depth": "camera z",
         "png": "value * step = world units; 0: nothing there",
         "step": step,
-        "exr": None if command.no_exr else "Z: camera z, world units; infinity: nothing there",
+        "exr": None if command.no_exr else "Y: camera z, world units; infinity: nothing there",
         "normals": "world axes in .exr; in .png right is red, up green, to the camera blue",
     }
     (folder / "depth.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
@@ -158,7 +158,7 @@ def _write_picture(
     save_depth_png(folder / f"{name}_depth.png", depth, step)
     write_png(folder / f"{name}_normals.png", normal_picture(facing, camera.world_from_camera))
     if exr:
-        save_exr(folder / f"{name}_depth.exr", Z=depth)
+        save_exr(folder / f"{name}_depth.exr", Y=depth)
         x, y, z = facing.nan_to_num(0.0).unbind(dim=-1)
         save_exr(folder / f"{name}_normals.exr", R=x, G=y, B=z)
     return bool(depth.isfinite().any())

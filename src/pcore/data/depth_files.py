@@ -65,6 +65,8 @@ def require_exr() -> Any:
 def save_exr(path: Path, **channels: Tensor) -> None:
     """Write planes (H, W) by the names of their channels as float32; NaN becomes infinity.
 
+    A single plane is called Y: Blender reads noise from one that is called Z.
+
     Raises:
         DependencyError: the package OpenEXR is missing.
         InputError: a place that is not writable.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +15,19 @@ from pcore.errors import DependencyError
 from pcore.geometry.surface_mesh import SurfaceMesh
 
 
-def require_usd() -> Any:
-    """Return the package of USD.
+def require_usd() -> None:
+    """Check that the package of USD is there.
 
     Raises:
         DependencyError: it is not installed; call this before long work whose end is such a file.
     """
     try:
-        import pxr
+        import_module("pxr")
     except ImportError as error:
         raise DependencyError(
             "writing USD needs the package usd-core, which is not installed: "
             "`pip install 'pcore-edit[mesh]'`, or write .glb instead"
         ) from error
-    return pxr
 
 
 def write_usd(
@@ -51,7 +51,7 @@ def write_usd(
         DependencyError: the package usd-core is missing.
     """
     require_usd()
-    from pxr import Usd, UsdGeom, Vt
+    Usd, UsdGeom, Vt = map(_pxr, ("Usd", "UsdGeom", "Vt"))  # noqa: N806
 
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
@@ -86,9 +86,9 @@ def write_usd(
 
 def _add_material(stage: Any, shape: Any, coordinates: Tensor, texture: str) -> None:
     """Bind a preview surface that shows a picture as light of its own."""
-    from pxr import Sdf, UsdGeom, UsdShade, Vt
+    UsdGeom, UsdShade, Vt = map(_pxr, ("UsdGeom", "UsdShade", "Vt"))  # noqa: N806
 
-    kind = Sdf.ValueTypeNames
+    kind = _pxr("Sdf").ValueTypeNames
     uv = UsdGeom.PrimvarsAPI(shape).CreatePrimvar("st", kind.TexCoord2fArray, UsdGeom.Tokens.vertex)
     uv.Set(Vt.Vec2fArray.FromNumpy(coordinates.numpy().astype(np.float32)))
     material = UsdShade.Material.Define(stage, "/object/material")
@@ -113,10 +113,13 @@ def _add_material(stage: Any, shape: Any, coordinates: Tensor, texture: str) -> 
 
 
 def _vectors(values: Tensor) -> Any:
-    from pxr import Vt
-
-    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(values.numpy().astype(np.float32)))
+    return _pxr("Vt").Vec3fArray.FromNumpy(np.ascontiguousarray(values.numpy().astype(np.float32)))
 
 
 def _threes(count: int) -> Any:
     return np.full(count, 3, dtype=np.int32)
+
+
+def _pxr(name: str) -> Any:
+    """A module of the package, which is bound code that type checkers cannot read."""
+    return import_module(f"pxr.{name}")

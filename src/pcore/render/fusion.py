@@ -105,7 +105,7 @@ def fuse(
             f"mesh: expected pictures of a solid surface, got none in {len(views)} view(s) in the "
             "box that is meshed; was the run trained to its end, and do the cameras see it?"
         )
-    near = binary_dilation(near, np.ones((3, 3, 3)))
+    near = _with_neighbours(near)
     coarse = _far_away(grid, views, ~near)
     if closed:
         # Where free and unseen space meet far from any surface there is a surface now.
@@ -211,8 +211,11 @@ def _borders(coarse: NDArray[np.float32], near: BoolArray) -> BoolArray:
     """Blocks of unseen space beside free ones, and those beside them."""
     free = (coarse > 0) & ~near
     unseen = ~free & ~near
-    ball = np.ones((3, 3, 3))
-    return (binary_dilation(free, ball) & unseen) | (binary_dilation(unseen, ball) & free)
+    return (_with_neighbours(free) & unseen) | (_with_neighbours(unseen) & free)
+
+
+def _with_neighbours(blocks: BoolArray) -> BoolArray:
+    return np.asarray(binary_dilation(blocks, np.ones((3, 3, 3))), dtype=np.bool_)
 
 
 def _distances(places: Tensor, views: Sequence[DepthView], voxel: float) -> Tensor:
