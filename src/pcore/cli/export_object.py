@@ -108,36 +108,19 @@ def write_splats(command: ExportCommand, asset: Asset, console: Console) -> list
     from pcore.data.splat_file import splats_of
     from pcore.data.splat_formats import save_splats
 
-    times, where = _times(command), str(command.run_folder)
+    times = _times(command)
+    if isinstance(asset.content, GaussianContent):
+        file = splats_of(asset.content.gaussians, str(command.run_folder))
+        posed, notes = _carried(command, file, times)
+        antialiased = asset.content.footprint.antialiased
+    else:
+        posed, notes = _fitted(command, asset, times, console)
+        antialiased = True
     several = command.frames is not None
     names = numbered(command.output, len(times)) if several else [command.output]
-    if isinstance(asset.content, GaussianContent):
-        file = splats_of(asset.content.gaussians, where)
-        posed, notes = _carried(command, file, times)
-        footprint = asset.content.footprint
-    else:
-        from pcore.asset.meshing import map_of
-        from pcore.asset.splats_of_points import edited_splats, likeness, splats_of_points
-        from pcore.cli.results import counting
-
-        if command.edit is not None:
-            for time in times:
-                map_of(asset, command.edit, time=time)
-        with counting(console, "pictures and steps") as tell:
-            fitted = splats_of_points(
-                asset, _cameras(command, asset), steps=command.steps or _STEPS, progress=tell
-            )
-        footprint, notes = fitted.footprint, list[str]()
-        moved = [edited_splats(asset, fitted.gaussians, command.edit, time=t) for t in times]
-        posed = [splats_of(one, where) for one in moved]
-        if fitted.psnr is not None:
-            notes.append(f"{fitted.psnr:.1f} dB to pictures of the run that the fit did not see")
-        if command.edit is not None:
-            like = likeness(asset, fitted, moved[-1], command.edit, time=times[-1])
-            notes.append(f"{like:.1f} dB to pictures of the edited run, its light baked in")
     for path, file in zip(names, posed, strict=True):
         notes += save_splats(path, file)
-    if footprint.antialiased:
+    if antialiased:
         notes.append(
             "they were trained antialiased: switch that on in the viewer (SuperSplat) or trainer "
             "(gsplat: rasterize_mode), or they look a little bolder"
@@ -145,6 +128,33 @@ def write_splats(command: ExportCommand, asset: Asset, console: Console) -> list
     first = posed[0].gaussians
     head = _said(names, f"{len(first):,} Gaussians of degree {first.degree}")
     return [head, *(f"  note: {line}" for line in dict.fromkeys(notes))]
+
+
+def _fitted(
+    command: ExportCommand, asset: Asset, times: list[float | None], console: Console
+) -> tuple[list[SplatFile], list[str]]:
+    """Gaussians that look like a run of PAPR at all times, and how near they come."""
+    from pcore.asset.meshing import map_of
+    from pcore.asset.splats_of_points import edited_splats, likeness, splats_of_points
+    from pcore.cli.results import counting
+    from pcore.data.splat_file import splats_of
+
+    edit, steps = command.edit, _STEPS if command.steps is None else command.steps
+    if command.split is not None:
+        raise InputError("--split: expected a run of Gaussians, got one of PAPR's points")
+    for time in times if edit is not None else []:
+        # Before the fit, so that an edit that folds costs no waiting.
+        map_of(asset, edit, time=time)
+    with counting(console, "pictures and steps") as tell:
+        fitted = splats_of_points(asset, _cameras(command, asset), steps=steps, progress=tell)
+    moved = [edited_splats(asset, fitted.gaussians, edit, time=time) for time in times]
+    notes: list[str] = []
+    if fitted.psnr is not None:
+        notes.append(f"{fitted.psnr:.1f} dB to pictures of the run that the fit did not see")
+    if edit is not None:
+        like = likeness(asset, fitted, moved[-1], edit, time=times[-1])
+        notes.append(f"{like:.1f} dB to pictures of the edited run, its light baked in")
+    return [splats_of(one, str(command.run_folder)) for one in moved], notes
 
 
 def _carried(

@@ -64,11 +64,11 @@ def glb_of(mesh: SurfaceMesh, frames: Sequence[Tensor] = (), fps: float = 30.0) 
     shape: dict[str, Any] = {"primitives": [primitive]}
     document["meshes"] = [shape]
     if len(frames) > 1:
-        moves = [_turned(one) - places for one in frames[1:]]
-        targets = [writer.add(move, target=VERTICES, bounds=True) for move in moves]
+        targets = [
+            writer.add(_turned(one) - places, target=VERTICES, bounds=True) for one in frames[1:]
+        ]
         primitive["targets"] = [{"POSITION": one} for one in targets]
         shape["weights"] = [0.0] * len(targets)
-        shape["extras"] = {"targetNames": [f"frame_{k:03}" for k in range(1, len(frames))]}
         document["animations"] = [_animation(writer, len(frames), fps)]
     return writer.content(document)
 
