@@ -175,11 +175,7 @@ def _in_view(places: Tensor, one: Opened) -> Tensor:
 
 def _counted(taken: Sequence[Opened]) -> list[str]:
     counts = Counter(note for one in taken for note in one.notes)
-    notes = [f"{count} of {len(taken)} photos {note}" for note, count in counts.items()]
-    bent = sum(one.view.image.lens is not None for one in taken)
-    if bent:
-        notes.append(f"{bent} of {len(taken)} photos are straightened: their lens bends lines")
-    return notes
+    return [f"{count} of {len(taken)} photos {note}" for note, count in counts.items()]
 
 
 def _say_skipped(skipped: Sequence[Skipped], count: int) -> str:

@@ -30,7 +30,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     prepare_torch(command.threads)
     device = pick_device(command.device)
     config = _config(command)
-    scene = load_scene(command.scene, factor=command.factor)
+    scene = load_scene(command.scene, factor=command.factor, tell=console.print)
     masked = all(view.has_alpha for view in scene.split("train"))
     start = config.start if config.start != "auto" else "hull" if masked else "views"
     warn_of_start(scene, start, console, otherwise="views")
