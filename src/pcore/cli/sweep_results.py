@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from pcore.cli.layout import Column, Sheet, print_lines, room, sheet_lines
+from pcore.evaluation.tables import shown
 
 if TYPE_CHECKING:
     from pcore.sweep.spread import PairedDifference, Spread, VariantMean
@@ -47,7 +49,7 @@ def write_results(
     seeds = len({one.seed for one in scores})
     for sheet in (_mean_sheet(means, seeds), _difference_sheet(differences)):
         if sheet.rows:
-            print_lines(console, [*sheet_lines(sheet, room(console)), ""])
+            print_lines(console, [*sheet_lines(_filled(sheet), room(console)), ""])
     console.print(Text(f"written to {folder}"), soft_wrap=True)
 
 
@@ -97,13 +99,18 @@ def _difference_sheet(differences: Sequence[PairedDifference]) -> Sheet:
     )
 
 
+def _filled(sheet: Sheet) -> Sheet:
+    """Without columns that say nothing in any row."""
+    kept = [k for k in range(len(sheet.columns)) if any(v[k] != shown(None) for _, v in sheet.rows)]
+    rows = tuple((keys, tuple(values[k] for k in kept)) for keys, values in sheet.rows)
+    return replace(sheet, columns=tuple(sheet.columns[k] for k in kept), rows=rows)
+
+
 def _figures(figures: Mapping[str, Spread], *, sign: bool = False) -> Column:
     return tuple(_text(figures.get(name), digits, k, sign) for name, _, digits, k in _COLUMNS)
 
 
 def _text(one: Spread | None, digits: int, factor: float, sign: bool) -> str:
-    from pcore.evaluation.tables import shown
-
     if one is None:
         return shown(None)
     plus = "+" if sign and one.mean > 0 else ""
