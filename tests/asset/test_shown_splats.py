@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from seeded_runs import write_runs
 from tests.asset.test_gaussian_content import an_asset
 
 import pcore
 from pcore.asset.asset import Asset
 from pcore.errors import InputError
+from seeded_runs import write_runs
 
 EYE = torch.tensor([0.0, -3.0, 0.5])
 TWIST = {"type": "twist", "axis": "z", "angle_deg": 40}

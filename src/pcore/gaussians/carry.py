@@ -14,9 +14,10 @@ from torch import Tensor
 
 from pcore.deform.base import Deformation
 from pcore.errors import EditError
-from pcore.gaussians.covariance import covariances, quaternions, rotations
+from pcore.gaussians.covariance import covariances, quaternions
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.spherical_harmonics import rotated
+from pcore.geometry.rotation import rotations
 
 _SWEEPS = 12
 _ORTHOGONAL = 1e-15
