@@ -253,7 +253,7 @@ class Asset:
         Raises:
             EditError: the edit is not valid or does not fit the points.
         """
-        return EditSession(self.points, edit and begin_with(edit, time), rig=self.rig)
+        return EditSession(self.points, begin_with(edit, time), rig=self.rig)
 
     def over(self, background: Color) -> Asset:
         """Return the same object before another background, RGB in [0, 1]."""
