@@ -17,10 +17,10 @@ import torch
 from PIL import Image
 
 from pcore.asset.asset import Asset
+from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.figures import Pixels, sheet
 from pcore.evaluation.methods import open_subject
 from pcore.evaluation.panels import object_window, renderings
-from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.runner import Taken, evaluate
 from pcore.evaluation.states import open_states
 

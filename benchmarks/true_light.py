@@ -29,9 +29,9 @@ from pcore.asset.asset import Asset, Posed
 from pcore.asset.content import LightName
 from pcore.asset.saving import neural_points_of
 from pcore.data.load import load_scene
+from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.methods import open_subject
-from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.states import CANONICAL, State, open_states
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.posed import PosedCloud

@@ -61,9 +61,7 @@ def test_runs_and_pictures_are_scored_alike(
     assert "failed" not in capsys.readouterr().out
 
 
-def test_the_field_as_files(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_field_as_files(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh, nodes = tmp_path / "mesh.ply", tmp_path / "nodes.npy"
     corners = torch.from_numpy(tiny_scene.CORNERS).float()
     save_points(mesh, corners, faces=torch.from_numpy(tiny_scene.FACES))
@@ -86,7 +84,7 @@ def test_the_field_as_files(
         "canonical/r_1.png",
         "grown/r_0.png",
     ]
-    assert compare(run, "--export-field", field) == 1  # Not into what is there.
+    assert compare(run, "--export-field", field) == 2  # Not into what is there.
 
 
 def test_own_points_where_no_files_are_given(run: Path, tmp_path: Path) -> None:
@@ -112,19 +110,19 @@ def test_own_points_where_no_files_are_given(run: Path, tmp_path: Path) -> None:
 def test_wrong_options(
     run: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert compare(run, *words) == 1
+    assert compare(run, *words) == 2
     assert message in " ".join(capsys.readouterr().err.split())
 
 
 def test_what_is_compared_must_be_of_one_scene(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert compare("--methods", "sc-gs") == 1
+    assert compare("--methods", "sc-gs") == 2
     assert "expected a RUN, or the folder of a scene" in " ".join(capsys.readouterr().err.split())
     other = tiny_scene.write_run(tmp_path / "other", tiny_scene.write_scene(tmp_path / "box2"))
-    assert compare(run, other) == 1
+    assert compare(run, other) == 2
     assert "expected runs of one scene" in " ".join(capsys.readouterr().err.split())
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("keep")
-    assert compare(run, "--methods", "papr", "-o", tmp_path / "mine") == 1
+    assert compare(run, "--methods", "papr", "-o", tmp_path / "mine") == 2
     assert "holds other files (notes.txt)" in " ".join(capsys.readouterr().err.split())

@@ -11,8 +11,8 @@ import tiny_scene
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.saving import asset_of
 from pcore.errors import InputError, SceneError
-from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual
 from pcore.evaluation.asset_method import AssetMethod
+from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual
 from pcore.evaluation.runner import ImageRow, Taken, evaluate
 from pcore.evaluation.states import CANONICAL, SceneStates, open_states
 from pcore.geometry.camera import Camera
@@ -40,7 +40,9 @@ def perfect() -> AssetMethod:
     return AssetMethod(name="true", asset=asset, rays="plain", take=draw_box)
 
 
-def test_a_perfect_renderer_is_perfect_in_every_state(states: SceneStates, perfect: AssetMethod) -> None:
+def test_a_perfect_renderer_is_perfect_in_every_state(
+    states: SceneStates, perfect: AssetMethod
+) -> None:
     rows = evaluate([perfect], states.select(["all", "scale:2", "scale:0.5"]))
     kinds = {row.state: row.kind for row in rows}
     assert kinds == {

@@ -7,9 +7,9 @@ import torch
 
 from pcore.errors import InputError
 from pcore.gaussians.covariance import covariances
+from pcore.gaussians.render import Footprint
 from pcore.rivals.bound_fit import BoundGaussians
 from pcore.rivals.mesh_bound import hung, placed, start_on, triangle_frames
-from pcore.gaussians.render import Footprint
 
 VERTICES = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.1, 1.0]])
 FACES = torch.tensor([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
@@ -20,7 +20,9 @@ def bound() -> BoundGaussians:
     local = start_on(VERTICES, FACES, degree=1, opacity=0.5)
     torch.manual_seed(0)
     quats = torch.nn.functional.normalize(torch.randn(12, 4), dim=1)
-    local = type(local)(**{**vars(local), "quats": quats, "scales": local.scales * (1 + torch.rand(12, 3))})
+    local = type(local)(
+        **{**vars(local), "quats": quats, "scales": local.scales * (1 + torch.rand(12, 3))}
+    )
     return BoundGaussians(
         vertices=VERTICES, faces=FACES, gaussians=placed(local, frames), footprint=Footprint()
     )

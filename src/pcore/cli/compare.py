@@ -1,8 +1,8 @@
-"""`pcore compare RUN...`: rules of other methods, our own, and pictures of any code, scored alike."""
+"""`pcore compare RUN...`: rules of other methods, our own, and pictures of any code."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -16,12 +16,9 @@ from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
-    from pcore.evaluation.contest import Entry, Outcome
-    from pcore.evaluation.contest_tables import Line
+    from pcore.evaluation.contest import Entry
     from pcore.evaluation.contestants import Given
     from pcore.evaluation.states import SceneStates, State
-
-COMPARE_FILE, CSV_FILE, TABLES_FILE = "compare.json", "compare.csv", "compare.md"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,6 +98,7 @@ def compare(command: CompareCommand, console: Console) -> None:
         SceneError: the scene or a state cannot be read.
         InputError: unknown names, options that do not fit, or an output folder in use.
     """
+    from pcore.cli.compare_results import finish, teller
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.evaluation.contest import Contest
     from pcore.evaluation.protocol import load_perceptual
@@ -125,8 +123,11 @@ def compare(command: CompareCommand, console: Console) -> None:
         perceptual=perceptual,
     )
     total = len(entries) * len(states)
-    outcomes = contest.run(entries, _teller(console, total))
-    _finish(command, console, output, outcomes, states, places)
+    outcomes = contest.run(entries, teller(console, total))
+    notes = [places.left_out] if places.left_out else []
+    about = _about(command, places, output)
+    names = [state.name for state in states]
+    finish(console, output, outcomes, names, about=about, notes=notes)
 
 
 def _runs(command: CompareCommand, device: str) -> list[Given]:
@@ -176,6 +177,7 @@ def _output(command: CompareCommand, runs: Sequence[Given], places: SceneStates)
         InputError: it holds something else.
         OSError: it cannot be made.
     """
+    from pcore.cli.compare_results import COMPARE_FILE
     from pcore.cli.output import results_of
 
     if command.output is None and not runs:
@@ -225,8 +227,7 @@ def _wanted(names: Sequence[str], known: Sequence[Any]) -> list[Any]:
     unknown = [name for name in names if name not in (*known, "all", "none")]
     if unknown:
         raise InputError(
-            f"--methods: expected some of {', '.join(known)}, all or none, got "
-            f"{', '.join(unknown)}"
+            f"--methods: expected some of {', '.join(known)}, all or none, got {', '.join(unknown)}"
         )
     return [*known] if "all" in names else [name for name in known if name in names]
 
@@ -246,41 +247,11 @@ def _pairs(option: str, texts: Sequence[str]) -> list[tuple[str, Path]]:
     return [(name, Path(path)) for name, _, path in pairs]
 
 
-def _teller(console: Console, total: int) -> Callable[[Outcome], None]:
-    """Prints a line for every outcome."""
-    from pcore.evaluation.runner import mean
-    from pcore.evaluation.tables import shown
-
-    done = [0]
-
-    def tell(outcome: Outcome) -> None:
-        done[0] += 1
-        psnr = mean([row.scores.get("foreground_psnr") for row in outcome.rows])
-        said = f"{shown(psnr)} dB" if outcome.failed is None else f"failed: {outcome.failed}"
-        seed = f", seed {outcome.seed}" if outcome.seed else ""
-        line = f"{done[0]}/{total} {outcome.name} ({outcome.setting}{seed}), {outcome.state}: {said}"
-        console.print(Text(line), soft_wrap=True)
-
-    return tell
-
-
-def _finish(
-    command: CompareCommand,
-    console: Console,
-    output: Path,
-    outcomes: Sequence[Outcome],
-    states: Sequence[State],
-    places: SceneStates,
-) -> None:
-    """Write the files and print the tables."""
-    from pcore.evaluation.contest_tables import contest_csv, contest_record, lines_of
-    from pcore.evaluation.tables import write_json
-    from pcore.files.atomic import write_atomically
+def _about(command: CompareCommand, places: SceneStates, output: Path) -> dict[str, Any]:
+    """What is compared, for the file of results."""
     from pcore.files.run_record import relative
 
-    lines = lines_of(outcomes, "standard")
-    failures = [f"{line.name}, {s}: {why}" for line in lines for s, why in line.failed.items()]
-    about = {
+    return {
         "run": relative(places.path, output),
         "factor": places.factor,
         "every": command.every,
@@ -288,36 +259,3 @@ def _finish(
         "seeds": [*command.seeds],
         "runs": [relative(path, output) for path in command.runs],
     }
-    notes = [*([places.left_out] if places.left_out else []), *failures]
-    record = contest_record(lines, about=about, notes=notes)
-    write_json(output / COMPARE_FILE, {**record, "status": "finished"})
-    write_atomically(output / CSV_FILE, contest_csv(lines))
-    text = _tables(console, lines, [state.name for state in states])
-    text += "".join(f"- {line}\n" for line in notes)
-    write_atomically(output / TABLES_FILE, text.encode())
-    for line in notes:
-        console.print(Text(f"note: {line}"), soft_wrap=True)
-    console.print(Text(f"written to {output}"), soft_wrap=True)
-
-
-_SHOWN = (
-    ("foreground PSNR, dB", "foreground_psnr", False),
-    ("holes", "hole_rate", True),
-    ("depth error, of the object's size", "depth_error_relative", True),
-    ("spill, of the object's pixels", "spill_to_object", True),
-)
-
-
-def _tables(console: Console, lines: Sequence[Line], states: Sequence[str]) -> str:
-    """Print the tables; return them for a document."""
-    from pcore.cli.layout import Sheet, print_lines, room, sheet_lines
-    from pcore.evaluation.contest_tables import COSTS, cost_rows, markdown, quality_rows
-
-    tables = [(t, (*states,), quality_rows(lines, states, m, percent=p)) for t, m, p in _SHOWN]
-    tables.append(("cost", COSTS, cost_rows(lines)))
-    text = ""
-    for title, heads, rows in tables:
-        sheet = Sheet(title=title, keys=("method", "setting"), columns=heads, rows=tuple(rows))
-        print_lines(console, [*sheet_lines(sheet, room(console)), ""])
-        text += markdown(title, heads, rows) + "\n"
-    return text

@@ -1,4 +1,4 @@
-"""`pcore compare --export-field DIR`: the field of every state, in forms that official codes take."""
+"""`pcore compare --export-field DIR`: the field of every state as official codes take it."""
 
 from __future__ import annotations
 

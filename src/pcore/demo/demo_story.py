@@ -14,11 +14,11 @@ from pcore.data.pictures import to_bytes
 from pcore.data.video import write_video
 from pcore.demo.demo_folder import DemoFolder, stamp_of
 from pcore.demo.demo_settings import DemoSettings
+from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.figures import png_bytes
 from pcore.evaluation.methods import never_seen, open_subject
 from pcore.evaluation.panels import depth_maps, object_window, renderings, strain_maps
 from pcore.evaluation.protocol import load_perceptual
-from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.runner import Taken, evaluate
 from pcore.evaluation.states import SceneStates, State, open_states
 from pcore.evaluation.summary import gains, state_means

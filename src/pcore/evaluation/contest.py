@@ -6,6 +6,7 @@ A method that fails is a row that says why, and stops no other.
 from __future__ import annotations
 
 import json
+import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -149,15 +150,14 @@ class Contest:
         try:
             made = once.made()
             timed = _Timed(made.method)
-            rows = evaluate(
-                [timed], [state], protocols=self.protocols, perceptual=self.perceptual
-            )
+            rows = evaluate([timed], [state], protocols=self.protocols, perceptual=self.perceptual)
         except PcoreError as error:
             return replace(base, failed=str(error))
         except (RuntimeError, ValueError, ArithmeticError, MemoryError) as error:
             # Of packages that are not ours; a method that fails must not cost the others.
             return replace(base, failed=f"{type(error).__name__}: {error}")
-        spent = 1000 * timed.seconds / max(1, len(state.shots))
+        # The median: the first picture may wait for kernels to be compiled.
+        spent = 1000 * statistics.median(timed.seconds)
         return replace(base, rows=tuple(rows), cost=made.cost, milliseconds=spent)
 
     def _path(self, entry: Entry, state: State) -> Path:
@@ -191,7 +191,7 @@ class _Timed:
 
     def __init__(self, method: Method) -> None:
         self._method = method
-        self.seconds = 0.0
+        self.seconds: list[float] = []
 
     @property
     def name(self) -> str:
@@ -207,7 +207,7 @@ class _Timed:
     def draw(self, posed: Any, camera: Camera) -> Image:
         start = time.process_time()
         found = self._method.draw(posed, camera)
-        self.seconds += time.process_time() - start
+        self.seconds.append(time.process_time() - start)
         return found
 
     def health(self, posed: Any, state: State) -> Health | None:
@@ -220,10 +220,17 @@ def _read(path: Path, stamp: Any) -> Outcome | None:
         record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if record.pop("stamp") != stamp or record["failed"] is not None:
             return None
-        rows = tuple(ImageRow(**{**row, "scores": _numbers(row["scores"])}) for row in record["rows"])
-        return Outcome(**{**record, "rows": rows, "cost": Cost(**record["cost"])})
+        record["cost"] = Cost(**record["cost"])
+        record["rows"] = tuple(
+            _row({**row, "scores": _numbers(row["scores"])}) for row in record["rows"]
+        )
+        return Outcome(**record)
     except (OSError, ValueError, KeyError, TypeError):
         return None
+
+
+def _row(values: dict[str, Any]) -> ImageRow:
+    return ImageRow(**values)
 
 
 def _numbers(scores: Mapping[str, Any]) -> dict[str, Any]:

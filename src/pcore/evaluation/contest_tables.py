@@ -139,7 +139,13 @@ def contest_csv(lines: Sequence[Line]) -> bytes:
             figures += [cells[m].spread if m in cells else None for m in METRICS]
             figures += [getattr(line.cost, name) for name in cost] + [line.milliseconds]
             first = [line.name, line.setting, line.seeds, state]
-            writer.writerow([*first, *("" if f is None else repr(f) for f in figures), line.failed.get(state, "")])
+            writer.writerow(
+                [
+                    *first,
+                    *("" if f is None else repr(f) for f in figures),
+                    line.failed.get(state, ""),
+                ]
+            )
     return text.getvalue().encode()
 
 

@@ -20,7 +20,7 @@ from pcore.evaluation.contest import Contestant, Cost, Entry, Setting
 from pcore.evaluation.contestants import RULES, MethodName, rule_entries
 from pcore.evaluation.gaussian_method import GaussianMethod
 from pcore.evaluation.voxel_method import VoxelMethod
-from pcore.files.run_record import RunRecord, begun
+from pcore.files.run_record import RunRecord, begun, finished
 from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
@@ -54,6 +54,7 @@ class Workshop:
         config: of our Gaussians, from a preset.
         primitives: how many they have with equal primitives.
         seconds: of the processor for each with equal time.
+        voxels: of voxel fields, whose steps end with their time.
         device: where.
         listener: told of all events.
         note: told what begins.
@@ -64,6 +65,7 @@ class Workshop:
     config: GaussianConfig
     primitives: int
     seconds: float
+    voxels: VoxelConfig = field(default_factory=lambda: VoxelConfig(steps=_MOST))
     device: str = "cpu"
     listener: Listener = silent
     note: Callable[[str], None] = field(default=lambda text: None)
@@ -106,8 +108,9 @@ class Workshop:
             PcoreError: as `pcore.train`.
         """
         part = "" if share == 1.0 else "-stage-1"
-        run = self.folder / f"gaussians-{setting}-{seed}{part}"
-        self.note(f"Gaussians, {setting}, seed {seed}{part}")
+        run = self.folder / f"gaussians-{self._tag(setting, seed)}{part}"
+        if not finished(run):
+            self.note(f"Gaussians, {setting}, seed {seed}{part}")
         found: list[Asset] = []
 
         def make() -> None:
@@ -127,21 +130,23 @@ class Workshop:
         spent = kept_cost(run.with_suffix(".json"), make)
         return found[0].over(WHITE), spent
 
-    def mesh(self, setting: Setting, seed: int) -> tuple[Mesh, Spent | None]:
-        """A mesh of the object and its cage, from depth of Gaussians of ours.
+    def _tag(self, setting: Setting, seed: int) -> str:
+        asked = self.primitives if setting == "primitives" else self.seconds
+        return f"{setting}-{asked:g}-{seed}"
+
+    def mesh(self, setting: Setting, seed: int) -> tuple[Mesh, list[Spent | None]]:
+        """A mesh of the object and its cage, from depth of Gaussians of ours, and what both took.
 
         Raises:
             InputError: there is no surface.
             DependencyError: scikit-image is not installed.
         """
-        path = self.folder / f"mesh-{setting}-{seed}.safetensors"
+        path = self.folder / f"mesh-{self._tag(setting, seed)}.safetensors"
         triangles = max(40, self.primitives // PER_TRIANGLE)
         triangles = triangles if setting == "primitives" else _TRIANGLES
-        base: list[Spent | None] = []
+        asset, first = self.gaussians(setting, seed, share=1.0 if setting != "time" else 0.5)
 
         def make() -> Mesh:
-            asset, spent = self.gaussians(setting, seed, share=1.0 if setting != "time" else 0.5)
-            base.append(spent)
             with torch.no_grad():
                 fused, *mesh = sized_mesh(
                     lambda camera: _at_rest(asset, camera), self.scene, asset.points, triangles
@@ -150,15 +155,18 @@ class Workshop:
 
         found: list[Mesh] = []
         spent = kept_cost(path.with_suffix(".json"), lambda: found.append(kept_mesh(path, make)))
-        return found[0], spent
+        return found[0], [first, spent]
 
     def _bound(self, setting: Setting, seed: int) -> Contestant:
         (vertices, faces, *_), first = self.mesh(setting, seed)
-        path = self.folder / f"bound-{setting}-{seed}.safetensors"
-        self.note(f"Gaussians on a mesh of {len(faces):,} triangles, {setting}, seed {seed}")
+        path = self.folder / f"bound-{self._tag(setting, seed)}.safetensors"
+        if not path.is_file():
+            self.note(f"Gaussians on a mesh of {len(faces):,} triangles, {setting}, seed {seed}")
         config = replace(self.config, seed=seed)
         if setting == "time" and not path.is_file():
-            pace = _pace(lambda steps: fit_bound(self.scene, vertices, faces, _brief(config, steps)))
+            pace = _pace(
+                lambda steps: fit_bound(self.scene, vertices, faces, _brief(config, steps))
+            )
             config = _for(config, self.seconds / 2 / pace)
         found: list[Any] = []
         spent = kept_cost(
@@ -176,14 +184,15 @@ class Workshop:
             content=content,
             rule=lambda state: bound.carried(state.move(bound.vertices.double())),
         )
-        return Contestant(method=method, cost=_cost(bound.gaussians, [first, spent]))
+        return Contestant(method=method, cost=_cost(bound.gaussians, [*first, spent]))
 
     def _voxels(self, seed: int) -> Contestant:
         (_, _, *cage), first = self.mesh("time", seed)
-        path = self.folder / f"voxels-{seed}.safetensors"
-        self.note(f"voxels, seed {seed}")
+        path = self.folder / f"voxels-{self._tag('time', seed)}.safetensors"
+        if not path.is_file():
+            self.note(f"voxels, seed {seed}")
         found: list[Any] = []
-        config = VoxelConfig(seed=seed, steps=_MOST)
+        config = replace(self.voxels, seed=seed)
         spent = kept_cost(
             path.with_suffix(".json"),
             lambda: found.append(
@@ -192,7 +201,8 @@ class Workshop:
         )
         field_ = found[0]
         method = VoxelMethod(name=VOXELS, field=field_, cage=(cage[0], cage[1]))
-        both = [one for one in (first, spent) if one is not None]
+        # The cage is made of the mesh; the field itself needs no Gaussians.
+        both = [one for one in (first[1], spent) if one is not None]
         return Contestant(
             method=method,
             cost=Cost(
@@ -208,7 +218,9 @@ class Workshop:
             # What a killed training asked for; another pace would be another training.
             stored = RunRecord.read(run).config["gaussians"]
             config = replace(self.config, steps=stored["steps"], seed=seed, points=stored["points"])
-            return replace(config, density=replace(config.density, limit=stored["density"]["limit"]))
+            return replace(
+                config, density=replace(config.density, limit=stored["density"]["limit"])
+            )
         config = replace(self.config, seed=seed)
         if setting == "primitives":
             start = min(config.points, max(2, round(0.6 * self.primitives)))

@@ -64,17 +64,16 @@ def sized_mesh(
     """
     cameras = [view.camera for view in scene.split("train")]
     lower, upper = (points.float().quantile(share, dim=0) for share in (0.01, 0.99))
-    cells = 40
-    for _ in range(_TRIES):
+    cells, tries = 40, _TRIES
+    while True:
         fused = fuse(draw, cameras, lower, upper, cells=cells)
         vertices, faces = mesh_of(fused)
+        tries -= 1
         # Triangles grow with the square of the cells.
-        better = round(cells * (triangles / len(faces)) ** 0.5)
-        better = min(max(better, COARSEST), FINEST)
-        if better == cells:
-            break
+        better = min(max(round(cells * (triangles / len(faces)) ** 0.5), COARSEST), FINEST)
+        if better == cells or not tries:
+            return fused, vertices, faces
         cells = better
-    return fused, vertices, faces
 
 
 def fit_bound(

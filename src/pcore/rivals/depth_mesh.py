@@ -61,7 +61,9 @@ def fuse(
     axes = [lower[i] + step * torch.arange(int(counts[i])) for i in range(3)]
     points = torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, 3)
     total, weight = torch.zeros(len(points)), torch.zeros(len(points))
-    chosen = [cameras[i] for i in np.linspace(0, len(cameras) - 1, min(_VIEWS, len(cameras))).astype(int)]
+    chosen = [
+        cameras[i] for i in np.linspace(0, len(cameras) - 1, min(_VIEWS, len(cameras))).astype(int)
+    ]
     for camera in chosen:
         seen, distance = _distances(draw(camera), camera, points, step)
         total[seen] += distance
