@@ -87,9 +87,7 @@ def test_missing_and_misnamed_views_are_named(folder: Path, states: SceneStates)
         method.pose(states.select(["grown"])[1])
     assert "a picture for each of 2 test views, got none for r_1 (1 missing)" in str(caught.value)
     assert "files that no view is called after: 00001.png" in str(caught.value)
-    with pytest.raises(
-        InputError, match=r"folder walk .* got canonical, grown, scale_2"
-    ):
+    with pytest.raises(InputError, match=r"folder walk .* got canonical, grown, scale_2"):
         method.pose(states.select(["walk"])[1])
 
 

@@ -38,7 +38,8 @@ class CompareCommand:
 
     methods: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ("all",)
     """papr, aware, light (of the runs); 3dgs-fixed, 3dgs-rotation, 3dgs-affine, 3dgs-light, sc-gs
-    (rules on Gaussians); mani-gs (on a mesh); voxels (in a cage); or all."""
+    (rules on Gaussians); mani-gs (on a mesh); voxels (in a cage); motion (states with training
+    photos); or all."""
 
     settings: Annotated[
         tuple[Literal["primitives", "time"], ...], arg(metavar="NAME [NAME ...]")
@@ -52,6 +53,9 @@ class CompareCommand:
     seeds: Annotated[tuple[int, ...], arg(metavar="N [N ...]")] = (0,)
     """Seeds of the trainings; from two on the tables show the spread. Runs that differ in their
     seed alone are one row, too."""
+
+    motion_steps: Annotated[int, arg(metavar="N")] = 1000
+    """Steps of each of PAPR-in-Motion's two stages, for every state."""
 
     state: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ("all",)
     """States besides the canonical one: names, `all`, or `scale:S`."""
@@ -114,7 +118,7 @@ def compare(command: CompareCommand, console: Console) -> None:
         export_field(console, command.export_field, assets, given, (places, states))
         return
     output = _output(command, runs, places)
-    entries = _entries(command, console, output, runs, places, device)
+    entries = _entries(command, console, output, runs, (places, states), device)
     perceptual = load_perceptual()
     contest = Contest(
         folder=output,
@@ -125,7 +129,7 @@ def compare(command: CompareCommand, console: Console) -> None:
     total = len(entries) * len(states)
     outcomes = contest.run(entries, teller(console, total))
     notes = [places.left_out] if places.left_out else []
-    about = _about(command, places, output)
+    about = _about(command, places, states, output)
     names = [state.name for state in states]
     finish(console, output, outcomes, names, about=about, notes=notes)
 
@@ -192,14 +196,17 @@ def _entries(
     console: Console,
     output: Path,
     runs: Sequence[Given],
-    places: SceneStates,
+    where: tuple[SceneStates, Sequence[State]],
     device: str,
 ) -> list[Entry]:
     from pcore.asset.neural_points import NeuralPoints
     from pcore.evaluation.contestants import METHODS, given_entries, picture_entries
+    from pcore.evaluation.motion_method import has_end_views, motion_entries
     from pcore.evaluation.rival_entries import Workshop
+    from pcore.rivals.motion_stages import MotionConfig
     from pcore.training.presets import gaussian_preset, preset
 
+    places, states = where
     wanted = _wanted(command.methods, METHODS)
     if command.seconds <= 0:
         raise InputError(f"--seconds: expected more than 0, got {command.seconds}")
@@ -214,6 +221,10 @@ def _entries(
         note=lambda text: console.print(Text(f"training: {text}"), soft_wrap=True),
     )
     entries = given_entries(runs, places.scene, wanted)
+    # Of "all" where it can learn at all; asked for by name it says what is missing.
+    if "motion" in command.methods or ("motion" in wanted and has_end_views(places, states)):
+        config = MotionConfig(steps=command.motion_steps)
+        entries += motion_entries(runs, places, output / "trained", config)
     entries += shop.entries(wanted, command.settings, command.seeds)
     entries += picture_entries(_pairs("--pictures", command.pictures))
     if not entries:
@@ -247,12 +258,15 @@ def _pairs(option: str, texts: Sequence[str]) -> list[tuple[str, Path]]:
     return [(name, Path(path)) for name, _, path in pairs]
 
 
-def _about(command: CompareCommand, places: SceneStates, output: Path) -> dict[str, Any]:
+def _about(
+    command: CompareCommand, places: SceneStates, states: Sequence[State], output: Path
+) -> dict[str, Any]:
     """What is compared, for the file of results."""
     from pcore.files.run_record import relative
 
     return {
         "run": relative(places.path, output),
+        "kinds": {state.name: state.kind for state in states},
         "factor": places.factor,
         "every": command.every,
         "seconds": command.seconds,

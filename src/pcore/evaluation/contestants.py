@@ -38,6 +38,7 @@ MethodName = Literal[
     "sc-gs",
     "mani-gs",
     "voxels",
+    "motion",
 ]
 METHODS: tuple[MethodName, ...] = get_args(MethodName)
 RULES: dict[MethodName, str] = {

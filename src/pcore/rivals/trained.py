@@ -77,13 +77,13 @@ def _peak() -> float | None:
 
 def kept_bound(path: Path, train: Callable[[], BoundGaussians]) -> BoundGaussians:
     """Read Gaussians on a mesh, or train and write them."""
-    known = _read(path)
+    known = read_tensors(path)
     if known is None:
         made = train()
         named = {f.name: getattr(made.gaussians, f.name) for f in fields(Gaussians)}
         shape = torch.tensor([made.footprint.variance, float(made.footprint.antialiased)])
         mesh = {"vertices": made.vertices, "faces": made.faces, "footprint": shape}
-        _write(path, {**named, **mesh})
+        write_tensors(path, {**named, **mesh})
         return made
     variance, antialiased = known["footprint"].double().tolist()
     return BoundGaussians(
@@ -96,13 +96,13 @@ def kept_bound(path: Path, train: Callable[[], BoundGaussians]) -> BoundGaussian
 
 def kept_voxels(path: Path, train: Callable[[], VoxelField]) -> VoxelField:
     """Read a voxel field, or train and write it."""
-    known = _read(path)
+    known = read_tensors(path)
     if known is None:
         made = train()
         grid = made.grid
         step = torch.tensor([grid.step], dtype=torch.float64)
         parts = {"index": grid.index, "lower": grid.lower, "step": step}
-        _write(path, {**parts, "values": made.values})
+        write_tensors(path, {**parts, "values": made.values})
         return made
     grid = VoxelGrid(index=known["index"], lower=known["lower"], step=float(known["step"]))
     return VoxelField(grid=grid, values=known["values"])
@@ -113,19 +113,21 @@ def kept_mesh(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Read a mesh (vertices, faces) and its cage (vertices, faces), or make and write them."""
     names = ("vertices", "faces", "cage_vertices", "cage_faces")
-    known = _read(path)
+    known = read_tensors(path)
     if known is None:
         made = make()
-        _write(path, dict(zip(names, made, strict=True)))
+        write_tensors(path, dict(zip(names, made, strict=True)))
         return made
     first, second, third, fourth = (known[name] for name in names)
     return first, second, third, fourth
 
 
-def _read(path: Path) -> dict[str, Tensor] | None:
+def read_tensors(path: Path) -> dict[str, Tensor] | None:
+    """Read tensors by name; None where there is no file."""
     return load_file(path) if path.is_file() else None
 
 
-def _write(path: Path, tensors: Mapping[str, Tensor]) -> None:
+def write_tensors(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    """Write tensors by name, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, save({name: t.contiguous() for name, t in tensors.items()}))
