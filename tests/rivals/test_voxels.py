@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
 import torch
 
+import tiny_scene
+from pcore.data.load import load_scene
 from pcore.deform.cage import Cage
+from pcore.errors import InputError
+from pcore.evaluation.protocol import STANDARD, measure
 from pcore.geometry.orbit import orbit_cameras
 from pcore.rivals.depth_mesh import coarse_cage, fuse, mesh_of
+from pcore.rivals.voxel_fit import VoxelConfig, fit_voxels, hull_grid
 from pcore.rivals.voxels import VoxelField, VoxelGrid, cage_warp
 
 SIDE, STEP = 9, 0.25
@@ -86,3 +96,28 @@ def test_depth_becomes_a_closed_mesh_and_a_cage_around_it() -> None:
     assert 0.45 < float(reach.median()) < 0.7
     around = Cage(**dict(zip(("vertices", "faces"), coarse_cage(fused), strict=True)))
     assert bool(around.holds(vertices).all())
+
+
+def test_a_field_learns_its_photos(tmp_path: Path) -> None:
+    scene = load_scene(tiny_scene.write_scene(tmp_path / "box", states=False))
+    field = fit_voxels(scene, VoxelConfig(cells=10, steps=100, rays=300))
+    view = scene.split("train")[0]
+    with torch.no_grad():
+        seen = field.draw(view.camera)
+    scores = measure(STANDARD, seen.rgb, view.rgba())
+    assert scores.psnr > 18  # A white picture has 10.
+    # Time ends a training before its steps do.
+    begin = time.process_time()
+    fit_voxels(scene, VoxelConfig(cells=10, steps=100_000, rays=100), seconds=0.3)
+    assert time.process_time() - begin < 10
+
+
+def test_masks_are_needed_and_must_meet(tmp_path: Path) -> None:
+    scene = load_scene(tiny_scene.write_scene(tmp_path / "box", states=False))
+    view = scene.split("train")[0]
+    away = view.camera.world_from_camera.clone()
+    away[:3, 3] += 3 * away[:3, 0]
+    views = [view, replace(view, camera=view.camera.moved(away))]
+    empty = replace(view.camera, cx=-5.0)
+    with pytest.raises(InputError, match="the masks have nothing in common"):
+        hull_grid(scene, [*views, replace(view, camera=empty)], 10)

@@ -129,14 +129,16 @@ def _corners(lower: Tensor, upper: Tensor, step: float) -> Tensor:
 
 
 def _solid(corners: Tensor, views: Sequence[View]) -> Tensor:
-    """Places (S, 3) that no view sees through."""
+    """Places (S, 3) that no view sees through, not even a pixel beside."""
     alive = corners.reshape(-1, 3)
     for view in views:
         across, down, depth = view.camera.project(alive)
         column, row = across.floor().long(), down.floor().long()
         width, height = view.camera.width, view.camera.height
         seen = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        opacity = view.alpha()[row.clamp(0, height - 1), column.clamp(0, width - 1)]
+        # What covers less than half of a pixel of hard masks shows in the pixel beside.
+        wide = nn.functional.max_pool2d(view.alpha()[None], 3, stride=1, padding=1)[0]
+        opacity = wide[row.clamp(0, height - 1), column.clamp(0, width - 1)]
         alive = alive[~seen | (opacity > _TRACE)]
     return alive
 
