@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -115,9 +116,11 @@ def test_a_field_learns_its_photos(tmp_path: Path) -> None:
 def test_masks_are_needed_and_must_meet(tmp_path: Path) -> None:
     scene = load_scene(tiny_scene.write_scene(tmp_path / "box", states=False))
     view = scene.split("train")[0]
-    away = view.camera.world_from_camera.clone()
-    away[:3, 3] += 3 * away[:3, 0]
-    views = [view, replace(view, camera=view.camera.moved(away))]
-    empty = replace(view.camera, cx=-5.0)
+
+    def masked(alpha: torch.Tensor, has_alpha: bool = True) -> Any:
+        return SimpleNamespace(camera=view.camera, alpha=lambda: alpha, has_alpha=has_alpha)
+
     with pytest.raises(InputError, match="the masks have nothing in common"):
-        hull_grid(scene, [*views, replace(view, camera=empty)], 10)
+        hull_grid(scene, [masked(torch.zeros(24, 24))], 10)
+    with pytest.raises(InputError, match="expected photos with masks for a voxel field"):
+        hull_grid(scene, [view, masked(torch.ones(24, 24), has_alpha=False)], 10)

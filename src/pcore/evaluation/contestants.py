@@ -10,7 +10,7 @@ from typing import Literal, get_args
 
 from torch import Tensor
 
-from pcore.asset.asset import WHITE, Asset
+from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.neural_points import NeuralPoints
 from pcore.data.scene import Scene
@@ -248,8 +248,3 @@ def stamp_of_run(path: Path) -> str:
     names = sorted(path.glob("*.safetensors"))
     parts = [[one.name, one.stat().st_size, one.stat().st_mtime_ns] for one in names]
     return json.dumps([str(path.resolve()), parts])
-
-
-def on_white(asset: Asset) -> Asset:
-    """The same as true images show it."""
-    return asset.over(WHITE)

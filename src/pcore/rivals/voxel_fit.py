@@ -16,6 +16,10 @@ from pcore.rivals.voxels import DEGREE, VoxelField, VoxelGrid, march
 
 _COARSE = 48
 """Cells of the box of the scene in which the object is looked for."""
+_PAIRS = 4
+"""Pairs of corners that are smoothed, for each ray."""
+_SLOWEST = 0.05
+"""Share of the rates that is left at the end."""
 _TRACE = 0.02
 """Opacity from which a pixel keeps what lies behind it."""
 
@@ -63,8 +67,19 @@ def fit_voxels(scene: Scene, config: VoxelConfig, *, seconds: float | None = Non
     ]
     optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99))
     pairs = _neighbours(grid)
+
+    def loss() -> Tensor:
+        chosen = torch.randint(len(origins), (config.rays,), generator=draws)
+        color = torch.rand(3, generator=draws)
+        field = VoxelField(grid=grid, values=_rows(density, harmonics))
+        rgb, alpha, _ = march(field, origins[chosen], directions[chosen])
+        truth = composite(photos[chosen], color)
+        error = (rgb + (1 - alpha)[:, None] * color - truth).square().mean()
+        some = pairs[torch.randint(len(pairs), (_PAIRS * config.rays,), generator=draws)]
+        smooth = config.smooth_density * _variation(density, some)
+        return error + smooth + config.smooth_color * _variation(harmonics, some)
+
     begin = time.process_time()
-    share = 0.0
     for step in range(config.steps):
         spent = 0.0 if seconds is None else (time.process_time() - begin) / seconds
         share = max(step / config.steps, spent)
@@ -73,18 +88,9 @@ def fit_voxels(scene: Scene, config: VoxelConfig, *, seconds: float | None = Non
         for group, rate in zip(
             optimizer.param_groups, (config.density_rate, config.color_rate), strict=True
         ):
-            group["lr"] = rate * 0.05**share
-        chosen = torch.randint(len(origins), (config.rays,), generator=draws)
-        color = torch.rand(3, generator=draws)
-        field = VoxelField(grid=grid, values=_rows(density, harmonics))
-        rgb, alpha, _ = march(field, origins[chosen], directions[chosen])
-        truth = composite(photos[chosen], color)
-        error = (rgb + (1 - alpha)[:, None] * color - truth).square().mean()
-        some = pairs[torch.randint(len(pairs), (config.rays * 4,), generator=draws)]
-        loss = error + config.smooth_density * _variation(density, some)
-        loss = loss + config.smooth_color * _variation(harmonics, some)
+            group["lr"] = rate * _SLOWEST**share
         optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        loss().backward()
         optimizer.step()
     return VoxelField(grid=grid, values=_rows(density, harmonics).detach())
 
@@ -129,8 +135,9 @@ def _corners(lower: Tensor, upper: Tensor, step: float) -> Tensor:
 
 
 def _solid(corners: Tensor, views: Sequence[View]) -> Tensor:
-    """Places (S, 3) that no view sees through, not even a pixel beside."""
+    """Places (S, 3) that most views see and none sees through, not even a pixel beside."""
     alive = corners.reshape(-1, 3)
+    times = torch.zeros(len(alive), dtype=torch.int64)
     for view in views:
         across, down, depth = view.camera.project(alive)
         column, row = across.floor().long(), down.floor().long()
@@ -139,8 +146,9 @@ def _solid(corners: Tensor, views: Sequence[View]) -> Tensor:
         # What covers less than half of a pixel of hard masks shows in the pixel beside.
         wide = nn.functional.max_pool2d(view.alpha()[None], 3, stride=1, padding=1)[0]
         opacity = wide[row.clamp(0, height - 1), column.clamp(0, width - 1)]
-        alive = alive[~seen | (opacity > _TRACE)]
-    return alive
+        kept = ~seen | (opacity > _TRACE)
+        alive, times = alive[kept], (times + seen)[kept]
+    return alive[2 * times >= len(views)]
 
 
 def _rows(density: Tensor, harmonics: Tensor) -> Tensor:
