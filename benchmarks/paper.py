@@ -18,14 +18,14 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
+import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pcore.cli.compare_results import COMPARE_FILE
-from pcore.cli.main import main as pcore_main
+from pcore.evaluation.contest_tables import COMPARE_FILE
 
 Row = tuple[str, tuple[float | str | None, ...]]
 COLUMNS = ("psnr", "ssim", "lpips_alex")
@@ -164,9 +164,13 @@ def _mean(values: Sequence[float | None]) -> float | None:
 def _compared(runs: Path, name: str, options: Sequence[str]) -> Mapping[str, Any]:
     beside = [runs / f"{name}{end}" for end in _BESIDE]
     words = [str(path) for path in beside if path.is_dir()]
-    if pcore_main(["compare", *words, *options]) != 0:
+    if _pcore("compare", *words, *options) != 0:
         raise SystemExit(f"{name}: the comparison failed; see above")
     return json.loads((beside[0] / "compare" / COMPARE_FILE).read_text(encoding="utf-8"))
+
+
+def _pcore(*words: str) -> int:
+    return subprocess.run([sys.executable, "-m", "pcore.cli.main", *words], check=False).returncode
 
 
 def main() -> None:
@@ -181,7 +185,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, help="folder with deformed/, for nbs")
     wish = parser.parse_args(words.split())
     if wish.table == "ablation":
-        raise SystemExit(pcore_main(["ablate", str(wish.runs / wish.names[0]), *options.split()]))
+        raise SystemExit(_pcore("ablate", str(wish.runs / wish.names[0]), *options.split()))
     if wish.table == "nbs":
         from benchmarks import skinning
 

@@ -181,8 +181,8 @@ def _output(command: CompareCommand, runs: Sequence[Given], places: SceneStates)
         InputError: it holds something else.
         OSError: it cannot be made.
     """
-    from pcore.cli.compare_results import COMPARE_FILE
     from pcore.cli.output import results_of
+    from pcore.evaluation.contest_tables import COMPARE_FILE
 
     if command.output is None and not runs:
         raise InputError("compare: expected a folder for the results with -o, as no RUN is given")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pcore.evaluation.contest import Outcome
     from pcore.evaluation.contest_tables import Line
 
-COMPARE_FILE, CSV_FILE, TABLES_FILE = "compare.json", "compare.csv", "compare.md"
+CSV_FILE, TABLES_FILE = "compare.csv", "compare.md"
 
 
 def teller(console: Console, total: int) -> Callable[[Outcome], None]:
@@ -58,7 +58,12 @@ def finish(
     Raises:
         OSError: a file cannot be written.
     """
-    from pcore.evaluation.contest_tables import contest_csv, contest_record, lines_of
+    from pcore.evaluation.contest_tables import (
+        COMPARE_FILE,
+        contest_csv,
+        contest_record,
+        lines_of,
+    )
     from pcore.evaluation.tables import write_json
     from pcore.files.atomic import write_atomically
 

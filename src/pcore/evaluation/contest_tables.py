@@ -13,6 +13,7 @@ from pcore.evaluation.contest import Cost, Outcome, Setting
 from pcore.evaluation.runner import Value, mean
 from pcore.evaluation.tables import jsonable, shown
 
+COMPARE_FILE = "compare.json"
 METRICS = (
     "foreground_psnr",
     "psnr",

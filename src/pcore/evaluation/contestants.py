@@ -25,7 +25,7 @@ from pcore.evaluation.gaussian_method import (
 )
 from pcore.evaluation.methods import label_of, methods_of, never_seen
 from pcore.evaluation.picture_method import open_pictures
-from pcore.rivals.trained import Spent
+from pcore.rivals.kept import Spent
 
 MethodName = Literal[
     "papr",

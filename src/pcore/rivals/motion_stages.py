@@ -20,7 +20,7 @@ from pcore.errors import InputError
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
-from pcore.rivals.trained import read_tensors, write_tensors
+from pcore.rivals.kept import read_tensors, write_tensors
 from pcore.training.config import PatchConfig
 from pcore.training.losses import photometric, training_image
 from pcore.training.patches import draw_patch
