@@ -9,7 +9,7 @@ import pytest
 
 from pcore.asset.content import RaysName
 from pcore.asset.saving import asset_of
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.protocol import PROTOCOLS
 from pcore.evaluation.runner import evaluate, mean

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 import tiny_scene
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.deform.cage import Cage
 from pcore.errors import InputError
 from pcore.evaluation.protocol import STANDARD, measure

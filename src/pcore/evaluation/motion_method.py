@@ -11,7 +11,7 @@ from pcore.asset.asset import WHITE, Asset, Posed
 from pcore.asset.content import RaysName
 from pcore.asset.neural_points import NeuralPoints
 from pcore.asset.saving import asset_of, neural_points_of
-from pcore.data.load import load_state
+from pcore.capture.load import load_state
 from pcore.data.scene import View
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.contest import Contestant, Entry

@@ -100,6 +100,7 @@ class Taken:
         health: method -> what the state does to its points; None where it has none.
         unseen: method -> pixels (H, W) bool that show points which no training view saw; None
             where that is not known.
+        valid: (H, W) pixels that the truth shows; None: all.
     """
 
     state: str
@@ -111,6 +112,7 @@ class Taken:
     camera: Camera
     health: Mapping[str, Health | None]
     unseen: Mapping[str, Tensor | None]
+    valid: Tensor | None = None
 
 
 def evaluate(
@@ -183,6 +185,7 @@ def _take(
         camera=shot.camera,
         health=health,
         unseen=unseen,
+        valid=shot.view.valid() if state.has_truth else None,
     )
 
 
@@ -204,7 +207,8 @@ def _score(
         for protocol in protocols:
             images: Mapping[str, Value] = {}
             if taken.rgba is not None:
-                images = measure(protocol, photo.rgb, taken.rgba, perceptual).row()
+                valid = None if taken.valid is None else taken.valid.numpy()
+                images = measure(protocol, photo.rgb, taken.rgba, perceptual, valid).row()
             row = ImageRow(
                 method=method.name,
                 state=taken.state,
