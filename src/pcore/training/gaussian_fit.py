@@ -19,6 +19,7 @@ from pcore.training.loop import Plan, run_loop
 from pcore.training.losses import Losses
 from pcore.training.ssim import ssim
 from pcore.training.trainable_gaussians import (
+    Bound,
     TrainableGaussians,
     TrainedGaussians,
     photo_on,
@@ -34,6 +35,7 @@ def fit_gaussians(
     folder: RunFolder | None = None,
     listener: Listener = silent,
     device: str = "cpu",
+    bound: Bound | None = None,
 ) -> TrainedGaussians:
     """Learn Gaussians from the training views.
 
@@ -46,6 +48,7 @@ def fit_gaussians(
         folder: where to save and what to continue from; None keeps everything in memory.
         listener: told of steps, validations, changes of the population, saves.
         device: "cpu", or "cuda" with gsplat.
+        bound: what the Gaussians hang on, and their start; None trains free ones.
 
     Raises:
         InputError: no silhouettes for a visual hull, or a bad file of points.
@@ -57,6 +60,8 @@ def fit_gaussians(
     check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     masked = all(view.has_alpha for view in views)
+    if bound is not None:
+        start = bound.start
     if start is None:
         generator = torch.Generator().manual_seed(config.seed)
         start = start_gaussians(scene, views, config, generator)
@@ -66,6 +71,7 @@ def fit_gaussians(
         footprint=config.footprint,
         backdrop=config.background,
         seed=config.seed + 1,
+        place=None if bound is None else bound.place,
     )
     matrices = [
         (*view_matrices([view.camera], work.raw["means"]), (view.camera.width, view.camera.height))
