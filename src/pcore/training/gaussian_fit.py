@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
 from pcore.data.images import background_color
 from pcore.data.scene import Scene, check_images, hold_out
@@ -16,7 +15,7 @@ from pcore.training.gaussian_density import changes
 from pcore.training.gaussian_start import camera_distance, start_gaussians
 from pcore.training.loop import Plan, run_loop
 from pcore.training.losses import Losses
-from pcore.training.ssim import ssim
+from pcore.training.ssim import picture_losses
 from pcore.training.trainable_gaussians import (
     TrainableGaussians,
     TrainedGaussians,
@@ -83,7 +82,7 @@ def fit_gaussians(
         if _grows(work.step, config):
             found.means2d.retain_grad()
         shown[:] = [found]
-        return _photometric(found.rgb, photo_on(views[index], color, where), config.ssim_weight)
+        return picture_losses(found.rgb, photo_on(views[index], color, where), config.ssim_weight)
 
     def after_step(tell: Listener) -> None:
         _observe(work, shown.pop())
@@ -123,15 +122,6 @@ def _degree(step: int, config: GaussianConfig) -> int:
 
 def _grows(step: int, config: GaussianConfig) -> bool:
     return step <= config.density.last * config.steps
-
-
-def _photometric(rgb: Tensor, photo: Tensor, ssim_weight: float) -> Losses:
-    """(1 - w) L1 + w (1 - SSIM)."""
-    error = rgb - photo
-    terms = {"l1": (1 - ssim_weight) * error.abs().mean()}
-    if ssim_weight > 0:
-        terms["ssim"] = ssim_weight * (1 - ssim(rgb, photo))
-    return Losses(terms=terms, squared_error=error.detach().square().mean())
 
 
 @torch.no_grad()
