@@ -25,6 +25,8 @@ _OPAQUE = 0.999
 _PAIRS = 4_000_000
 """Rays times Gaussians that are looked through at once."""
 _TINY = 1e-20
+_FLATTEST = 1e-6
+"""Shadows are not thinner than the root of this, so that rounding makes none of them negative."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,12 +37,14 @@ class Traced:
         rgb: (R, 3) over the background, not clamped.
         alpha: (R,) opacity.
         depth: (R,) mean distance along the ray of what is blended, world units; 0 where nothing is.
+        centroid: (R, 3) mean of the means of what is blended, world units; 0 where nothing is.
         spread: (R,) variance of that distance times the opacity, world units squared.
     """
 
     rgb: Tensor
     alpha: Tensor
     depth: Tensor
+    centroid: Tensor
     spread: Tensor
 
 
@@ -71,8 +75,8 @@ def trace(
         some, wide = rays[part], filters[part]
         met = _met(posed, some.each(Tensor.detach), wide)
         parts.append(_blend(posed, some, met, wide, background, footprint))
-    rgb, alpha, depth, spread = (torch.cat(one) for one in zip(*parts, strict=True))
-    return Traced(rgb=rgb, alpha=alpha, depth=depth, spread=spread)
+    rgb, alpha, depth, centroid, spread = (torch.cat(one) for one in zip(*parts, strict=True))
+    return Traced(rgb=rgb, alpha=alpha, depth=depth, centroid=centroid, spread=spread)
 
 
 def _parts(rays: int, count: int) -> Iterator[slice]:
@@ -119,8 +123,8 @@ def _blend(
     filters: Tensor,
     background: Tensor,
     footprint: Footprint,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Colour (R, 3), opacity, depth and spread (R,)."""
+) -> tuple[Tensor, ...]:
+    """Colour (R, 3), opacity and depth (R,), centroid (R, 3), spread (R,)."""
     ray, which = met
     opacity, distance, directions = _opacities(posed, rays, met, filters, footprint)
     rgb = colors(posed.gaussians.sh.index_select(0, which), directions)
@@ -133,10 +137,12 @@ def _blend(
         return values.new_zeros(count, *values.shape[1:]).index_add(0, ray, values)
 
     alpha = total(weights)
-    depth = total(weights * distance) / alpha.clamp_min(_TINY)
+    shares = weights / alpha.clamp_min(_FAINT).index_select(0, ray)
+    depth = total(shares * distance)
+    centroid = total(shares.unsqueeze(-1) * posed.gaussians.means.index_select(0, which))
     spread = total(weights * (distance - depth.index_select(0, ray)).square())
     behind = (1 - alpha).unsqueeze(-1) * background.to(rgb)
-    return total(weights.unsqueeze(-1) * rgb) + behind, alpha, depth, spread
+    return total(weights.unsqueeze(-1) * rgb) + behind, alpha, depth, centroid, spread
 
 
 def _opacities(
@@ -158,14 +164,13 @@ def _opacities(
     frame, forward = across.index_select(0, ray), rays.directions.index_select(0, ray)
     distance = (offsets * forward).sum(dim=-1)
     x, y = (offsets.unsqueeze(-2) @ frame).squeeze(-2).unbind(dim=-1)
-    # Projected as a camera does that looks along the ray: towards the origin, not parallel to it.
-    slopes = torch.stack([x, y], dim=-1) / distance.unsqueeze(-1)
-    frame = frame - forward.unsqueeze(-1) * slopes.unsqueeze(-2)
     shapes = spread.index_select(0, which)
-    before = _area(frame.mT @ shapes @ frame)
+    before = _area(frame.mT @ shapes @ frame)[1]
     flat = frame.mT @ (shapes + filters.index_select(0, ray)) @ frame
-    a, b, c, area = flat[:, 0, 0], flat[:, 0, 1], flat[:, 1, 1], _area(flat)
-    power = -0.5 * (c * x * x - 2 * b * x * y + a * y * y) / area
+    a, area = _area(flat)
+    # A sum of squares: rounding makes no power of a long Gaussian positive.
+    rest = y - flat[:, 0, 1] / a * x
+    power = -0.5 * (x * x / a + a * rest * rest / area)
     opacity = gaussians.opacities.index_select(0, which) * power.exp()
     if footprint.antialiased:
         opacity = opacity * (before / area).sqrt()
@@ -173,10 +178,13 @@ def _opacities(
     return opacity, distance, offsets / offsets.norm(dim=-1, keepdim=True).clamp_min(_TINY)
 
 
-def _area(flat: Tensor) -> Tensor:
-    """Determinants (P,) of (P, 2, 2), above 0."""
-    found = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1].square()
-    return found.clamp_min(_TINY)
+def _area(flat: Tensor) -> tuple[Tensor, Tensor]:
+    """First entries and determinants (P,) of shadows (P, 2, 2), both above 0."""
+    a, c = flat[:, 0, 0], flat[:, 1, 1]
+    tiny = torch.finfo(flat.dtype).tiny
+    a = torch.maximum(a, _FLATTEST * c + tiny)
+    product = a * c
+    return a, torch.maximum(product - flat[:, 0, 1].square(), _FLATTEST * product + tiny)
 
 
 def _clearness(opacity: Tensor, ray: Tensor) -> Tensor:

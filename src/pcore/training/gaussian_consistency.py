@@ -20,11 +20,11 @@ from pcore.deform.base import Deformation
 from pcore.deform.sampler import sample_deformation
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import (
-    GaussianPictures,
+    Footprint,
     PosedGaussians,
+    blended,
     pose,
     render,
-    surface_points,
 )
 from pcore.gaussians.trace import Traced, trace
 from pcore.geometry.camera import Camera
@@ -43,13 +43,15 @@ class Seen:
     """What the canonical state says about R pixels; all without gradient.
 
     Attributes:
-        surface: (R, 3) where each pixel's ray meets the surface, world units.
+        surface: (R, 3) the surface point s of each pixel: the mean of the means that it blends.
+        ends: (R, 3) beside them on the rays, where the deformed rays aim.
         widths: (R,) of the pixels there, world units.
         solid: (R,) whether the pixel shows the object.
         rgb: (R, 3) the photo.
     """
 
     surface: Tensor
+    ends: Tensor
     widths: Tensor
     solid: Tensor
     rgb: Tensor
@@ -92,7 +94,7 @@ class GaussianObjective:
             field = sample_deformation(
                 generator, self._lower, self._upper, self._points, config.ranges
             )
-            seen = seen_by(picture, view.camera, photo, config, generator)
+            seen = seen_by(gaussians, work.footprint, view.camera, photo, config, generator)
             terms |= self._consistency(gaussians, seen, view.camera.center.to(device), field, color)
         return Losses(terms=terms, squared_error=found.squared_error)
 
@@ -112,7 +114,7 @@ class GaussianObjective:
             footprint=self._work.footprint,
             pixels=carried_pixels(seen, field),
         )
-        found = consistency(traced, rays, target, seen, unit=self._unit, reach=config.reach)
+        found = consistency(traced, target, seen, unit=self._unit, reach=config.reach)
         mode = "rays" if moved_rays else "points"
         weights = {
             f"geo_{mode}": (config.geometry_weight, found.geometry),
@@ -122,31 +124,40 @@ class GaussianObjective:
         return {name: weight * term for name, (weight, term) in weights.items() if weight > 0}
 
 
+@torch.no_grad()
 def seen_by(
-    picture: GaussianPictures,
+    gaussians: Gaussians,
+    footprint: Footprint,
     camera: Camera,
     photo: Tensor,
     config: GaussianFinetuneConfig,
     generator: torch.Generator,
 ) -> Seen:
-    """Draw pixels of a picture (1, H, W) that show something, and stop the gradient (sg).
+    """Draw pixels of a view that show something, and what they show (sg of the paper).
 
     Args:
-        picture: of the canonical Gaussians.
-        camera: that took it.
+        gaussians: at rest.
+        footprint: as they were trained.
+        camera: of the view.
         photo: (1, H, W, 3) of the same view.
-        config: how many.
+        config: how many, and which are foreground.
         generator: of the draw.
     """
-    alpha, depth = (one[0].detach().reshape(-1) for one in (picture.alpha, picture.depth))
-    shown = (alpha > _VISIBLE).nonzero().squeeze(-1)
+    sums, alpha, depth = (
+        one.reshape(camera.height * camera.width, -1)
+        for one in blended(gaussians, gaussians.means, camera, footprint=footprint)
+    )
+    shown = (alpha[:, 0] > _VISIBLE).nonzero().squeeze(-1)
     order = torch.randperm(len(shown), generator=generator)[: config.rays]
     chosen = shown[order.to(shown.device)]
-    surface = surface_points(picture.depth[0].detach(), camera).reshape(-1, 3)
+    surface = sums[chosen] / alpha[chosen]
+    rays = camera.rays().flat().to(str(surface.device))[chosen]
+    along, _ = rays.beside(surface)
     return Seen(
-        surface=surface[chosen],
-        widths=depth[chosen] / (sum(camera.focal) / 2),
-        solid=alpha[chosen] > config.foreground_alpha,
+        surface=surface,
+        ends=rays.origins + along * rays.directions,
+        widths=depth[chosen, 0] / (sum(camera.focal) / 2),
+        solid=alpha[chosen, 0] > config.foreground_alpha,
         rgb=photo[0].reshape(-1, 3)[chosen],
     )
 
@@ -154,7 +165,7 @@ def seen_by(
 def deformed_rays(
     seen: Seen, eye: Tensor, field: Deformation, origin_distance: float | None
 ) -> tuple[RayBundle, Tensor]:
-    """Rays (R,) to where a field takes the surface, and those places (R, 3).
+    """Rays (R,) to where a field takes their ends, and where it takes the surface (R, 3).
 
     Args:
         seen: the surface at rest.
@@ -164,11 +175,12 @@ def deformed_rays(
             put before the surface, at this share of the way to the camera, and deformed as well
             ("rays-and-points mode").
     """
-    target = moved(field, seen.surface)
-    origins = eye.expand_as(target)
+    ends = moved(field, seen.ends)
+    origins = eye.expand_as(ends)
     if origin_distance is not None:
-        origins = moved(field, seen.surface + origin_distance * (eye - seen.surface))
-    return RayBundle(origins=origins, directions=F.normalize(target - origins, dim=-1)), target
+        origins = moved(field, seen.ends + origin_distance * (eye - seen.ends))
+    rays = RayBundle(origins=origins, directions=F.normalize(ends - origins, dim=-1))
+    return rays, moved(field, seen.surface)
 
 
 def moved(field: Deformation, points: Tensor) -> Tensor:
@@ -188,7 +200,7 @@ def carried_pixels(seen: Seen, field: Deformation) -> Tensor:
     So the texture keeps its sharpness in a part that is stretched: the photo is compared with what
     its own pixel has become.
     """
-    maps = field.jacobian(seen.surface.double()).to(seen.surface)
+    maps = field.jacobian(seen.ends.double()).to(seen.ends)
     return maps @ maps.mT * seen.widths.square()[:, None, None]
 
 
@@ -208,26 +220,24 @@ class GaussianConsistency:
 
 
 def consistency(
-    traced: Traced, rays: RayBundle, target: Tensor, seen: Seen, *, unit: float, reach: float
+    traced: Traced, target: Tensor, seen: Seen, *, unit: float, reach: float
 ) -> GaussianConsistency:
     """Compare what deformed rays see with what the deformation makes of the canonical surface.
 
     Args:
         traced: of the carried Gaussians.
-        rays: (R,) deformed.
         target: (R, 3) the deformed surface.
         seen: what the canonical state says.
         unit: of L_geo, world units.
         reach: rays that see something farther than this from their target, in units, are left out:
             another part came before it.
     """
-    surface = rays.origins + traced.depth.unsqueeze(-1) * rays.directions
-    offset = (surface - target).norm(dim=-1) / unit
-    met = offset.detach() < reach
+    squares = ((traced.centroid - target) / unit).square().sum(dim=-1)
+    met = squares.detach() < reach**2
     count = met.sum().clamp_min(1)
     texture = (traced.rgb - seen.rgb).abs().mean(dim=-1)
     return GaussianConsistency(
-        geometry=(offset.square() * (met & seen.solid)).sum() / count,
+        geometry=(squares * (met & seen.solid)).sum() / count,
         texture=(texture * met).sum() / count,
         spread=(traced.spread * met).sum() / count / unit**2,
     )
