@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 class FinetuneCommand:
     """Fine-tune a run so that its surface follows any deformation; the run itself is not changed.
 
-    Only training views of the undeformed scene are used.
+    Only training views of the undeformed scene are used. Runs of Gaussians are tuned as well;
+    options of networks (skinning, rays, losses) are not for them.
     """
 
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
@@ -43,6 +43,13 @@ class GaussianRates:
             "colors": self.colors,
             "harmonics": self.harmonics,
         }
+
+    def times(self, factor: float) -> GaussianRates:
+        """Return `factor` times these rates."""
+        named = self.named().items()
+        return GaussianRates(
+            **{name: replace(rate, base=factor * rate.base) for name, rate in named}
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,12 +141,12 @@ class GaussianConfig:
 class GaussianFinetuneConfig:
     """Self-supervised fine-tuning of Gaussians (P-CORE on Gaussians, ADR 24)."""
 
-    steps: int = 400
+    steps: int = 300
     """Optimiser steps, one photo and one random field each."""
-    rays: int = 256
+    rays: int = 128
     """Deformed rays of a step."""
-    rates: GaussianRates = field(default_factory=GaussianRates)
-    """Learning rates, those of the training."""
+    rates: GaussianRates = field(default_factory=lambda: GaussianRates().times(0.3))
+    """Learning rates: 0.3 of those of the training, with which what is learned is lost again."""
     points_only: bool = True
     """Use the mode that deforms Gaussians and keeps the camera."""
     rays_and_points: bool = True
