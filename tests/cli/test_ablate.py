@@ -77,7 +77,7 @@ def test_finished_variants_are_not_trained_again(
     assert "finetune.steps: 2 -> 3" in capsys.readouterr().err
 
 
-def test_gaussians_have_the_same_ablation_and_two_rows_more(
+def test_gaussians_have_the_same_ablation_and_their_regularisers(
     tmp_path: Path, scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     short = GaussianFinetuneConfig(steps=1, rays=20)
@@ -92,8 +92,8 @@ def test_gaussians_have_the_same_ablation_and_two_rows_more(
     methods = list(dict.fromkeys(mean["method"] for mean in record["means"]))
     assert methods[0] == "Gaussians"
     assert methods[1:] == [variant.title for variant in GAUSSIAN_VARIANTS]
-    tuning = json.loads((run / "ablation" / "photos-only" / "run.json").read_text())["config"]
-    assert tuning["finetune"]["spread_weight"] == 0
+    tuning = json.loads((run / "ablation" / "with-spread" / "run.json").read_text())["config"]
+    assert tuning["finetune"]["spread_weight"] == 1
     with Image.open(run / "ablation" / "ablation.png") as figure:
         assert figure.width > (2 + len(GAUSSIAN_VARIANTS)) * 200
 

@@ -58,6 +58,7 @@ def config(**changes: Any) -> GaussianFinetuneConfig:
         "validate_every": 6,
         "save_every": 5,
         "seed": 1,
+        "spread_weight": 1.0,
     }
     return GaussianFinetuneConfig(**{**settings, **changes})
 

@@ -49,19 +49,14 @@ VARIANTS: tuple[Variant, ...] = (
 )
 """The paper's section "Ablation Study", in the order of its figure, and before it what the same
 further steps on the photos do without either loss: the gain of fine-tuning counts from there."""
-_REGULARISERS = {"spread_weight": 0.0, "needle_weight": 0.0}
 GAUSSIAN_VARIANTS: tuple[Variant, ...] = (
-    Variant(
-        title="Photos only",
-        folder="photos-only",
-        changes={"geometry_weight": 0.0, "texture_weight": 0.0, **_REGULARISERS},
-    ),
-    *VARIANTS[1:4],
+    *VARIANTS[:4],
     Variant(title="w/o L_geo", folder="without-geometry", changes={"geometry_weight": 0.0}),
-    Variant(title="w/o spread", folder="without-spread", changes={"spread_weight": 0.0}),
+    Variant(title="+ spread", folder="with-spread", changes={"spread_weight": 1.0}),
+    Variant(title="+ needles", folder="with-needles", changes={"needle_weight": 0.01}),
     Variant(title="Full", folder="full"),
 )
-"""The same for Gaussians, whose regularisers are left out as well."""
+"""The same for Gaussians, and what their regularisers would do."""
 
 
 def variants_for(full: FinetuneConfig | GaussianFinetuneConfig) -> tuple[Variant, ...]:

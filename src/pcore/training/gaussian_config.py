@@ -145,8 +145,8 @@ class GaussianFinetuneConfig:
     """Optimiser steps, one photo and one random field each."""
     rays: int = 128
     """Deformed rays of a step."""
-    rates: GaussianRates = field(default_factory=lambda: GaussianRates().times(0.3))
-    """Learning rates: 0.3 of those of the training, with which what is learned is lost again."""
+    rates: GaussianRates = field(default_factory=lambda: GaussianRates().times(0.1))
+    """Learning rates: a tenth of those of the training, which would undo what is learned."""
     points_only: bool = True
     """Use the mode that deforms Gaussians and keeps the camera."""
     rays_and_points: bool = True
@@ -154,19 +154,20 @@ class GaussianFinetuneConfig:
     origin_distance: float = 0.1
     """Rays-and-points mode: how far before the surface the moved origins lie, as a fraction of the
     distance between camera and surface."""
-    geometry_weight: float = 1.0
+    geometry_weight: float = 0.1
     """lambda_geo; L_geo is measured in units of the bounding box's diagonal."""
-    texture_weight: float = 0.3
+    texture_weight: float = 0.1
     """lambda_tex; L_tex is the absolute error of the colours against the photo."""
-    spread_weight: float = 1.0
-    """Of the variance of depth along deformed rays: nothing inside."""
+    spread_weight: float = 0.0
+    """Of the variance of depth along deformed rays: nothing inside. Off: it costs more than it
+    brings (ADR 24)."""
     needle_weight: float = 0.0
-    """Of Gaussians longer than `needle` times their second axis."""
+    """Of Gaussians longer than `needle` times their second axis; off."""
     needle: float = 4.0
     """See `needle_weight`."""
     foreground_alpha: float = 0.5
     """Rays whose canonical opacity is above this are foreground."""
-    reach: float = 0.05
+    reach: float = 0.02
     """Rays that see something farther than this from their target, in diagonals, count nothing:
     the deformation put another part before it."""
     ranges: DeformationRanges = field(default_factory=DeformationRanges)
