@@ -59,6 +59,12 @@ VERBS: tuple[Verb, ...] = (
     Verb("ablate", "pcore.cli.ablate", "AblateCommand", "fine-tune with parts left out, compare"),
     Verb("study make", "pcore.cli.study", "StudyMakeCommand", "ask people which of two is better"),
     Verb("study read", "pcore.cli.study", "StudyReadCommand", "say what people chose"),
+    Verb(
+        "benchmark make",
+        "pcore.cli.benchmark",
+        "BenchmarkMakeCommand",
+        "make true pictures of the deformed states of a model",
+    ),
     Verb("edit apply", "pcore.cli.edit", "ApplyCommand", "move points, say how the edit does"),
     Verb("edit list", "pcore.cli.edit", "ListCommand", "say what an edit file does"),
     Verb("edit validate", "pcore.cli.edit", "ValidateCommand", "check an edit file"),
