@@ -21,9 +21,9 @@ from pcore.errors import InputError
 from pcore.evaluation.methods import label_of
 from pcore.files.gaussian_file import load_gaussians
 from pcore.files.run_folder import RunFolder
+from pcore.gaussians.gaussian_rays import Traced, trace
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint
-from pcore.gaussians.trace import Traced, trace
 from pcore.training.events import BudgetReport, Event, StepReport
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig, GaussianFinetuneConfig
 from pcore.training.gaussian_consistency import (

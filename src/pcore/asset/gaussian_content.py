@@ -21,9 +21,9 @@ from pcore.files.gaussian_file import (
     save_gaussians,
 )
 from pcore.files.provenance import Provenance
+from pcore.gaussians.gaussian_rays import trace
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, PosedGaussians, pose, render, surface_points
-from pcore.gaussians.trace import trace
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle

@@ -18,6 +18,7 @@ from pcore.data.images import background_color
 from pcore.data.scene import View
 from pcore.deform.base import Deformation
 from pcore.deform.sampler import sample_deformation
+from pcore.gaussians.gaussian_rays import Traced, trace
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import (
     Footprint,
@@ -26,7 +27,6 @@ from pcore.gaussians.render import (
     pose,
     render,
 )
-from pcore.gaussians.trace import Traced, trace
 from pcore.geometry.camera import Camera
 from pcore.geometry.rays import RayBundle
 from pcore.training.gaussian_config import GaussianFinetuneConfig

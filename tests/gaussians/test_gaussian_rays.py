@@ -11,9 +11,9 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from pcore.deform.base import Affine
+from pcore.gaussians.gaussian_rays import Traced, trace
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, PosedGaussians, pose, render
-from pcore.gaussians.trace import Traced, trace
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.rays import RayBundle
 
