@@ -12,8 +12,8 @@ import torch
 
 import pcore
 from pcore.asset.training import RunOptions
+from pcore.capture.load import load_scene
 from pcore.cli.main import main
-from pcore.data.load import load_scene
 from pcore.data.scene import Scene
 from pcore.deform.base import Affine, Identity
 from pcore.deform.simple import uniform_scale

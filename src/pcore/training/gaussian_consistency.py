@@ -27,12 +27,11 @@ from pcore.gaussians.render import (
     pose,
     render,
 )
-from pcore.geometry.camera import Camera
 from pcore.geometry.rays import RayBundle
 from pcore.training.gaussian_config import GaussianFinetuneConfig
 from pcore.training.losses import Losses
 from pcore.training.ssim import picture_losses
-from pcore.training.trainable_gaussians import TrainableGaussians, photo_on
+from pcore.training.trainable_gaussians import TrainableGaussians, photo_on, valid_only
 
 _VISIBLE = 0.05
 """Less opacity than this has no surface that could be moved."""
@@ -86,7 +85,8 @@ class GaussianObjective:
             background=color,
         )
         photo = photo_on(view, color, device)
-        found = picture_losses(picture.rgb, photo, config.ssim_weight)
+        rgb = valid_only(picture.rgb, photo, view)
+        found = picture_losses(rgb, photo, config.ssim_weight)
         terms = dict(found.terms)
         if config.needle_weight > 0:
             terms["needle"] = config.needle_weight * needles(gaussians.scales, config.needle)
@@ -94,7 +94,7 @@ class GaussianObjective:
             field = sample_deformation(
                 generator, self._lower, self._upper, self._points, config.ranges
             )
-            seen = seen_by(gaussians, work.footprint, view.camera, photo, config, generator)
+            seen = seen_by(gaussians, work.footprint, view, photo, config, generator)
             terms |= self._consistency(gaussians, seen, view.camera.center.to(device), field, color)
         return Losses(terms=terms, squared_error=found.squared_error)
 
@@ -128,7 +128,7 @@ class GaussianObjective:
 def seen_by(
     gaussians: Gaussians,
     footprint: Footprint,
-    camera: Camera,
+    view: View,
     photo: Tensor,
     config: GaussianFinetuneConfig,
     generator: torch.Generator,
@@ -138,16 +138,20 @@ def seen_by(
     Args:
         gaussians: at rest.
         footprint: as they were trained.
-        camera: of the view.
-        photo: (1, H, W, 3) of the same view.
+        view: whose photo it is.
+        photo: (1, H, W, 3) over a background.
         config: how many, and which are foreground.
         generator: of the draw.
     """
+    camera, valid = view.camera, view.valid()
     sums, alpha, depth = (
         one.reshape(camera.height * camera.width, -1)
         for one in blended(gaussians, gaussians.means, camera, footprint=footprint)
     )
-    shown = (alpha[:, 0] > _VISIBLE).nonzero().squeeze(-1)
+    visible = alpha[:, 0] > _VISIBLE
+    if valid is not None:
+        visible &= valid.reshape(-1).to(visible.device)
+    shown = visible.nonzero().squeeze(-1)
     order = torch.randperm(len(shown), generator=generator)[: config.rays]
     chosen = shown[order.to(shown.device)]
     surface = sums[chosen] / alpha[chosen]

@@ -256,6 +256,12 @@ def photo_on(view: View, color: Tensor, device: torch.device) -> Tensor:
     return composite(view.rgba(), color).to(device).unsqueeze(0)
 
 
+def valid_only(rgb: Tensor, photo: Tensor, view: View) -> Tensor:
+    """(1, H, W, 3) a rendering, with the photo where that shows nothing: there nothing is wrong."""
+    valid = view.valid()
+    return rgb if valid is None else torch.where(valid.to(rgb.device)[..., None], rgb, photo)
+
+
 def _vector(tensor: Tensor) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in tensor)
     return x, y, z
