@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from pcore.asset.content import MovedPoints
     from pcore.asset.importing import import_papr
     from pcore.asset.posed_asset import Posed
+    from pcore.asset.run_options import RunOptions
     from pcore.asset.saving import asset_of, load
-    from pcore.asset.training import RunOptions, estimate_light, finetune, train
+    from pcore.asset.training import estimate_light, finetune, train
     from pcore.capture.load import load_cameras, load_scene
     from pcore.data.scene import Scene
     from pcore.deform.base import Deformation
@@ -88,7 +89,7 @@ _HOMES = {
     "Posed": "pcore.asset.posed_asset",
     "PretrainConfig": "pcore.training.config",
     "RayBundle": "pcore.geometry.rays",
-    "RunOptions": "pcore.asset.training",
+    "RunOptions": "pcore.asset.run_options",
     "Scene": "pcore.data.scene",
     "asset_of": "pcore.asset.saving",
     "diagnose": "pcore.editing.diagnosis",

@@ -21,6 +21,7 @@ from pcore.files.gaussian_file import (
     save_gaussians,
 )
 from pcore.files.provenance import Provenance
+from pcore.gaussians.gaussian_rays import trace
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, PosedGaussians, pose, render, surface_points
 from pcore.gaussians.splats import SplatsAtRest
@@ -168,14 +169,22 @@ class GaussianContent:
         return None if gains is None else gains.detach().cpu().squeeze(1)
 
     def trace(self, posed: MovedGaussians, rays: RayBundle, background: Tensor | None) -> Image:
-        """See `Content.trace`; Gaussians are drawn picture by picture and meet no single rays.
+        """See `Content.trace`; rays are lines: the mean of many in a pixel is a picture's."""
+        means = self.gaussians.means
+        color = means.new_tensor(self.background) if background is None else background
+        found = trace(posed.drawn, rays.flat(), background=color, footprint=self.footprint)
+        depth = torch.where(found.alpha > _TRACE, found.depth, torch.nan)
+        surface = rays.flat().origins + depth.unsqueeze(-1) * rays.flat().directions
 
-        Raises:
-            InputError: always; `pcore.gaussians.render` draws with gradients.
-        """
-        raise InputError(
-            "trace: expected an object of neural points, got Gaussians, which are drawn by cameras "
-            "and not by rays; take `render`, or `pcore.gaussians.render.render` for gradients"
+        def pixels(values: Tensor) -> Tensor:
+            values = values.reshape(*rays.shape, *values.shape[1:])
+            return values if rays.samples is None else values.nanmean(dim=len(rays.pixels))
+
+        return Image(
+            rgb=pixels(found.rgb),
+            alpha=pixels(found.alpha),
+            depth=pixels(depth),
+            surface=pixels(surface),
         )
 
     @torch.no_grad()

@@ -16,7 +16,7 @@ from pcore.errors import CheckpointError
 from pcore.evaluation.asset_method import AssetMethod, Draw, draw_asset
 from pcore.geometry.visibility import seen_by
 
-UNTUNED, GAUSSIANS = "PAPR", "Gaussians"
+UNTUNED, GAUSSIANS, TUNED_GAUSSIANS = "PAPR", "Gaussians", "Gaussians + P-CORE"
 _LABELS = {"finetune": "P-CORE"}
 _WAYS: tuple[tuple[RaysName, LightName], ...] = (
     ("plain", "baked"),
@@ -55,9 +55,9 @@ def baseline_of(asset: Asset, given: Path | None, *, device: str = "cpu") -> Ass
 
 
 def label_of(asset: Asset) -> str:
-    """What made it, in tables: `Gaussians`; `PAPR`, or `P-CORE` after fine-tuning."""
+    """What made it, in tables: `PAPR` or `Gaussians`; `P-CORE` was fine-tuned."""
     if isinstance(asset.content, GaussianContent):
-        return GAUSSIANS
+        return TUNED_GAUSSIANS if asset.provenance.stage == "finetune" else GAUSSIANS
     return _LABELS.get(asset.provenance.stage, UNTUNED)
 
 
@@ -71,9 +71,10 @@ def never_seen(points: Tensor, scene: Scene) -> Tensor:
 
 
 def plain_method(name: str, asset: Asset, scene: Scene) -> AssetMethod:
-    """The method that draws a run with plain rays, as the paper does."""
+    """The method that draws a run with plain rays, as the paper does; Gaussians are carried."""
+    rays: RaysName = "aware" if isinstance(asset.content, GaussianContent) else "plain"
     return AssetMethod(
-        name=name, asset=asset.over(WHITE), rays="plain", unseen=never_seen(asset.points, scene)
+        name=name, asset=asset.over(WHITE), rays=rays, unseen=never_seen(asset.points, scene)
     )
 
 
@@ -129,9 +130,9 @@ def methods_of(
 def _name(label: str, rays: RaysName, light: LightName) -> str:
     if rays == "plain":
         return label
-    if label == GAUSSIANS:
+    if label in (GAUSSIANS, TUNED_GAUSSIANS):
         # Shapes are carried by the affine map around each mean.
-        name = "Gaussians affine"
+        name = label.replace(GAUSSIANS, "Gaussians affine")
     else:
         name = "aware" if label == UNTUNED else f"aware + {label}"
     return f"{name} + light" if light == "still" else name

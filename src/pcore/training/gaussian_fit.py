@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
 from pcore.data.images import background_color
 from pcore.data.scene import Scene, check_images, hold_out
@@ -17,13 +16,14 @@ from pcore.training.gaussian_density import changes
 from pcore.training.gaussian_start import camera_distance, start_gaussians
 from pcore.training.loop import Plan, run_loop
 from pcore.training.losses import Losses
-from pcore.training.ssim import ssim
+from pcore.training.ssim import picture_losses
 from pcore.training.trainable_gaussians import (
     Bound,
     TrainableGaussians,
     TrainedGaussians,
     photo_on,
     trainable_gaussians,
+    valid_only,
 )
 
 
@@ -95,12 +95,8 @@ def fit_gaussians(
             found.means2d.retain_grad()
         shown[:] = [found]
         photo = photo_on(views[index], color, where)
-        valid = views[index].valid()
-        if valid is None:
-            return _photometric(found.rgb, photo, config.ssim_weight)
-        # Where the photo shows nothing, rendering is neither right nor wrong.
-        rgb = torch.where(valid.to(where)[..., None], found.rgb, photo)
-        return _photometric(rgb, photo, config.ssim_weight)
+        rgb = valid_only(found.rgb, photo, views[index])
+        return picture_losses(rgb, photo, config.ssim_weight)
 
     def after_step(tell: Listener) -> None:
         _observe(work, shown.pop())
@@ -140,15 +136,6 @@ def _degree(step: int, config: GaussianConfig) -> int:
 
 def _grows(step: int, config: GaussianConfig) -> bool:
     return step <= config.density.last * config.steps
-
-
-def _photometric(rgb: Tensor, photo: Tensor, ssim_weight: float) -> Losses:
-    """(1 - w) L1 + w (1 - SSIM)."""
-    error = rgb - photo
-    terms = {"l1": (1 - ssim_weight) * error.abs().mean()}
-    if ssim_weight > 0:
-        terms["ssim"] = ssim_weight * (1 - ssim(rgb, photo))
-    return Losses(terms=terms, squared_error=error.detach().square().mean())
 
 
 @torch.no_grad()
