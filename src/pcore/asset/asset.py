@@ -11,11 +11,12 @@ from typing import Any, TypedDict, Unpack, overload
 from torch import Tensor
 
 from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
-from pcore.asset.posing import Edit, EditLike, bind_motion, script_of
+from pcore.asset.posing import Edit, EditLike, animation_of, bind_motion, script_of
 from pcore.contrib.learned_skinning import Skinning
 from pcore.data.load import load_scene
 from pcore.data.scene import Scene
 from pcore.editing.anchors import AnchorRig, rig_with
+from pcore.editing.script import EditScript
 from pcore.editing.session import EditSession
 from pcore.errors import InputError
 from pcore.files.provenance import Provenance
@@ -230,12 +231,14 @@ class Asset:
 
         Args:
             edit: an edit file or edit to begin with.
-            time: of one with keyframes.
+            time: of one with keyframes, which then stands still; None keeps them.
 
         Raises:
             EditError: the edit is not valid or does not fit the points.
         """
-        script = None if edit is None else script_of(edit, time)
+        script = edit if edit is None or time is None else script_of(edit, time)
+        if script is not None and not isinstance(script, EditScript):
+            script = animation_of(script)
         return EditSession(self.points, script, rig=self.rig)
 
     def over(self, background: Color) -> Asset:

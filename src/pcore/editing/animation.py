@@ -36,6 +36,11 @@ class Animation:
         for time in times:
             self.at(time)
 
+    @property
+    def content(self) -> dict[str, Any]:
+        """The object of its edit file with absolute paths; a copy."""
+        return _renamed(self._data, Path(self._folder or ".").absolute(), None)
+
     def at(self, time: float) -> EditScript:
         """The edits at a time; before the first and after the last key they stay as they are.
 
@@ -92,7 +97,7 @@ class Animation:
             raise EditError(f"{place}: {error}") from error
 
 
-def _renamed(value: Any, old: Path, new: Path) -> Any:
+def _renamed(value: Any, old: Path, new: Path | None) -> Any:
     """Parsed JSON whose paths, which begin in one folder, are named as seen from another."""
     if isinstance(value, list):
         return [_renamed(item, old, new) for item in cast("list[Any]", value)]

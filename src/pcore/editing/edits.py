@@ -59,6 +59,8 @@ class Edit(BaseModel, ABC):
     Attributes:
         region: where it acts, with a seam; None is everywhere.
         freeze: where it does not act, whatever `region` says.
+        name: what people call it; it does nothing.
+        enabled: false keeps it in the list and leaves it out.
         advice: what to do when it folds space.
     """
 
@@ -67,6 +69,10 @@ class Edit(BaseModel, ABC):
 
     region: Annotated[AnyRegion | None, Field(description=REGION)] = None
     freeze: Annotated[tuple[AnyRegion, ...], Field(description=f"a list, each {REGION}")] = ()
+    name: Annotated[
+        str | None, Field(strict=True, min_length=1, max_length=200, description="a text, not long")
+    ] = None
+    enabled: Annotated[bool, Field(strict=True, description="true or false")] = True
 
     @abstractmethod
     def bind(self, points: Tensor) -> Deformation:

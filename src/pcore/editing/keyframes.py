@@ -46,6 +46,11 @@ def key_times(value: Any) -> list[float]:
     return sorted(times)
 
 
+def check_track(track: dict[str, Any]) -> None:
+    """Raise EditError where keyframes are not valid."""
+    _keys(track)
+
+
 def at_time(value: Any, time: float) -> Any:
     """Parsed JSON with every track replaced by its value at a time."""
     return _replaced(value, lambda track: _sample(track, time))
