@@ -27,7 +27,14 @@ HANDLE = {
     "handles": [{"near": [0.4, 0, 0], "to": [0.4, 0, 0.1]}],
 }
 FOLD = {"type": "bend", "axis": "z", "angle_deg": 300}
-EDITS = [TWIST, SHIFT, GROW, TAPER, {**TWIST, "axis": "x", "region": TOP}, {**SHIFT, "region": BALL}]
+EDITS = [
+    TWIST,
+    SHIFT,
+    GROW,
+    TAPER,
+    {**TWIST, "axis": "x", "region": TOP},
+    {**SHIFT, "region": BALL},
+]
 
 
 def cloud() -> torch.Tensor:
@@ -150,7 +157,10 @@ def test_each_command_changes_the_stack_as_it_says():
         (lambda made: EditSession(cloud()).mute(0), "expected an edit, there is none, got 0"),
         (lambda made: made.rename(0, ""), 'key "name": expected a text, not long, got ""'),
         (lambda made: made.set(0, "angle", 3), 'unknown key "angle" for a twist'),
-        (lambda made: made.set(0, "axis/0/1", 3), 'expected a place within the edit, got no "axis"'),
+        (
+            lambda made: made.set(0, "axis/0/1", 3),
+            'expected a place within the edit, got no "axis"',
+        ),
         (lambda made: made.key(0, "angle_deg", 0.0, "far"), "keyframe 1: expected"),
         (lambda made: made.unkey(0, "angle_deg", 0.0), "the time of a key (none), got 0"),
         (lambda made: made.replace(0, FOLD), "edit 1 (bend): singular deformation"),

@@ -11,8 +11,10 @@ from torch import Tensor
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.gaussian_content import GaussianContent
 from pcore.gaussians.carry import polar
-from pcore.gaussians.covariance import covariances, quaternions
+from pcore.gaussians.covariance import quaternions
 from pcore.gaussians.render import Footprint
+from pcore.gaussians.splats import SplatsAtRest
+from pcore.studio.splat_source import gains_of, linear_of, splats_at_rest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,45 +60,31 @@ class Recording:
 def record(asset: Asset, frames: Sequence[Posed]) -> Recording:
     """Keep an object as splats, as it is in some frames.
 
-    Gaussians are kept as they are. Neural points become flat splats along their pieces of surface,
-    of the one colour that pictures show of each (`splat_shapes`).
+    Gaussians are kept as they are; of neural points see `splats_at_rest`.
 
     Args:
         asset: the object.
         frames: from `asset.pose`, evenly in time.
-
-    Raises:
-        InputError: neural points whose surface nobody has estimated.
     """
-    content = asset.content
-    if not isinstance(content, GaussianContent):
-        raise NotImplementedError
-    rest = content.gaussians.detached().to("cpu")
+    rest, content = splats_at_rest(asset), asset.content
+    gaussians = isinstance(content, GaussianContent)
     return Recording(
-        moments=tuple(_moment(posed) for posed in frames),
-        opacities=rest.opacities.float(),
-        sh=rest.sh.float(),
-        footprint=content.footprint,
-        background=content.background,
+        moments=tuple(_moment(rest, posed) for posed in frames),
+        opacities=rest.gaussians.opacities,
+        sh=rest.gaussians.sh,
+        footprint=content.footprint if gaussians else Footprint(),
+        background=content.background if gaussians else asset.provenance.background,
     )
 
 
-def _moment(posed: Posed) -> Moment:
-    drawn = posed.content.drawn
-    shape = drawn.gaussians.detached().to("cpu")
-    count, gains = len(shape), drawn.gains
-    spread = drawn.covariances
-    spread = covariances(shape.quats, shape.scales) if spread is None else spread.detach().cpu()
+def _moment(rest: SplatsAtRest, posed: Posed) -> Moment:
+    linear, gains = linear_of(posed), gains_of(posed)
+    count = len(rest.points)
+    shown = rest.moved(posed.points, linear, torch.zeros(3))
+    still = torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1)
     return Moment(
-        means=shape.means.float(),
-        covariances=spread.float(),
-        turns=_turns(posed, count),
-        gains=torch.ones(count) if gains is None else gains.detach().cpu().float().mean(dim=1),
+        means=torch.from_numpy(shown.centers),
+        covariances=torch.from_numpy(shown.covariances),
+        turns=still if linear is None else quaternions(polar(linear)).float(),
+        gains=torch.ones(count) if gains is None else gains,
     )
-
-
-def _turns(posed: Posed, count: int) -> Tensor:
-    if posed.local_maps is None:
-        return torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1)
-    from_rest = torch.linalg.inv(posed.local_maps.to_rest.detach().cpu().double())
-    return quaternions(polar(from_rest)).float()
