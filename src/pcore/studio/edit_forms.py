@@ -38,8 +38,10 @@ class Slider:
         """Return the same with bounds in world units, for an object of a size."""
         if not self.in_sizes:
             return self
-        bounds = {"low": self.low * size, "high": self.high * size, "step": self.step * size}
-        return Slider(path=self.path, label=self.label, rest=self.rest, **bounds)
+        names = ("low", "high", "step", "rest")
+        # Two digits: they stand below the slider.
+        bounds = {name: float(f"{getattr(self, name) * size:.2g}") for name in names}
+        return Slider(path=self.path, label=self.label, **bounds)
 
 
 _ANGLE = Slider(path="angle_deg", label="Angle", low=-180, high=180, step=1)
@@ -70,7 +72,7 @@ SLIDERS: Mapping[str, tuple[Slider, ...]] = {
 """By the type of the edit; the first is what "Key" keys."""
 AXES = ("x", "y", "z")
 CHOICES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
-    **dict.fromkeys(("twist", "bend", "taper", "rigid", "part"), {"axis": AXES}),
+    **{kind: {"axis": AXES} for kind in ("twist", "bend", "taper", "rigid", "part")},
     "stretch": {"axis": AXES, "profile": ("blender", "axial", "volume")},
 }
 """Texts of an edit that may be one of a few."""

@@ -74,7 +74,10 @@ def _silence(server: Any) -> None:
         if kind.__name__ in _UNWANTED:
             del sockets._incoming_handlers[kind]
     server.gui.configure_theme(
-        show_share_button=False, show_logo=False, brand_color=(0, 150, 136), control_width="large"
+        show_share_button=False,
+        show_logo=False,
+        control_layout="collapsible",
+        control_width="medium",
     )
 
 

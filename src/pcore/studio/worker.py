@@ -107,19 +107,23 @@ class Worker:
                     self._changed.wait()
                     continue
                 else:
-                    serial = self._serial
-                    if self._changed.wait_for(lambda: self._serial != serial, self._rest):
+                    if self._changed.wait_for(self._newer(), self._rest):
                         continue
                     work, self._resting = self._step(self._resting), None
                 self._busy = True
                 return work
 
-    def _step(self, drawing: Drawing) -> Command:
+    def _newer(self) -> Callable[[], bool]:
+        """Says later whether anything was wished since now."""
         serial = self._serial
+        return lambda: self._serial != serial
+
+    def _step(self, drawing: Drawing) -> Command:
+        newer = self._newer()
 
         def work() -> None:
-            for _ in drawing(lambda: self._serial != serial):
-                if self._serial != serial:
+            for _ in drawing(newer):
+                if newer():
                     return
 
         return work

@@ -1,0 +1,509 @@
+"""The page as a whole: tabs, their wishes, one worker that fulfils them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from pcore.asset.asset import Asset
+from pcore.errors import EditError, PcoreError
+from pcore.studio.drawing import OVERLAYS, Drawer
+from pcore.studio.editor import Editor
+from pcore.studio.guard import Guard, plain
+from pcore.studio.handle_edit import HandlePose
+from pcore.studio.handle_nodes import HandleNodes
+from pcore.studio.help_text import HELP, TOUR
+from pcore.studio.outputs import Kept, Outputs
+from pcore.studio.page_frame import PageFrame
+from pcore.studio.panels import Panels
+from pcore.studio.picking import point_under, points_within
+from pcore.studio.server import open_server
+from pcore.studio.showing import Showing
+from pcore.studio.studio_files import StudioFiles
+from pcore.studio.viewport import Viewport
+from pcore.studio.worker import Worker
+
+_HOME = (0.75, -0.75, 0.5)
+"""Direction from the object to the first camera."""
+_AWAY = 1.5
+"""Distance of the first camera in sizes of the object."""
+_ANGLE = 0.7
+"""Its vertical field of view, radians."""
+_STEP = 0.08
+"""Seconds between two frames while the timeline plays."""
+_PLAY = 0.02
+"""Time of the timeline that a frame is, as a share of all."""
+
+
+class Studio:
+    """A running page. `close` ends it."""
+
+    def __init__(
+        self, asset: Asset, guard: Guard, outputs: Outputs, *, title: str, tour: bool = False
+    ) -> None:
+        """Open the page; it answers at `guard.url` when this returns.
+
+        Args:
+            asset: the object.
+            guard: who may use the page.
+            outputs: where it may write; its edit file is opened if it exists.
+            title: of the page.
+            tour: show the first steps.
+
+        Raises:
+            EditError: the edit file is not valid or does not fit the points.
+            DependencyError: viser is not installed.
+            InputError: the port is taken.
+        """
+        edit = outputs.edit if outputs.edit.is_file() else None
+        self.editor, self.title = Editor(asset, edit), title
+        self.outputs, self._tour = outputs, 0 if tour else None
+        self.drawer = Drawer(asset)
+        self.frame = PageFrame.around(asset.points)
+        self.files = StudioFiles(self)
+        self.worker = Worker(self._failed)
+        self._showing = Showing(self.editor, self.drawer, self.frame)
+        self._lock, self._latest = threading.Lock(), dict[str, Callable[[], None]]()
+        self._viewports: dict[int, Viewport] = {}
+        self._owner: int | None = None
+        self._said, self._visible_only, self._playing = "", True, False
+        self._seen = self.editor.session.history.present.number
+        self.url = guard.url
+        self.server = open_server(guard, label=title)
+        self._wire()
+        self.worker.start()
+        self.worker.do(self._refresh)
+
+    def close(self) -> None:
+        """End the page; the autosave stays."""
+        self._playing = False
+        self.worker.stop()
+        self.server.stop()
+
+    # Tabs
+
+    def _wire(self) -> None:
+        server, scene = self.server, self.server.scene
+        camera = server.initial_camera
+        reach = _AWAY * self.frame.scale * self._size
+        camera.position = tuple(reach * one for one in _HOME)
+        camera.look_at, camera.up, camera.fov = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), _ANGLE
+        self.panels = Panels(
+            server,
+            self.wishes,
+            lit=self.editor.asset.light is not None,
+            name=self.outputs.edit.name,
+        )
+        self.nodes = HandleNodes(
+            scene, self.frame, selected=self._select_handle, dragged=self._dragged
+        )
+        server.on_client_connect(self._joined)
+        server.on_client_disconnect(self._left)
+        scene.on_click(modifier="cmd/ctrl")(self._clicked)
+        scene.on_rect_select(modifier="shift")(self._boxed)
+        scene.on_rect_select(modifier="cmd/ctrl+shift")(self._boxed)
+        for label, key, modifier, wish, *values in _COMMANDS:
+            self._command(label, key, modifier, wish, values)
+
+    @property
+    def _size(self) -> float:
+        from pcore.geometry.extent import size_of
+
+        return size_of(self.editor.asset.points)
+
+    def _command(
+        self, label: str, key: str, modifier: str | None, wish: str, values: list[Any]
+    ) -> None:
+        command = self.server.gui.add_command(label, hotkey=key, modifier=modifier)  # pyright: ignore
+
+        @command.on_trigger
+        async def _(event: Any) -> None:
+            self.wishes[wish](int(event.client_id), *values)
+
+    async def _joined(self, client: Any) -> None:
+        viewport = Viewport(client, self.frame, self.editor.asset.provenance.background)
+
+        @client.camera.on_update
+        async def _(_: Any) -> None:
+            viewport.moving()
+            self.worker.draw(None, self._rest)
+
+        def join() -> None:
+            self._viewports[viewport.number] = viewport
+            if self._owner is None:
+                self._owner = viewport.number
+                self._offer(client)
+            self._refresh()
+
+        self.worker.do(join)
+
+    async def _left(self, client: Any) -> None:
+        def leave() -> None:
+            self._viewports.pop(int(client.client_id), None)
+            if self._owner == int(client.client_id):
+                self.editor.cancel()  # Who leaves in the middle of a drag has not let go.
+                self._owner = next(iter(self._viewports), None)
+            self._refresh()
+
+        self.worker.do(leave)
+
+    def _offer(self, client: Any) -> None:
+        """Offer what an earlier page could not save."""
+        kept = self.outputs.kept()
+        if kept is None or self.editor.session.can_undo:
+            return
+        with client.gui.add_modal("Unsaved edits were found") as modal:
+            count = len(kept.edit["edits"])
+            client.gui.add_markdown(f"{count} edits of an earlier page that ended before saving.")
+            for label, take in (("Restore", True), ("Not now", False)):
+                button = client.gui.add_button(label, color="teal" if take else "gray")
+
+                @button.on_click
+                async def _(_: Any, take: bool = take) -> None:
+                    modal.close()
+                    if take:
+                        self._perform(lambda: self._restore(kept))
+
+    def _restore(self, kept: Kept) -> None:
+        editor = Editor(self.editor.asset, kept.edit)
+        self.editor = self._showing.editor = editor
+        self.files.restore(kept.cameras)
+        self._seen = -1
+        self._said = "Restored what was not saved."
+
+    # Wishes
+
+    @property
+    def wishes(self) -> dict[str, Callable[..., None]]:
+        """What widgets and keys ask for, by name; each takes the number of the tab first."""
+        editor = lambda: self.editor  # noqa: E731 (a restored page has another)
+        return {
+            "top": self._top,
+            "undo": self._wish(lambda: editor().undo()),
+            "redo": self._wish(lambda: editor().redo()),
+            "add": self._wish(lambda kind: editor().add(kind)),
+            "select": self._wish(lambda index: editor().select(index)),
+            "set": self._newest(lambda index, path, value: editor().set(index, path, value)),
+            "rename": self._newest(lambda index, name: editor().session.rename(index, name)),
+            "enable": self._wish(lambda index, on: editor().session.mute(index, not on)),
+            "order": self._wish(self._order),
+            "limit": self._wish(lambda index: editor().limit(index)),
+            "remove_handle": self._wish(lambda: editor().remove_handle()),
+            "cancel": self._wish(lambda: editor().cancel()),
+            "visible_only": self._wish(self._see_through),
+            "selection": self._wish(self._selection),
+            "freeze": self._wish(lambda: editor().freeze()),
+            "thaw": self._wish(lambda: editor().thaw()),
+            "time": self._newest(lambda time: editor().at(time)),
+            "play": self._wish(self._play),
+            "key": self._wish(lambda easing=None: self._key(easing)),
+            "unkey": self._wish(lambda _: editor().unkey(self._index())),
+            "camera_key": self._with_tab(self.files.camera_key),
+            "overlay": self._wish(self._overlay),
+            "compare": self._newest(lambda share: self._shown(compare=share)),
+            "still": self._wish(lambda on: self._shown(still=on)),
+            "home": self._home,
+            "save": self._wish(self.files.save),
+            "open": self._wish(self.files.open),
+            "screenshot": self._with_tab(self.files.screenshot),
+            "film": self._with_tab(self.files.film),
+            "stop_film": lambda tab: self.files.stop(),
+            "help": self._help,
+            "take_over": self._take_over,
+        }
+
+    def _wish(self, do: Callable[..., object]) -> Callable[..., None]:
+        """A command of the tab that edits."""
+
+        def wish(tab: int, *values: Any) -> None:
+            if self._may(tab):
+                self._perform(lambda: do(*values))
+
+        return wish
+
+    def _with_tab(self, do: Callable[..., object]) -> Callable[..., None]:
+        """The same, of which the command needs to know the tab."""
+
+        def wish(tab: int, *values: Any) -> None:
+            viewport = self._viewports.get(tab)
+            if viewport is not None and self._may(tab):
+                self._perform(lambda: do(viewport, *values))
+
+        return wish
+
+    def _newest(self, do: Callable[..., object]) -> Callable[..., None]:
+        """The same, of which only the newest counts until the worker comes to it."""
+
+        def wish(tab: int, *values: Any) -> None:
+            if self._may(tab):
+                self._replace(f"{id(do)} {values[:-1]}", lambda: do(*values))
+
+        return wish
+
+    def _replace(self, name: str, do: Callable[[], object], *, light: bool = False) -> None:
+        with self._lock:
+            first = name not in self._latest
+            self._latest[name] = lambda: None if do() is None else None
+        if first:
+            self._perform(lambda: self._take(name)(), light=light)
+
+    def _take(self, name: str) -> Callable[[], None]:
+        with self._lock:
+            return self._latest.pop(name)
+
+    def _perform(self, do: Callable[[], object], *, light: bool = False) -> None:
+        """Let the worker do something, and show what came of it; light: of a drag, the splats."""
+
+        def command() -> None:
+            try:
+                self._said = ""
+                do()
+            except PcoreError as error:
+                self._complain(error)
+            self._show_drag() if light else self._refresh()
+
+        self.worker.do(command)
+
+    def _may(self, tab: int) -> bool:
+        if tab == self._owner:
+            return True
+        self._tell(tab, "Another tab edits this object", "Press *Edit in this tab* to go on here.")
+        return False
+
+    def _take_over(self, tab: int) -> None:
+        def take() -> None:
+            self.editor.cancel()
+            self._owner = tab
+            self._tell(tab, "This tab edits now", "")
+
+        self._perform(take)
+
+    # Pointer
+
+    async def _clicked(self, event: Any) -> None:
+        def place() -> None:
+            points = self.editor.state.points.float()
+            origin, direction = (
+                points.new_tensor(self.frame.to_world(event.ray_origin)),
+                points.new_tensor(event.ray_direction),
+            )
+            found = point_under(
+                points,
+                origin,
+                direction,
+                spacing=self.editor.spacing,
+                opacities=self.drawer.opacities,
+            )
+            if found is None:
+                raise EditError("handle: there is nothing under the pointer")
+            self.editor.place_handle(found)
+
+        if self._may(int(event.client_id)):
+            self._perform(place)
+
+    async def _boxed(self, event: Any) -> None:
+        viewport = self._viewports.get(int(event.client_id))
+
+        def choose() -> None:
+            camera = None if viewport is None else viewport.camera()
+            if camera is None:
+                return
+            inside = points_within(
+                self.editor.state.points.float(),
+                camera,
+                event.screen_min,
+                event.screen_max,
+                spacing=self.editor.spacing,
+                visible=self._visible_only,
+            )
+            how = "replace" if event.modifier == "shift" else "add"
+            self.editor.choose(inside, how=how)
+
+        if self._may(int(event.client_id)):
+            self._perform(choose)
+
+    def _select_handle(self, tab: int, number: int) -> None:
+        if self._may(tab):
+            self._perform(lambda: self.editor.select_handle(number))
+
+    def _dragged(self, tab: int, phase: str, pose: HandlePose) -> None:
+        if tab != self._owner:
+            return
+        if phase == "end":
+            self._perform(self._dropped)
+        else:
+            self._replace("drag", lambda: self.editor.drag(pose), light=True)
+
+    def _dropped(self) -> None:
+        if not self.editor.drop():
+            raise EditError("drag: space would fold there; back at the last place where it did not")
+
+    # Smaller wishes
+
+    def _top(self, tab: int, name: str) -> None:
+        if name == "Save":
+            self.wishes["save"](tab, self.outputs.edit.name)
+        else:
+            self.wishes[name.lower()](tab)
+
+    def _order(self, index: int, what: str) -> None:
+        editor = self.editor
+        if what in ("Up", "Down"):
+            editor.move(index, -1 if what == "Up" else 1)
+        elif what == "Copy":
+            editor.duplicate(index)
+        else:
+            editor.remove(index)
+
+    def _selection(self, what: str) -> None:
+        if what == "Invert":
+            self.editor.invert()
+        else:
+            self._shown(chosen=frozenset())
+
+    def _see_through(self, on: bool) -> None:
+        self._visible_only = on
+
+    def _shown(self, **changes: Any) -> None:
+        self.editor.shown = replace(self.editor.shown, **changes)
+
+    def _overlay(self, name: str | None = None) -> None:
+        now = OVERLAYS.index(self.editor.shown.overlay)
+        self._shown(overlay=name or OVERLAYS[(now + 1) % len(OVERLAYS)])
+
+    def _index(self) -> int:
+        index = self.editor.shown.selected
+        if index is None:
+            raise EditError("key: expected a selected edit, got none; click one in the list")
+        return index
+
+    def _key(self, easing: str | None) -> None:
+        self.editor.key(self._index(), easing)
+
+    def _home(self, tab: int) -> None:
+        viewport = self._viewports.get(tab)
+        if viewport is not None:
+            camera = viewport.client.camera
+            reach = _AWAY * self.frame.scale * self._size
+            camera.look_at = (0.0, 0.0, 0.0)
+            camera.position = tuple(reach * one for one in _HOME)
+
+    def _help(self, tab: int) -> None:
+        viewport = self._viewports.get(tab)
+        if viewport is None:
+            return
+        gui = viewport.client.gui
+        with gui.add_modal("Keys and mouse") as modal:
+            gui.add_markdown(HELP)
+            close = gui.add_button("Close")
+
+            @close.on_click
+            async def _(_: Any) -> None:
+                modal.close()
+
+    def _play(self, on: bool | None = None) -> None:
+        on = not self._playing if on is None else on
+        if on == self._playing:
+            return
+        self._playing = on
+        if on:
+            threading.Thread(target=self._run_time, name="pcore timeline", daemon=True).start()
+
+    def _run_time(self) -> None:
+        pause = threading.Event()
+        while self._playing:
+            times = self.editor.key_times or [0.0, 1.0]
+            length = max(times[-1] - times[0], 1e-9)
+            later = (self.editor.session.time - times[0] + _PLAY * length) % length + times[0]
+            self._replace("play", lambda later=later: self.editor.at(later), light=True)
+            pause.wait(_STEP)
+
+    # Showing
+
+    def _refresh(self) -> None:
+        """Bring everything to the editor's state: panel, handles, splats, and pictures at rest."""
+        editor = self.editor
+        number = editor.session.history.present.number
+        if number != self._seen:
+            self._seen = number
+            self.files.autosave()
+            self._go_on_with_tour()
+        self.panels.show(
+            editor,
+            self._status(),
+            line=self.files.line,
+            camera_keys=len(self.files.cameras),
+        )
+        self.panels.playing(self._playing)
+        self.panels.shows_owner(self._owner, len(self._viewports))
+        shown = editor.shown
+        self.nodes.show(editor.handles, shown.handle, warn=False, moved=True)
+        self.worker.draw(self._move, self._rest)
+
+    def _show_drag(self) -> None:
+        editor = self.editor
+        warn = len(editor.state.folds) > 0
+        self.nodes.show(editor.handles, editor.shown.handle, warn=warn, moved=False)
+        self.worker.draw(self._move, self._rest)
+
+    def _move(self) -> None:
+        self._showing.move(list(self._viewports.values()))
+
+    def _rest(self, cancelled: Callable[[], bool]) -> Any:
+        return self._showing.rest(list(self._viewports.values()), cancelled)
+
+    def _status(self) -> str:
+        count = len(self.editor.session.stack.edits)
+        saved = "saved" if self.files.saved else "not saved"
+        edits = "no edits" if not count else f"{count} edit{'s' * (count > 1)}, {saved}"
+        lines = [f"**{len(self.editor.asset.points):,} points** · {edits}"]
+        if self._said:
+            lines.append(self._said)
+        elif self._tour is not None and self._tour < len(TOUR):
+            lines.append(TOUR[self._tour])
+        return "\n\n".join(lines)
+
+    def _go_on_with_tour(self) -> None:
+        label = self.editor.session.history.present.label
+        done = (label == "do anchors", "anchors" in label, label != "do twist", True)
+        if self._tour is not None and self._tour < len(done) and done[self._tour]:
+            self._tour += 1
+
+    def say(self, text: str) -> None:
+        """Show a line below the title, until the next command."""
+        self._said = text
+
+    def _complain(self, error: Exception) -> None:
+        text = plain(str(error))
+        self._said = f"⚠ {text}"
+        if self._owner is not None:
+            self._tell(self._owner, "That did not work", text)
+
+    def _failed(self, error: Exception) -> None:
+        """What should not happen is said without its trace; the last good picture stays."""
+        self.error = error
+        self._complain(PcoreError(f"{type(error).__name__}: see the terminal"))
+
+    def _tell(self, tab: int, title: str, text: str) -> None:
+        viewport = self._viewports.get(tab)
+        if viewport is not None:
+            viewport.client.add_notification(title, text, auto_close_seconds=6)
+
+
+_COMMANDS: tuple[tuple[Any, ...], ...] = (
+    ("Undo", "Z", "cmd/ctrl", "undo"),
+    ("Redo", "Z", "cmd/ctrl+shift", "redo"),
+    ("Save", "S", "cmd/ctrl", "top", "Save"),
+    ("Freeze selection", "H", None, "freeze"),
+    ("Let everything go", "H", "shift", "thaw"),
+    ("Key selected edit", "I", None, "key"),
+    ("Play or pause", "Space", None, "play"),
+    ("Next overlay", "O", None, "overlay"),
+    ("Whole object", "F", None, "home"),
+    ("Put a drag back", "Escape", None, "cancel"),
+    ("Take handle away", "Delete", None, "remove_handle"),
+    ("Keys and mouse", "/", None, "help"),
+)
+"""Label, key, keys held with it, wish, and its values."""
