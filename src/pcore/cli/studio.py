@@ -72,7 +72,7 @@ def studio(command: StudioCommand, console: Console, stack: ExitStack) -> None:
         raise InputError("expected the folder of a run, or --demo, and not both")
     require_viser()
     ended = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: ended.set())
+    signal.signal(signal.SIGTERM, lambda number, frame: ended.set())
     page = stack.enter_context(closing(_opened(command, stack)))
     print_lines(console, [page.url, *_tunnel(command), "Ctrl-C ends; what is not saved is kept"])
     try:

@@ -38,10 +38,11 @@ class Slider:
         """Return the same with bounds in world units, for an object of a size."""
         if not self.in_sizes:
             return self
-        names = ("low", "high", "step", "rest")
         # Two digits: they stand below the slider.
-        bounds = {name: float(f"{getattr(self, name) * size:.2g}") for name in names}
-        return Slider(path=self.path, label=self.label, **bounds)
+        low, high, step, rest = (
+            float(f"{one * size:.2g}") for one in (self.low, self.high, self.step, self.rest)
+        )
+        return Slider(path=self.path, label=self.label, low=low, high=high, step=step, rest=rest)
 
 
 _ANGLE = Slider(path="angle_deg", label="Angle", low=-180, high=180, step=1)

@@ -1,138 +1,21 @@
-"""What a page does to an object, without any page: commands on a session and on what is shown."""
+"""What a page does to an object, without any page: handles, selections, keys."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 from torch import Tensor
 
-from pcore.asset.asset import Asset
-from pcore.editing.script import EditScript
-from pcore.editing.stack import raw_edit, raw_region
-from pcore.editing.state import EditState
+from pcore.editing.stack import raw_region
 from pcore.errors import EditError
-from pcore.geometry.surfels import spacing_of
-from pcore.studio.edit_forms import SLIDERS, new_edit, value_at
+from pcore.studio.edit_forms import SLIDERS, value_at
 from pcore.studio.handle_edit import HandlePose, arriving, handle_points, moved_handle, placed
+from pcore.studio.stack_editor import StackEditor
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shown:
-    """What the page shows beside the object; it never changes.
-
-    Attributes:
-        selected: number of the edit whose handles and sliders are shown; None is none.
-        handle: number of its handle that has the gizmo; None is none.
-        chosen: numbers of the points that are selected.
-        overlay: "none", "strain", "holes" or "handles".
-        still: the light stands still, where the object has one.
-        compare: share of the picture, from the left, that shows the object before the edits.
-    """
-
-    selected: int | None = None
-    handle: int | None = None
-    chosen: frozenset[int] = frozenset()
-    overlay: str = "none"
-    still: bool = True
-    compare: float = 0.0
-
-
-class Editor:
-    """An object, its edits, and what is selected; every command either does all or raises."""
-
-    def __init__(self, asset: Asset, edit: Path | Mapping[str, Any] | None = None) -> None:
-        """Begin with an edit file, or its content, or none.
-
-        Raises:
-            EditError: the edit is not valid or does not fit the points.
-        """
-        self.asset = asset
-        self.session = asset.session(edit or EditScript(edits=()))
-        self.shown = Shown()
-        self.spacing = max(spacing_of(asset.points), 1e-9)
-        self._dragged: EditState | None = None
-        self._held_raw: dict[str, Any] | None = None
-        self._kept: dict[str, Any] | None = None
-        self._gesture = 0
-        self._check_selected()
-
-    @property
-    def state(self) -> EditState:
-        """The object as it is shown: while something is dragged, as it would be."""
-        return self._dragged or self.session.state
-
-    @property
-    def dragging(self) -> bool:
-        """Whether a handle is held."""
-        return self._dragged is not None
-
-    def raw(self, index: int) -> dict[str, Any]:
-        """An edit as an edit file has it, keyframes at the present time."""
-        return raw_edit(self.session.state.script.edits[index])
-
-    # Edits
-
-    def add(self, kind: str) -> None:
-        """Add an edit that changes nothing yet, in the selection if there is one."""
-        region = self.region() if self.shown.chosen else None
-        self.session.do(new_edit(kind, self.session.state.points, region))
-        self._select(len(self.session.stack.edits) - 1)
-
-    def select(self, index: int | None) -> None:
-        """Show the handles and sliders of an edit."""
-        self._select(None if index is None else self.session.stack.checked(index))
-
-    def set(self, index: int, path: str, value: Any) -> None:
-        """Change a value of an edit; where it has keyframes, its key at the present time.
-
-        Changes of one value in a row are one step to undo; `begin` starts another.
-        """
-        if path in self.session.tracks(index):
-            self.session.key(index, path, self.session.time, value)
-            return
-        parent, _, last = path.rpartition("/")
-        if last.isdecimal():  # One of several numbers, which an edit may leave out altogether.
-            whole = [0.0, 1.0] if parent == "limits" else [0.0, 0.0, 0.0]
-            whole = list(self.raw(index).get(parent, whole))
-            whole[int(last)] = value
-            path, value = parent, whole
-        self.session.set(index, path, value, merge=f"{index} {path} {self._gesture}")
-
-    def begin(self) -> None:
-        """Make the next change of a value a step of its own."""
-        self._gesture += 1
-
-    def remove(self, index: int) -> None:
-        """Take an edit out."""
-        self.session.remove(index)
-        self._check_selected()
-
-    def move(self, index: int, by: int) -> None:
-        """Put an edit earlier (by -1) or later (by 1); nothing at the ends."""
-        to = index + by
-        if 0 <= to < len(self.session.stack.edits):
-            self.session.move(index, to)
-            self._select(to)
-
-    def duplicate(self, index: int) -> None:
-        """Put a copy of an edit behind it."""
-        self.session.duplicate(index)
-        self._select(index + 1)
-
-    def undo(self) -> None:
-        """Go back to the state before the last command."""
-        self.session.undo()
-        self._check_selected()
-
-    def redo(self) -> None:
-        """Do again what was undone last."""
-        self.session.redo()
-        self._check_selected()
-
-    # Handles
+class Editor(StackEditor):
+    """A `StackEditor` with handles that are dragged, points that are selected, and time."""
 
     @property
     def handles(self) -> list[HandlePose]:
@@ -203,10 +86,6 @@ class Editor:
             self._keep_handle(index, number, kept)
         return not len(dragged.folds)
 
-    def cancel(self) -> None:
-        """Put what is dragged back to where it was."""
-        self._dragged = self._held_raw = self._kept = None
-
     # Selection
 
     def choose(self, points: Tensor, *, how: str = "replace") -> None:
@@ -220,16 +99,6 @@ class Editor:
         """Select what is not selected."""
         everything = frozenset(range(len(self.asset.points)))
         self.shown = replace(self.shown, chosen=everything - self.shown.chosen)
-
-    def region(self) -> dict[str, Any]:
-        """The selection as a region of an edit file.
-
-        Raises:
-            EditError: nothing is selected.
-        """
-        if not self.shown.chosen:
-            raise EditError("selection: expected points, got none; drag a box with Shift held")
-        return {"shape": "points", "ids": sorted(self.shown.chosen)}
 
     def freeze(self) -> None:
         """Hold the selected points, besides what is held already."""
@@ -287,13 +156,6 @@ class Editor:
         else:
             self.session.replace(index, kept)
 
-    def _whole(self, index: int) -> dict[str, Any]:
-        """An edit as an edit file has it, with all its keyframes."""
-        return raw_edit(self.session.stack.edits[self.session.stack.checked(index)])
-
-    def _kind(self, index: int) -> str:
-        return str(self._whole(index)["type"])
-
     def _held(self) -> tuple[int, int]:
         index, number = self.shown.selected, self.shown.handle
         if index is None or number is None or self._kind(index) != "anchors":
@@ -303,20 +165,3 @@ class Editor:
     def _refuse_second(self, raw: dict[str, Any], point: int, index: int) -> None:
         if point in handle_points(raw, arriving(self.session.state, index)):
             raise EditError("handle: there is one at this very place already")
-
-    def _select(self, index: int | None, handle: int | None = None) -> None:
-        self.cancel()
-        self._gesture += 1
-        self.shown = replace(self.shown, selected=index, handle=handle)
-
-    def _check_selected(self) -> None:
-        """After a command: the selected edit may be gone, or have fewer handles."""
-        self.cancel()
-        self._gesture += 1
-        count, index = len(self.session.stack.edits), self.shown.selected
-        index = count - 1 if index is None or index >= count else index
-        handle = self.shown.handle if index == self.shown.selected else None
-        self.shown = replace(self.shown, selected=index if count else None)
-        if handle is not None and handle >= len(self.handles):
-            handle = None
-        self.shown = replace(self.shown, handle=handle)

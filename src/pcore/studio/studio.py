@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from pcore.asset.asset import Asset
-from pcore.errors import EditError, PcoreError
-from pcore.studio.drawing import OVERLAYS, Drawer
+from pcore.errors import PcoreError
+from pcore.studio.actions import COMMANDS, NEWEST, OF_TAB, Actions
+from pcore.studio.drawing import Drawer
 from pcore.studio.editor import Editor
 from pcore.studio.guard import Guard, plain
 from pcore.studio.handle_edit import HandlePose
 from pcore.studio.handle_nodes import HandleNodes
 from pcore.studio.help_text import HELP, TOUR
 from pcore.studio.outputs import Kept, Outputs
-from pcore.studio.page_frame import PageFrame
+from pcore.studio.page_frame import SIZE, PageFrame
 from pcore.studio.panels import Panels
-from pcore.studio.picking import point_under, points_within
 from pcore.studio.server import open_server
 from pcore.studio.showing import Showing
 from pcore.studio.studio_files import StudioFiles
@@ -31,10 +30,6 @@ _AWAY = 1.5
 """Distance of the first camera in sizes of the object."""
 _ANGLE = 0.7
 """Its vertical field of view, radians."""
-_STEP = 0.08
-"""Seconds between two frames while the timeline plays."""
-_PLAY = 0.02
-"""Time of the timeline that a frame is, as a share of all."""
 
 
 class Studio:
@@ -63,12 +58,14 @@ class Studio:
         self.drawer = Drawer(asset)
         self.frame = PageFrame.around(asset.points)
         self.files = StudioFiles(self)
+        self.actions = Actions(self)
+        self.wishes = self._wishes()
         self.worker = Worker(self._failed)
         self._showing = Showing(self.editor, self.drawer, self.frame)
-        self._lock, self._latest = threading.Lock(), dict[str, Callable[[], None]]()
+        self._lock, self._latest = threading.Lock(), dict[str, Callable[[], object]]()
         self._viewports: dict[int, Viewport] = {}
         self._owner: int | None = None
-        self._said, self._visible_only, self._playing = "", True, False
+        self._said = ""
         self._seen = self.editor.session.history.present.number
         self.url = guard.url
         self.server = open_server(guard, label=title)
@@ -78,17 +75,17 @@ class Studio:
 
     def close(self) -> None:
         """End the page; the autosave stays."""
-        self._playing = False
+        self.actions.playing = False
         self.worker.stop()
         self.server.stop()
 
     # Tabs
 
     def _wire(self) -> None:
-        server, scene = self.server, self.server.scene
+        server: Any = self.server
+        scene = server.scene
         camera = server.initial_camera
-        reach = _AWAY * self.frame.scale * self._size
-        camera.position = tuple(reach * one for one in _HOME)
+        camera.position = self._eye
         camera.look_at, camera.up, camera.fov = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), _ANGLE
         self.panels = Panels(
             server,
@@ -108,10 +105,10 @@ class Studio:
             self._command(label, key, modifier, wish, values)
 
     @property
-    def _size(self) -> float:
-        from pcore.geometry.extent import size_of
-
-        return size_of(self.editor.asset.points)
+    def _eye(self) -> tuple[float, float, float]:
+        """Where the first camera is, on the page."""
+        x, y, z = (_AWAY * SIZE * one for one in _HOME)
+        return x, y, z
 
     def _command(
         self, label: str, key: str, modifier: str | None, wish: str, values: list[Any]
@@ -164,7 +161,7 @@ class Studio:
                 async def _(_: Any, take: bool = take) -> None:
                     modal.close()
                     if take:
-                        self._perform(lambda: self._restore(kept))
+                        self.perform(lambda: self._restore(kept))
 
     def _restore(self, kept: Kept) -> None:
         editor = Editor(self.editor.asset, kept.edit)
@@ -175,86 +172,56 @@ class Studio:
 
     # Wishes
 
-    @property
-    def wishes(self) -> dict[str, Callable[..., None]]:
+    def _wishes(self) -> dict[str, Callable[..., None]]:
         """What widgets and keys ask for, by name; each takes the number of the tab first."""
-        editor = lambda: self.editor  # noqa: E731 (a restored page has another)
-        return {
+        actions = self.actions
+        wishes = {name: self._wish(getattr(actions, name)) for name in COMMANDS}
+        wishes |= {name: self._newest_of(name, getattr(actions, name)) for name in NEWEST}
+        wishes |= {name: self._of_tab(getattr(actions, name)) for name in OF_TAB}
+        return wishes | {
             "top": self._top,
-            "undo": self._wish(lambda: editor().undo()),
-            "redo": self._wish(lambda: editor().redo()),
-            "add": self._wish(lambda kind: editor().add(kind)),
-            "select": self._wish(lambda index: editor().select(index)),
-            "set": self._newest(lambda index, path, value: editor().set(index, path, value)),
-            "rename": self._newest(lambda index, name: editor().session.rename(index, name)),
-            "enable": self._wish(lambda index, on: editor().session.mute(index, not on)),
-            "order": self._wish(self._order),
-            "limit": self._wish(lambda index: editor().limit(index)),
-            "remove_handle": self._wish(lambda: editor().remove_handle()),
-            "cancel": self._wish(lambda: editor().cancel()),
-            "visible_only": self._wish(self._see_through),
-            "selection": self._wish(self._selection),
-            "freeze": self._wish(lambda: editor().freeze()),
-            "thaw": self._wish(lambda: editor().thaw()),
-            "time": self._newest(lambda time: editor().at(time)),
-            "play": self._wish(self._play),
-            "key": self._wish(lambda easing=None: self._key(easing)),
-            "unkey": self._wish(lambda _: editor().unkey(self._index())),
-            "camera_key": self._with_tab(self.files.camera_key),
-            "overlay": self._wish(self._overlay),
-            "compare": self._newest(lambda share: self._shown(compare=share)),
-            "still": self._wish(lambda on: self._shown(still=on)),
             "home": self._home,
-            "save": self._wish(self.files.save),
-            "open": self._wish(self.files.open),
-            "screenshot": self._with_tab(self.files.screenshot),
-            "film": self._with_tab(self.files.film),
-            "stop_film": lambda tab: self.files.stop(),
             "help": self._help,
+            "stop_film": self._stop_film,
             "take_over": self._take_over,
         }
 
     def _wish(self, do: Callable[..., object]) -> Callable[..., None]:
-        """A command of the tab that edits."""
-
         def wish(tab: int, *values: Any) -> None:
             if self._may(tab):
-                self._perform(lambda: do(*values))
+                self.perform(lambda: do(*values))
 
         return wish
 
-    def _with_tab(self, do: Callable[..., object]) -> Callable[..., None]:
-        """The same, of which the command needs to know the tab."""
-
+    def _of_tab(self, do: Callable[..., object]) -> Callable[..., None]:
         def wish(tab: int, *values: Any) -> None:
             viewport = self._viewports.get(tab)
             if viewport is not None and self._may(tab):
-                self._perform(lambda: do(viewport, *values))
+                self.perform(lambda: do(viewport, *values))
 
         return wish
 
-    def _newest(self, do: Callable[..., object]) -> Callable[..., None]:
-        """The same, of which only the newest counts until the worker comes to it."""
-
+    def _newest_of(self, name: str, do: Callable[..., object]) -> Callable[..., None]:
         def wish(tab: int, *values: Any) -> None:
             if self._may(tab):
-                self._replace(f"{id(do)} {values[:-1]}", lambda: do(*values))
+                self.newest(f"{name} {values[:-1]}", lambda: do(*values))
 
         return wish
 
-    def _replace(self, name: str, do: Callable[[], object], *, light: bool = False) -> None:
+    def newest(self, name: str, do: Callable[[], object], *, light: bool = False) -> None:
+        """Let the worker do this; of those with one name only the newest when it comes to it."""
         with self._lock:
             first = name not in self._latest
-            self._latest[name] = lambda: None if do() is None else None
+            self._latest[name] = do
         if first:
-            self._perform(lambda: self._take(name)(), light=light)
+            self.perform(lambda: self._take(name)(), light=light)
 
-    def _take(self, name: str) -> Callable[[], None]:
+    def _take(self, name: str) -> Callable[[], object]:
         with self._lock:
             return self._latest.pop(name)
 
-    def _perform(self, do: Callable[[], object], *, light: bool = False) -> None:
-        """Let the worker do something, and show what came of it; light: of a drag, the splats."""
+    def perform(self, do: Callable[[], object], *, light: bool = False) -> None:
+        """Let the worker do something and show what came of it; light: of a drag, the splats."""
 
         def command() -> None:
             try:
@@ -262,7 +229,10 @@ class Studio:
                 do()
             except PcoreError as error:
                 self._complain(error)
-            self._show_drag() if light else self._refresh()
+            if light:
+                self._show_drag()
+            else:
+                self._refresh()
 
         self.worker.do(command)
 
@@ -278,69 +248,28 @@ class Studio:
             self._owner = tab
             self._tell(tab, "This tab edits now", "")
 
-        self._perform(take)
-
-    # Pointer
+        self.perform(take)
 
     async def _clicked(self, event: Any) -> None:
-        def place() -> None:
-            points = self.editor.state.points.float()
-            origin, direction = (
-                points.new_tensor(self.frame.to_world(event.ray_origin)),
-                points.new_tensor(event.ray_direction),
-            )
-            found = point_under(
-                points,
-                origin,
-                direction,
-                spacing=self.editor.spacing,
-                opacities=self.drawer.opacities,
-            )
-            if found is None:
-                raise EditError("handle: there is nothing under the pointer")
-            self.editor.place_handle(found)
-
         if self._may(int(event.client_id)):
-            self._perform(place)
+            self.perform(lambda: self.actions.place(event.ray_origin, event.ray_direction))
 
     async def _boxed(self, event: Any) -> None:
-        viewport = self._viewports.get(int(event.client_id))
-
-        def choose() -> None:
-            camera = None if viewport is None else viewport.camera()
-            if camera is None:
-                return
-            inside = points_within(
-                self.editor.state.points.float(),
-                camera,
-                event.screen_min,
-                event.screen_max,
-                spacing=self.editor.spacing,
-                visible=self._visible_only,
-            )
-            how = "replace" if event.modifier == "shift" else "add"
-            self.editor.choose(inside, how=how)
-
-        if self._may(int(event.client_id)):
-            self._perform(choose)
+        how = "replace" if event.modifier == "shift" else "add"
+        choose = self._of_tab(self.actions.choose)
+        choose(int(event.client_id), event.screen_min, event.screen_max, how)
 
     def _select_handle(self, tab: int, number: int) -> None:
         if self._may(tab):
-            self._perform(lambda: self.editor.select_handle(number))
+            self.perform(lambda: self.editor.select_handle(number))
 
     def _dragged(self, tab: int, phase: str, pose: HandlePose) -> None:
         if tab != self._owner:
             return
         if phase == "end":
-            self._perform(self._dropped)
+            self.perform(self.actions.drop)
         else:
-            self._replace("drag", lambda: self.editor.drag(pose), light=True)
-
-    def _dropped(self) -> None:
-        if not self.editor.drop():
-            raise EditError("drag: space would fold there; back at the last place where it did not")
-
-    # Smaller wishes
+            self.newest("drag", lambda: self.actions.drag(pose), light=True)
 
     def _top(self, tab: int, name: str) -> None:
         if name == "Save":
@@ -348,47 +277,15 @@ class Studio:
         else:
             self.wishes[name.lower()](tab)
 
-    def _order(self, index: int, what: str) -> None:
-        editor = self.editor
-        if what in ("Up", "Down"):
-            editor.move(index, -1 if what == "Up" else 1)
-        elif what == "Copy":
-            editor.duplicate(index)
-        else:
-            editor.remove(index)
-
-    def _selection(self, what: str) -> None:
-        if what == "Invert":
-            self.editor.invert()
-        else:
-            self._shown(chosen=frozenset())
-
-    def _see_through(self, on: bool) -> None:
-        self._visible_only = on
-
-    def _shown(self, **changes: Any) -> None:
-        self.editor.shown = replace(self.editor.shown, **changes)
-
-    def _overlay(self, name: str | None = None) -> None:
-        now = OVERLAYS.index(self.editor.shown.overlay)
-        self._shown(overlay=name or OVERLAYS[(now + 1) % len(OVERLAYS)])
-
-    def _index(self) -> int:
-        index = self.editor.shown.selected
-        if index is None:
-            raise EditError("key: expected a selected edit, got none; click one in the list")
-        return index
-
-    def _key(self, easing: str | None) -> None:
-        self.editor.key(self._index(), easing)
+    def _stop_film(self, tab: int) -> None:
+        if tab == self._owner:
+            self.files.stop()
 
     def _home(self, tab: int) -> None:
         viewport = self._viewports.get(tab)
         if viewport is not None:
             camera = viewport.client.camera
-            reach = _AWAY * self.frame.scale * self._size
-            camera.look_at = (0.0, 0.0, 0.0)
-            camera.position = tuple(reach * one for one in _HOME)
+            camera.look_at, camera.position = (0.0, 0.0, 0.0), self._eye
 
     def _help(self, tab: int) -> None:
         viewport = self._viewports.get(tab)
@@ -402,23 +299,6 @@ class Studio:
             @close.on_click
             async def _(_: Any) -> None:
                 modal.close()
-
-    def _play(self, on: bool | None = None) -> None:
-        on = not self._playing if on is None else on
-        if on == self._playing:
-            return
-        self._playing = on
-        if on:
-            threading.Thread(target=self._run_time, name="pcore timeline", daemon=True).start()
-
-    def _run_time(self) -> None:
-        pause = threading.Event()
-        while self._playing:
-            times = self.editor.key_times or [0.0, 1.0]
-            length = max(times[-1] - times[0], 1e-9)
-            later = (self.editor.session.time - times[0] + _PLAY * length) % length + times[0]
-            self._replace("play", lambda later=later: self.editor.at(later), light=True)
-            pause.wait(_STEP)
 
     # Showing
 
@@ -436,7 +316,7 @@ class Studio:
             line=self.files.line,
             camera_keys=len(self.files.cameras),
         )
-        self.panels.playing(self._playing)
+        self.panels.playing(self.actions.playing)
         self.panels.shows_owner(self._owner, len(self._viewports))
         shown = editor.shown
         self.nodes.show(editor.handles, shown.handle, warn=False, moved=True)
