@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypedDict, Unpack, overload
 
+import torch
 from torch import Tensor
 
 from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
@@ -18,9 +19,11 @@ from pcore.data.scene import Scene
 from pcore.editing.anchors import AnchorRig, rig_with
 from pcore.editing.script import EditScript
 from pcore.editing.session import EditSession
+from pcore.editing.state import EditState
 from pcore.errors import InputError
 from pcore.files.provenance import Provenance
 from pcore.files.run_record import RunRecord
+from pcore.gaussians.splats import Splats, SplatsAtRest
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
@@ -111,6 +114,11 @@ class Asset:
         """Anchors with the learned weights, for edits by anchors; None where none were learned."""
         return None if self.skinning is None else rig_with(self.skinning.paths, self.skinning)
 
+    @cached_property
+    def splats_at_rest(self) -> SplatsAtRest:
+        """Gaussians that show it at rest and go with its points."""
+        return self.content.splats()
+
     def pose(
         self,
         edit: Edit | None = None,
@@ -148,6 +156,43 @@ class Asset:
             notes=bound.notes,
             content=posed,
         )
+
+    def splats(
+        self,
+        posed: Posed | EditState | EditSession | None,
+        eye: Tensor,
+        *,
+        gains: Tensor | None = None,
+    ) -> Splats:
+        """Show the object as splats, as browsers draw them: for while something moves.
+
+        Gaussians as they are, in their colours for this place; neural points as flat discs, which
+        take a second the first time.
+
+        Args:
+            posed: from `pose`, or straight from a session, which is faster; None is the object as
+                it was photographed.
+            eye: (3,) where it is seen from, world units.
+            gains: (N,) factors on the brightness, such as `gains_of` what was posed last; None
+                takes those of `posed` itself.
+
+        Raises:
+            InputError: of another object.
+        """
+        if posed is None:
+            return self.splats_at_rest.moved(self.points, None, eye, gains)
+        if isinstance(posed, EditSession):
+            posed = posed.state
+        if isinstance(posed, EditState):
+            return self.splats_at_rest.moved(posed.points, posed.bound.linear, eye, gains)
+        maps = posed.local_maps
+        linear = None if maps is None else torch.linalg.inv(maps.to_rest.double())
+        gains = self.gains_of(posed) if gains is None else gains
+        return self.splats_at_rest.moved(posed.points, linear, eye, gains)
+
+    def gains_of(self, posed: Posed) -> Tensor | None:
+        """(N,) factors by which the light on its points has changed; None: as in the photos."""
+        return self.content.gains_of(posed.content)
 
     @overload
     def render(self, posed: Posed | None, cameras: Camera, **how: Unpack[How]) -> Image: ...

@@ -23,6 +23,7 @@ from pcore.files.gaussian_file import (
 from pcore.files.provenance import Provenance
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, PosedGaussians, pose, render, surface_points
+from pcore.gaussians.splats import SplatsAtRest
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
@@ -96,6 +97,10 @@ class GaussianContent:
             return None
         return Surfels.at_rest(self.points.float(), self.normals, torch.zeros(len(self.normals)))
 
+    def splats(self) -> SplatsAtRest:
+        """See `Content.splats`: the Gaussians themselves."""
+        return SplatsAtRest.of(self.gaussians)
+
     def pose(
         self, motion: Motion | None, *, rays: RaysName, light: LightName | None
     ) -> MovedGaussians:
@@ -142,6 +147,11 @@ class GaussianContent:
     def local_maps_of(self, posed: MovedGaussians) -> LocalMaps | None:
         """See `Content.local_maps_of`."""
         return posed.maps
+
+    def gains_of(self, posed: MovedGaussians) -> Tensor | None:
+        """See `Content.gains_of`."""
+        gains = posed.drawn.gains
+        return None if gains is None else gains.detach().cpu().squeeze(1)
 
     def trace(self, posed: MovedGaussians, rays: RayBundle, background: Tensor | None) -> Image:
         """See `Content.trace`; Gaussians are drawn picture by picture and meet no single rays.

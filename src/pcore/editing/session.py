@@ -151,6 +151,16 @@ class EditSession(Undoable):
             longer = stack.changed(at, entry)
         return self._bound(longer, self.state, check=folds == "refuse")
 
+    def warm(self, edit: EditLike, at: int | None = None) -> None:
+        """Prepare a preview, so that the first one of a drag is as quick as the others.
+
+        Anchors at new handles, and the binding of a cage, are kept then.
+
+        Raises:
+            EditError: as `preview`.
+        """
+        _ = self.preview(edit, at).bound.linear
+
     def freeze(self, *regions: RegionEntry | Mapping[str, Any]) -> EditState:
         """Hold regions in the canonical space through all edits, done ones too; none lets all go.
 

@@ -106,6 +106,10 @@ class Stack:
         """
         (self.animation if self.animated else self.at(0.0)).save(path)
 
+    def from_source(self, source: str) -> Stack:
+        """Return the same under another name for messages."""
+        return replace(self, source=source)
+
     def checked(self, index: int) -> int:
         """Return the number of an edit that there is, from 0.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 from torch import Tensor
 
 from pcore.editing.anchors import AnchorRig
@@ -42,6 +44,21 @@ class Undoable:
         self._time = stack.animation.start if stack.animated else 0.0
         self._states: dict[int, EditState] = {}
         self._states[0] = self._bound(stack, None, said=f"{stack.source}: ")
+
+    @classmethod
+    def resumed(
+        cls, points: Tensor, history: History, time: float, *, rig: AnchorRig | None = None
+    ) -> Self:
+        """Go on where another session of the same points (N, 3) was.
+
+        Raises:
+            EditError: the present edits do not fit the points.
+        """
+        session = cls(points, history.present.stack, rig=rig)
+        session._history, session._time = history.at(history.now), time
+        session._states = {}
+        _ = session.state
+        return session
 
     @property
     def state(self) -> EditState:
