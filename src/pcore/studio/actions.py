@@ -6,11 +6,11 @@ import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from pcore.editing.picking import pick
 from pcore.errors import EditError
 from pcore.studio.drawing import OVERLAYS
 from pcore.studio.editor import Editor
 from pcore.studio.handle_edit import HandlePose
-from pcore.studio.picking import point_under, points_within
 from pcore.studio.viewport import Viewport
 
 if TYPE_CHECKING:
@@ -106,11 +106,11 @@ class Actions:
         self._visible_only = on
 
     def selection(self, what: str) -> None:
-        """Invert or clear the selection."""
-        if what == "Invert":
-            self._editor.invert()
-        else:
+        """Invert, grow, shrink or clear the selection."""
+        if what == "Clear":
             self._shown(chosen=frozenset[int]())
+        else:
+            getattr(self._editor, {"Invert": "invert", "Grow": "grow", "Shrink": "shrink"}[what])()
 
     def freeze(self) -> None:
         """Hold the selection."""
@@ -154,34 +154,32 @@ class Actions:
         if on:
             threading.Thread(target=self._run_time, name="pcore timeline", daemon=True).start()
 
-    def place(self, origin: Any, direction: Any) -> None:
-        """Put a handle where a ray from the page meets the object."""
-        editor, frame = self._editor, self._studio.frame
-        points = editor.state.points.float()
-        found = point_under(
-            points,
-            points.new_tensor(frame.to_world(origin)),
-            points.new_tensor(direction),
-            spacing=editor.spacing,
-            opacities=self._studio.drawer.opacities,
-        )
-        if found is None:
+    def place(self, viewport: Viewport, place: tuple[float, float]) -> None:
+        """Put a handle where a tab's picture shows the object; a place in shares of the picture."""
+        editor, camera = self._editor, viewport.camera()
+        if camera is None:
+            return
+        column, row = place[0] * camera.width, place[1] * camera.height
+        hit = pick(editor.state, camera, column, row, spacing=editor.spacing)
+        if hit is None:
             raise EditError("handle: there is nothing under the pointer")
-        editor.place_handle(found)
+        editor.place_handle(hit.point)
 
     def choose(self, viewport: Viewport, lower: Any, upper: Any, how: str) -> None:
-        """Select the points in a rectangle of a tab."""
-        camera = viewport.camera()
+        """Select the points in a rectangle of a tab, in shares of its picture."""
+        editor, camera = self._editor, viewport.camera()
         if camera is not None:
-            inside = points_within(
-                self._editor.state.points.float(),
-                camera,
-                lower,
-                upper,
-                spacing=self._editor.spacing,
-                visible=self._visible_only,
+            sides = (camera.width, camera.height)
+            left, top, right, bottom = (
+                share * side for share, side in zip((*lower, *upper), sides * 2, strict=True)
             )
-            self._editor.choose(inside, how=how)
+            inside = editor.selector.box(
+                editor.state.points.float(),
+                camera,
+                (left, top, right, bottom),
+                through=not self._visible_only,
+            )
+            editor.choose(inside, how=how)
 
     def drag(self, pose: HandlePose) -> None:
         """Show the selected handle elsewhere."""

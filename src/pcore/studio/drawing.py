@@ -10,19 +10,25 @@ from torch import Tensor
 
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.neural_points import NeuralPoints
-from pcore.editing.diagnosis import CALM, diagnose, painted
+from pcore.editing.diagnosis import CALM, painted
+from pcore.editing.handles import handle_colors, handles_of
+from pcore.editing.live import LiveDiagnosis
 from pcore.editing.state import EditState
-from pcore.gaussians.splats import Splats, SplatsAtRest
+from pcore.errors import PcoreError
+from pcore.gaussians.splats import Splats
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
 from pcore.render.picture import RenderCancelledError
 from pcore.render.progressive import render_progressively
-from pcore.studio.splat_source import gains_of, splats_at_rest
 
-OVERLAYS = ("none", "strain", "holes", "frozen")
+OVERLAYS = ("none", "strain", "holes", "handles", "exposed", "frozen")
 FOLDED = torch.tensor([220, 30, 30], dtype=torch.uint8)
 CHOSEN = torch.tensor([255, 160, 0], dtype=torch.uint8)
 _FROZEN = torch.tensor([40, 110, 200], dtype=torch.uint8)
+_EXPOSED = torch.tensor([250, 190, 5], dtype=torch.uint8)
+_SOLID = 0.5
+_CAMERAS = 20
+"""Training views that say what was never seen; each takes milliseconds."""
 _SHADE = 12
 """Steps of a colour that differ from calm."""
 
@@ -41,21 +47,18 @@ class Drawer:
     def __init__(self, asset: Asset) -> None:
         """Prepare its splats, which of neural points takes pictures from all sides."""
         self.asset = asset
-        self._rest: SplatsAtRest = splats_at_rest(asset)
+        _ = asset.splats_at_rest
         self._posed: tuple[EditState, bool, Posed] | None = None
         self._gains: Tensor | None = None
         self._still: Posed | None = None
-
-    @property
-    def opacities(self) -> Tensor:
-        """(N,) of the splats."""
-        return self._rest.gaussians.opacities
+        self._live = LiveDiagnosis(rest=asset.points, cameras=_training_cameras(asset))
 
     def splats(self, state: EditState, eye: Tensor) -> Splats:
         """What a browser draws; the light is the one of the last picture at rest."""
         edited = any(edit.enabled for edit in state.script.edits)
-        linear = state.bound.linear if edited else None
-        return self._rest.moved(state.points, linear, eye, self._gains if edited else None)
+        if not edited:
+            return self.asset.splats(None, eye)
+        return self.asset.splats(state, eye, gains=self._gains)
 
     def posed(self, state: EditState, *, still: bool) -> Posed:
         """The object for exact pictures; the last one is kept."""
@@ -63,7 +66,7 @@ class Drawer:
         if known is None or known[0] is not state or known[1] != still:
             light = None if still and state.rays == "aware" else "baked"
             posed = self.asset.pose(state, rays=state.rays, light=light)
-            self._posed, self._gains = (state, still, posed), gains_of(posed)
+            self._posed, self._gains = (state, still, posed), self.asset.gains_of(posed)
             return posed
         return known[2]
 
@@ -89,25 +92,37 @@ class Drawer:
             self._still = self.asset.pose()
         return self.asset.render(self._still, camera, fast=True)
 
+    def dots(self, state: EditState, overlay: str, chosen: frozenset[int]) -> Dots:
+        """What is marked: selected points, folds, what an overlay does not find calm.
 
-def dots(state: EditState, rest: Tensor, overlay: str, chosen: frozenset[int]) -> Dots:
-    """What is marked on the object: selected points, folds, what an overlay does not find calm.
+        Args:
+            state: the object.
+            overlay: one of `OVERLAYS`.
+            chosen: numbers of selected points.
+        """
+        colors = painted(CALM).expand(len(state.points), 3).clone()
+        if overlay in ("strain", "holes") and len(colors) > 1:
+            found = self._live.of(state)
+            colors = found.colors() if overlay == "strain" else found.hole_colors()
+        elif overlay == "handles":
+            found = handles_of(state.script, self.asset.points, self.asset.rig)
+            colors = handle_colors(found.values(), len(colors))
+        away = (colors.int() - painted(CALM).int()).abs().amax(dim=1) > _SHADE
+        marks = [(torch.tensor(sorted(chosen)).long(), CHOSEN), (state.folds, FOLDED)]
+        if overlay == "exposed" and self._live.cameras:
+            marks.insert(0, (self._live.exposed(state.points).nonzero().flatten(), _EXPOSED))
+        if overlay == "frozen" and state.bound.hold is not None:
+            held = state.bound.hold.weight(state.bound.setting.rest) > _SOLID
+            marks.insert(0, (held.nonzero().flatten(), _FROZEN))
+        for numbers, paint in marks:
+            away[numbers], colors[numbers] = True, paint
+        return Dots(points=state.points.detach().cpu().float()[away], colors=colors[away])
 
-    Args:
-        state: the object.
-        rest: (N, 3) its points before the edits.
-        overlay: one of `OVERLAYS`.
-        chosen: numbers of selected points.
-    """
-    colors = painted(CALM).expand(len(rest), 3).clone()
-    moved = state.points.detach().cpu().float()
-    if overlay in ("strain", "holes") and len(rest) > 1 and not torch.equal(moved, rest):
-        found = diagnose(rest, moved)
-        colors = found.colors() if overlay == "strain" else found.hole_colors()
-    away = (colors.int() - painted(CALM).int()).abs().amax(dim=1) > _SHADE
-    if overlay == "frozen" and state.bound.hold is not None:
-        held = state.bound.hold.weight(state.bound.setting.rest) > 0.5
-        away, colors[held] = away | held, _FROZEN
-    for numbers, paint in ((torch.tensor(sorted(chosen)).long(), CHOSEN), (state.folds, FOLDED)):
-        away[numbers], colors[numbers] = True, paint
-    return Dots(points=moved[away], colors=colors[away])
+
+def _training_cameras(asset: Asset) -> tuple[Camera, ...]:
+    """A few cameras of the scene that it was trained on; none where that is not here."""
+    try:
+        views = asset.scene().split("train")
+    except PcoreError:
+        return ()
+    return tuple(view.camera for view in views[:: max(1, len(views) // _CAMERAS)])

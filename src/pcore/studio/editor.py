@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from pcore.editing.stack import raw_region
@@ -99,6 +100,21 @@ class Editor(StackEditor):
         """Select what is not selected."""
         everything = frozenset(range(len(self.asset.points)))
         self.shown = replace(self.shown, chosen=everything - self.shown.chosen)
+
+    def grow(self) -> None:
+        """Select the neighbours of what is selected, too."""
+        self.choose(self.selector.grow(self._mask))
+
+    def shrink(self) -> None:
+        """Take the rim of the selection away."""
+        self.choose(self.selector.shrink(self._mask))
+
+    @property
+    def _mask(self) -> Tensor:
+        """(N,) bool, which points are selected."""
+        mask = torch.zeros(len(self.asset.points), dtype=torch.bool)
+        mask[sorted(self.shown.chosen)] = True
+        return mask
 
     def freeze(self) -> None:
         """Hold the selected points, besides what is held already."""

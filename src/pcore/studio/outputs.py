@@ -12,7 +12,8 @@ from typing import Any
 from pcore.asset.asset import Asset, Posed
 from pcore.data.pictures import write_png
 from pcore.data.video import VideoWriter
-from pcore.editing.stack import Stack
+from pcore.editing.autosave import write_session
+from pcore.editing.session import EditSession
 from pcore.errors import InputError
 from pcore.files.atomic import write_atomically
 from pcore.geometry.camera import Camera
@@ -20,21 +21,7 @@ from pcore.geometry.camera_path import path_through
 from pcore.studio.guard import is_file_name
 
 AUTOSAVE = "autosave.json"
-_VERSION = 1
 _FPS = 24
-
-
-@dataclass(frozen=True, kw_only=True)
-class Kept:
-    """What an autosave holds.
-
-    Attributes:
-        edit: content of an edit file.
-        cameras: camera keys: time and the numbers of a frame of a transforms file.
-    """
-
-    edit: dict[str, Any]
-    cameras: tuple[dict[str, Any], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,28 +58,33 @@ class Outputs:
         paths = (self.folder / f"{stem}_{number:03}{ending}" for number in numbers)
         return next(path for path in paths if not path.exists())
 
-    def keep(self, stack: Stack, cameras: Sequence[dict[str, Any]]) -> None:
-        """Write the autosave; OSError leaves an old one as it is."""
+    @property
+    def autosave(self) -> Path:
+        """The file that keeps what is not saved."""
+        return self.folder / AUTOSAVE
+
+    def keep(self, session: EditSession, cameras: Sequence[dict[str, Any]]) -> None:
+        """Write the autosave, with the history and the camera keys.
+
+        Raises:
+            EditError: it cannot be written; an old one stays as it is.
+            OSError: its folder cannot be made.
+        """
         self.folder.mkdir(parents=True, exist_ok=True)
-        content = {"version": _VERSION, "edit": stack.content, "cameras": list(cameras)}
-        write_atomically(self.folder / AUTOSAVE, json.dumps(content).encode())
+        write_session(self.autosave, session, {"cameras": list(cameras)})
 
     def forget(self) -> None:
         """Remove the autosave: everything in it is saved, or not wanted."""
-        (self.folder / AUTOSAVE).unlink(missing_ok=True)
+        self.autosave.unlink(missing_ok=True)
 
-    def kept(self) -> Kept | None:
-        """Read the autosave; None where there is none that is newer than the edit file."""
-        path = self.folder / AUTOSAVE
+    @property
+    def left_over(self) -> bool:
+        """Whether there is an autosave that is newer than the edit file."""
         try:
-            if self.edit.is_file() and path.stat().st_mtime <= self.edit.stat().st_mtime:
-                return None
-            content = json.loads(path.read_text(encoding="utf-8"))
-            if content["version"] != _VERSION or not content["edit"]["edits"]:
-                return None
-            return Kept(edit=dict(content["edit"]), cameras=tuple(content["cameras"]))
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
+            kept = self.autosave.stat().st_mtime
+            return not self.edit.is_file() or kept > self.edit.stat().st_mtime
+        except OSError:
+            return False
 
     def line(self, picture: str, cameras: Path, *, time: float, light: str | None) -> str:
         """The command that makes the same picture."""

@@ -6,7 +6,6 @@ viser sends shapes of splats in half precision and depths in steps of 1e-5, so t
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +21,6 @@ from pcore.geometry.point_cloud import extent_of
 SIZE = 20.0
 """Diagonal of an object on the page."""
 _LARGEST = 60_000.0
-_OPENCV = (1.0, -1.0, -1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,16 +79,6 @@ class PageFrame:
             width: of the picture, pixels.
             height: of the picture, pixels.
         """
-        w, x, y, z = (np.asarray(wxyz, dtype=np.float64) / np.linalg.norm(wxyz)).tolist()
-        rotation = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        pose = torch.eye(4)
-        pose[:3, :3] = torch.from_numpy(rotation * np.asarray(_OPENCV)).float()
-        pose[:3, 3] = torch.from_numpy(self.to_world(position)).float()
-        angle_x = 2 * math.atan(math.tan(fov_y / 2) * width / height)
-        return Camera.from_fov(pose, width=width, height=height, angle_x=angle_x)
+        place = torch.from_numpy(self.to_world(position))
+        turn = torch.as_tensor(np.asarray(wxyz, dtype=np.float64))
+        return Camera.from_view(place, turn, fov_y, width=width, height=height)

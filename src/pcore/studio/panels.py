@@ -110,20 +110,22 @@ class Panels:
         chosen = gui.add_markdown("Drag a box with Shift held.")
         visible = gui.add_checkbox("Only what is seen", True)
         self._on_update(visible, "visible_only")
-        self._on_choice(gui.add_button_group("Selection", ("Invert", "Clear")), "selection")
+        self._on_choice(
+            gui.add_button_group("Selection", ("Grow", "Shrink", "Invert", "Clear")), "selection"
+        )
         self._on_click(gui.add_button("Freeze selection", icon="snowflake"), "freeze")
-        self._on_click(gui.add_button("Let everything go"), "thaw")
+        self._on_click(gui.add_button("Let everything go", color="gray"), "thaw")
         return chosen
 
     def _time_tab(self) -> tuple[Any, Any, Any]:
         gui = self._gui
-        time = gui.add_slider("Time", 0.0, 1.0, 0.01, 0.0)
+        time = gui.add_slider("At", 0.0, 1.0, 0.01, 0.0)
         self._on_update(time, "time")
         play = gui.add_checkbox("Play", False)
         self._on_update(play, "play")
         easing = gui.add_dropdown("Easing", EASINGS, initial_value=EASINGS[0])
         for label, wish in (("Key selected edit", "key"), ("Take key away", "unkey")):
-            button = gui.add_button(label)
+            button = gui.add_button(label, color=None if wish == "key" else "gray")
 
             @button.on_click
             async def _(event: Any, wish: str = wish) -> None:
@@ -152,8 +154,8 @@ class Panels:
     def _files_tab(self, name: str) -> tuple[Any, Any, Any]:
         gui = self._gui
         named = gui.add_text("Edit file", name)
-        for label, wish in (("Save", "save"), ("Open", "open")):
-            button = gui.add_button(label)
+        for label, wish in (("Save as", "save"), ("Open", "open")):
+            button = gui.add_button(label, color="gray")
 
             @button.on_click
             async def _(event: Any, wish: str = wish) -> None:
@@ -174,7 +176,7 @@ class Panels:
             self._say("film", event, int(frames.value), int(width.value))
 
         progress = gui.add_progress_bar(0.0, visible=False)
-        self._on_click(gui.add_button("Stop"), "stop_film")
+        self._on_click(gui.add_button("Stop", color="gray"), "stop_film")
         line = gui.add_markdown("")
         return named, progress, line
 

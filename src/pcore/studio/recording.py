@@ -13,8 +13,6 @@ from pcore.asset.gaussian_content import GaussianContent
 from pcore.gaussians.carry import polar
 from pcore.gaussians.covariance import quaternions
 from pcore.gaussians.render import Footprint
-from pcore.gaussians.splats import SplatsAtRest
-from pcore.studio.splat_source import gains_of, linear_of, splats_at_rest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,16 +58,16 @@ class Recording:
 def record(asset: Asset, frames: Sequence[Posed]) -> Recording:
     """Keep an object as splats, as it is in some frames.
 
-    Gaussians are kept as they are; of neural points see `splats_at_rest`.
+    Gaussians are kept as they are; neural points become flat splats of one colour each.
 
     Args:
         asset: the object.
         frames: from `asset.pose`, evenly in time.
     """
-    rest, content = splats_at_rest(asset), asset.content
+    rest, content = asset.splats_at_rest, asset.content
     gaussians = isinstance(content, GaussianContent)
     return Recording(
-        moments=tuple(_moment(rest, posed) for posed in frames),
+        moments=tuple(_moment(asset, posed) for posed in frames),
         opacities=rest.gaussians.opacities,
         sh=rest.gaussians.sh,
         footprint=content.footprint if gaussians else Footprint(),
@@ -77,14 +75,15 @@ def record(asset: Asset, frames: Sequence[Posed]) -> Recording:
     )
 
 
-def _moment(rest: SplatsAtRest, posed: Posed) -> Moment:
-    linear, gains = linear_of(posed), gains_of(posed)
-    count = len(rest.points)
-    shown = rest.moved(posed.points, linear, torch.zeros(3))
-    still = torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1)
+def _moment(asset: Asset, posed: Posed) -> Moment:
+    count, maps = len(posed.points), posed.local_maps
+    shown, gains = asset.splats(posed, torch.zeros(3)), asset.gains_of(posed)
+    turns = torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1)
+    if maps is not None:
+        turns = quaternions(polar(torch.linalg.inv(maps.to_rest.detach().cpu().double()))).float()
     return Moment(
         means=torch.from_numpy(shown.centers),
         covariances=torch.from_numpy(shown.covariances),
-        turns=still if linear is None else quaternions(polar(linear)).float(),
-        gains=torch.ones(count) if gains is None else gains,
+        turns=turns,
+        gains=torch.ones(count) if gains is None else gains.detach().cpu().float(),
     )

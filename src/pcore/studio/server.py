@@ -76,9 +76,9 @@ def _silence(server: Any) -> None:
     server.gui.configure_theme(
         show_share_button=False,
         show_logo=False,
-        control_layout="collapsible",
         control_width="medium",
     )
+    server.gui.main_panel.dock_right()
 
 
 @contextlib.contextmanager

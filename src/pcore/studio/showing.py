@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from pcore.geometry.camera import Camera
-from pcore.studio.drawing import Drawer, dots
+from pcore.studio.drawing import Drawer
 from pcore.studio.editor import Editor
 from pcore.studio.page_frame import PageFrame
 from pcore.studio.viewport import (
@@ -69,6 +69,6 @@ class Showing:
 
     def _dots(self, viewports: Sequence[Viewport], *, overlay: str) -> None:
         editor = self.editor
-        found = dots(editor.state, editor.asset.points, overlay, editor.shown.chosen)
+        found = self._drawer.dots(editor.state, overlay, editor.shown.chosen)
         for viewport in viewports:
             viewport.show_dots(found.points, found.colors)

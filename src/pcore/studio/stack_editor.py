@@ -9,6 +9,8 @@ from typing import Any
 
 from pcore.asset.asset import Asset
 from pcore.editing.script import EditScript
+from pcore.editing.selection import Selector
+from pcore.editing.session import EditSession
 from pcore.editing.stack import raw_edit
 from pcore.editing.state import EditState
 from pcore.errors import EditError
@@ -50,10 +52,16 @@ class StackEditor:
         self.session = asset.session(edit or EditScript(edits=()))
         self.shown = Shown()
         self.spacing = max(spacing_of(asset.points), 1e-9)
+        self.selector = Selector(rest=asset.points)
         self._dragged: EditState | None = None
         self._held_raw: dict[str, Any] | None = None
         self._kept: dict[str, Any] | None = None
         self._gesture = 0
+        self._check_selected()
+
+    def resume(self, session: EditSession) -> None:
+        """Go on with another session of the same object."""
+        self.session = session
         self._check_selected()
 
     @property

@@ -15,7 +15,7 @@ from pcore.studio.guard import Guard, plain
 from pcore.studio.handle_edit import HandlePose
 from pcore.studio.handle_nodes import HandleNodes
 from pcore.studio.help_text import HELP, TOUR
-from pcore.studio.outputs import Kept, Outputs
+from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import SIZE, PageFrame
 from pcore.studio.panels import Panels
 from pcore.studio.server import open_server
@@ -148,27 +148,18 @@ class Studio:
 
     def _offer(self, client: Any) -> None:
         """Offer what an earlier page could not save."""
-        kept = self.outputs.kept()
-        if kept is None or self.editor.session.can_undo:
+        if not self.outputs.left_over or self.editor.session.can_undo:
             return
         with client.gui.add_modal("Unsaved edits were found") as modal:
-            count = len(kept.edit["edits"])
-            client.gui.add_markdown(f"{count} edits of an earlier page that ended before saving.")
+            client.gui.add_markdown("An earlier page ended before its edits were saved.")
             for label, take in (("Restore", True), ("Not now", False)):
-                button = client.gui.add_button(label, color="teal" if take else "gray")
+                button = client.gui.add_button(label, color=None if take else "gray")
 
                 @button.on_click
                 async def _(_: Any, take: bool = take) -> None:
                     modal.close()
                     if take:
-                        self.perform(lambda: self._restore(kept))
-
-    def _restore(self, kept: Kept) -> None:
-        editor = Editor(self.editor.asset, kept.edit)
-        self.editor = self._showing.editor = editor
-        self.files.restore(kept.cameras)
-        self._seen = -1
-        self._said = "Restored what was not saved."
+                        self.perform(self.files.restore)
 
     # Wishes
 
@@ -251,8 +242,7 @@ class Studio:
         self.perform(take)
 
     async def _clicked(self, event: Any) -> None:
-        if self._may(int(event.client_id)):
-            self.perform(lambda: self.actions.place(event.ray_origin, event.ray_direction))
+        self._of_tab(self.actions.place)(int(event.client_id), event.screen_pos)
 
     async def _boxed(self, event: Any) -> None:
         how = "replace" if event.modifier == "shift" else "add"
@@ -356,10 +346,7 @@ class Studio:
         self._said = text
 
     def _complain(self, error: Exception) -> None:
-        text = plain(str(error))
-        self._said = f"⚠ {text}"
-        if self._owner is not None:
-            self._tell(self._owner, "That did not work", text)
+        self._said = f"⚠ {plain(str(error))}"
 
     def _failed(self, error: Exception) -> None:
         """What should not happen is said without its trace; the last good picture stays."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
 
+from pcore.editing.autosave import read_session
 from pcore.errors import EditError, InputError
 from pcore.geometry.camera import Camera
+from pcore.studio.guard import plain
 from pcore.studio.outputs import camera_frame, write_cameras, write_film, write_picture
 from pcore.studio.viewport import Viewport
 
@@ -38,9 +39,9 @@ class StudioFiles:
         """Keep what would be lost; a full disk is said and ends nothing."""
         self.saved = False
         try:
-            self._studio.outputs.keep(self._studio.editor.session.stack, self._frames())
-        except OSError as error:
-            self._studio.say(f"⚠ Autosave is not possible: {error.strerror}. Save elsewhere.")
+            self._studio.outputs.keep(self._studio.editor.session, self._frames())
+        except (OSError, EditError) as error:
+            self._studio.say(f"⚠ Autosave is not possible: {plain(str(error))}")
 
     def save(self, name: str) -> None:
         """Write the edit file, by the name that the page gives.
@@ -125,23 +126,19 @@ class StudioFiles:
         """End the film that is being written."""
         self._stopped.set()
 
-    def restore(self, frames: Sequence[dict[str, Any]]) -> None:
-        """Take over camera keys of an autosave; those that are damaged are left out."""
-        self.cameras = []
-        for frame in frames:
-            try:
-                camera = Camera(
-                    world_from_camera=torch.tensor(frame["transform_matrix"]),
-                    width=int(frame["w"]),
-                    height=int(frame["h"]),
-                    fx=float(frame["fl_x"]),
-                    fy=float(frame["fl_y"]),
-                    cx=float(frame["cx"]),
-                    cy=float(frame["cy"]),
-                )
-                self.cameras.append((float(frame["time"]), camera))
-            except (KeyError, TypeError, ValueError, InputError):
-                continue
+    def restore(self) -> None:
+        """Go on with the autosave; its camera keys that are damaged are left out.
+
+        Raises:
+            EditError: it is damaged, or of another object.
+        """
+        studio = self._studio
+        asset = studio.editor.asset
+        found = read_session(studio.outputs.autosave, asset.points, rig=asset.rig)
+        studio.editor.resume(found.session)
+        frames: Any = found.view.get("cameras", []) if isinstance(found.view, dict) else []
+        self.cameras = [key for key in map(_camera_key, frames) if key is not None]
+        studio.say("Restored what was not saved.")
 
     def _frames(self) -> list[dict[str, Any]]:
         return [{"time": time, **camera_frame(camera)} for time, camera in self.cameras]
@@ -154,3 +151,19 @@ class StudioFiles:
             raise InputError(f"picture: expected a width of 16 to {_LARGEST}, got {width}")
         height = max(16, round(width * camera.height / camera.width / 2) * 2)
         return camera.resized(round(width / 2) * 2, height)
+
+
+def _camera_key(frame: Any) -> tuple[float, Camera] | None:
+    try:
+        camera = Camera(
+            world_from_camera=torch.tensor(frame["transform_matrix"]),
+            width=int(frame["w"]),
+            height=int(frame["h"]),
+            fx=float(frame["fl_x"]),
+            fy=float(frame["fl_y"]),
+            cx=float(frame["cx"]),
+            cy=float(frame["cy"]),
+        )
+        return float(frame["time"]), camera
+    except (KeyError, TypeError, ValueError, InputError):
+        return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ _FAR = 160.0
 """Depth on the page of what is not there; viser's code for depths ends at 167."""
 _SLACK = 0.3
 """Depth on the page that handles may lie below the surface and still be seen."""
+_OVERLAP = 0.12
+"""Seconds that a picture stays behind splats that become visible."""
 _QUALITY = 92
 
 
@@ -45,6 +48,7 @@ class Viewport:
         self._splats: Any = None
         self._dots: Any = None
         self._resting = False
+        self._since: float | None = None
 
     @property
     def number(self) -> int:
@@ -76,13 +80,19 @@ class Viewport:
         return torch.from_numpy(self._frame.to_world(self.client.camera.position)).float()
 
     def moving(self) -> None:
-        """Show the splats that there are, at once."""
+        """Show the splats that there are, at once.
+
+        The picture before them stays for a moment: browsers sort splats that become visible first,
+        and would show nothing meanwhile.
+        """
+        now = time.monotonic()
         if self._resting:
-            self._resting = False
-            with self.client.atomic():
-                self.client.scene.set_background_image(self._empty, format="png")
-                if self._splats is not None:
-                    self._splats.visible = True
+            self._resting, self._since = False, now
+            if self._splats is not None:
+                self._splats.visible = True
+        elif self._since is not None and now > self._since + _OVERLAP:
+            self._since = None
+            self.client.scene.set_background_image(self._empty, format="png")
 
     def show_splats(self, splats: Splats) -> None:
         """Show other splats."""
@@ -99,7 +109,7 @@ class Viewport:
 
     def show_picture(self, pixels: NDArray[np.uint8], depth: NDArray[np.float32] | None) -> None:
         """Show a picture of ours in the place of the splats."""
-        self._resting = True
+        self._resting, self._since = True, None
         with self.client.atomic():
             self.client.scene.set_background_image(
                 pixels, format="jpeg", jpeg_quality=_QUALITY, depth=depth
