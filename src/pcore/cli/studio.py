@@ -6,6 +6,7 @@ import shutil
 import signal
 import tempfile
 import threading
+import traceback
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,7 +98,12 @@ def _opened(command: StudioCommand, stack: ExitStack) -> Studio:
     outputs = Outputs(folder=folder, edit=command.edit or folder / "edit.json", run=run)
     guard = Guard(host=command.host, port=command.port)
     title = "demo" if command.demo else run.resolve().name
-    return Studio(asset, guard, outputs, title=title, tour=command.demo)
+    return Studio(asset, guard, outputs, title=title, tour=command.demo, report=_report)
+
+
+def _report(error: Exception) -> None:
+    """What should not happen stands in the terminal; the page shows no trace."""
+    traceback.print_exception(error)
 
 
 def _demo(stack: ExitStack) -> Path:

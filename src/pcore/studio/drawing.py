@@ -29,7 +29,7 @@ _EXPOSED = torch.tensor([250, 190, 5], dtype=torch.uint8)
 _SOLID = 0.5
 _CAMERAS = 20
 """Training views that say what was never seen; each takes milliseconds."""
-_SHADE = 12
+_SHADE = 40
 """Steps of a colour that differ from calm."""
 
 

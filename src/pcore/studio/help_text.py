@@ -12,8 +12,7 @@ HELP = """
 | **Back, take away** | Escape while dragging, Delete for the selected handle |
 | **Freeze, let go** | H, Shift-H |
 | **Key, play** | I, space |
-| **Overlay, compare** | O, C |
-| **Whole object** | F |
+| **Overlay, whole object** | O, F |
 
 Red dots: space folds there. Let go and the handle returns to the last good place; hold less still
 (freeze fewer points), or drag less far.

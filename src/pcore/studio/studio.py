@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import Any
 
 from pcore.asset.asset import Asset
-from pcore.errors import PcoreError
 from pcore.studio.actions import COMMANDS, NEWEST, OF_TAB, Actions
 from pcore.studio.drawing import Drawer
 from pcore.studio.editor import Editor
-from pcore.studio.guard import Guard, plain
+from pcore.studio.guard import Guard
 from pcore.studio.handle_edit import HandlePose
 from pcore.studio.handle_nodes import HandleNodes
 from pcore.studio.help_text import HELP, TOUR
@@ -21,8 +19,8 @@ from pcore.studio.panels import Panels
 from pcore.studio.server import open_server
 from pcore.studio.showing import Showing
 from pcore.studio.studio_files import StudioFiles
+from pcore.studio.tabs import Tabs
 from pcore.studio.viewport import Viewport
-from pcore.studio.worker import Worker
 
 _HOME = (0.75, -0.75, 0.5)
 """Direction from the object to the first camera."""
@@ -32,11 +30,22 @@ _ANGLE = 0.7
 """Its vertical field of view, radians."""
 
 
-class Studio:
+def _nowhere(error: Exception) -> None:
+    """Say nothing."""
+
+
+class Studio(Tabs):
     """A running page. `close` ends it."""
 
     def __init__(
-        self, asset: Asset, guard: Guard, outputs: Outputs, *, title: str, tour: bool = False
+        self,
+        asset: Asset,
+        guard: Guard,
+        outputs: Outputs,
+        *,
+        title: str,
+        tour: bool = False,
+        report: Callable[[Exception], None] = _nowhere,
     ) -> None:
         """Open the page; it answers at `guard.url` when this returns.
 
@@ -46,12 +55,14 @@ class Studio:
             outputs: where it may write; its edit file is opened if it exists.
             title: of the page.
             tour: show the first steps.
+            report: told of what should not happen, for the terminal.
 
         Raises:
             EditError: the edit file is not valid or does not fit the points.
             DependencyError: viser is not installed.
             InputError: the port is taken.
         """
+        super().__init__(report)
         edit = outputs.edit if outputs.edit.is_file() else None
         self.editor, self.title = Editor(asset, edit), title
         self.outputs, self._tour = outputs, 0 if tour else None
@@ -60,12 +71,7 @@ class Studio:
         self.files = StudioFiles(self)
         self.actions = Actions(self)
         self.wishes = self._wishes()
-        self.worker = Worker(self._failed)
         self._showing = Showing(self.editor, self.drawer, self.frame)
-        self._lock, self._latest = threading.Lock(), dict[str, Callable[[], object]]()
-        self._viewports: dict[int, Viewport] = {}
-        self._owner: int | None = None
-        self._said = ""
         self._seen = self.editor.session.history.present.number
         self.url = guard.url
         self.server = open_server(guard, label=title)
@@ -128,20 +134,16 @@ class Studio:
             self.worker.draw(None, self._rest)
 
         def join() -> None:
-            self._viewports[viewport.number] = viewport
-            if self._owner is None:
-                self._owner = viewport.number
+            if self._join(viewport):
                 self._offer(client)
+            viewport.fit(self._eye)
             self._refresh()
 
         self.worker.do(join)
 
     async def _left(self, client: Any) -> None:
         def leave() -> None:
-            self._viewports.pop(int(client.client_id), None)
-            if self._owner == int(client.client_id):
-                self.editor.cancel()  # Who leaves in the middle of a drag has not let go.
-                self._owner = next(iter(self._viewports), None)
+            self._leave(int(client.client_id))
             self._refresh()
 
         self.worker.do(leave)
@@ -176,70 +178,6 @@ class Studio:
             "stop_film": self._stop_film,
             "take_over": self._take_over,
         }
-
-    def _wish(self, do: Callable[..., object]) -> Callable[..., None]:
-        def wish(tab: int, *values: Any) -> None:
-            if self._may(tab):
-                self.perform(lambda: do(*values))
-
-        return wish
-
-    def _of_tab(self, do: Callable[..., object]) -> Callable[..., None]:
-        def wish(tab: int, *values: Any) -> None:
-            viewport = self._viewports.get(tab)
-            if viewport is not None and self._may(tab):
-                self.perform(lambda: do(viewport, *values))
-
-        return wish
-
-    def _newest_of(self, name: str, do: Callable[..., object]) -> Callable[..., None]:
-        def wish(tab: int, *values: Any) -> None:
-            if self._may(tab):
-                self.newest(f"{name} {values[:-1]}", lambda: do(*values))
-
-        return wish
-
-    def newest(self, name: str, do: Callable[[], object], *, light: bool = False) -> None:
-        """Let the worker do this; of those with one name only the newest when it comes to it."""
-        with self._lock:
-            first = name not in self._latest
-            self._latest[name] = do
-        if first:
-            self.perform(lambda: self._take(name)(), light=light)
-
-    def _take(self, name: str) -> Callable[[], object]:
-        with self._lock:
-            return self._latest.pop(name)
-
-    def perform(self, do: Callable[[], object], *, light: bool = False) -> None:
-        """Let the worker do something and show what came of it; light: of a drag, the splats."""
-
-        def command() -> None:
-            try:
-                self._said = ""
-                do()
-            except PcoreError as error:
-                self._complain(error)
-            if light:
-                self._show_drag()
-            else:
-                self._refresh()
-
-        self.worker.do(command)
-
-    def _may(self, tab: int) -> bool:
-        if tab == self._owner:
-            return True
-        self._tell(tab, "Another tab edits this object", "Press *Edit in this tab* to go on here.")
-        return False
-
-    def _take_over(self, tab: int) -> None:
-        def take() -> None:
-            self.editor.cancel()
-            self._owner = tab
-            self._tell(tab, "This tab edits now", "")
-
-        self.perform(take)
 
     async def _clicked(self, event: Any) -> None:
         self._of_tab(self.actions.place)(int(event.client_id), event.screen_pos)
@@ -276,6 +214,7 @@ class Studio:
         if viewport is not None:
             camera = viewport.client.camera
             camera.look_at, camera.position = (0.0, 0.0, 0.0), self._eye
+            viewport.fit(self._eye)
 
     def _help(self, tab: int) -> None:
         viewport = self._viewports.get(tab)
@@ -318,6 +257,9 @@ class Studio:
         self.nodes.show(editor.handles, editor.shown.handle, warn=warn, moved=False)
         self.worker.draw(self._move, self._rest)
 
+    def _let_go(self) -> None:
+        self.editor.cancel()
+
     def _move(self) -> None:
         self._showing.move(list(self._viewports.values()))
 
@@ -340,23 +282,6 @@ class Studio:
         done = (label == "do anchors", "anchors" in label, label != "do twist", True)
         if self._tour is not None and self._tour < len(done) and done[self._tour]:
             self._tour += 1
-
-    def say(self, text: str) -> None:
-        """Show a line below the title, until the next command."""
-        self._said = text
-
-    def _complain(self, error: Exception) -> None:
-        self._said = f"⚠ {plain(str(error))}"
-
-    def _failed(self, error: Exception) -> None:
-        """What should not happen is said without its trace; the last good picture stays."""
-        self.error = error
-        self._complain(PcoreError(f"{type(error).__name__}: see the terminal"))
-
-    def _tell(self, tab: int, title: str, text: str) -> None:
-        viewport = self._viewports.get(tab)
-        if viewport is not None:
-            viewport.client.add_notification(title, text, auto_close_seconds=6)
 
 
 _COMMANDS: tuple[tuple[Any, ...], ...] = (

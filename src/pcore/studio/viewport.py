@@ -15,7 +15,7 @@ from pcore.data.pictures import to_bytes
 from pcore.gaussians.splats import Splats
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
-from pcore.studio.page_frame import PageFrame
+from pcore.studio.page_frame import SIZE, PageFrame
 
 MOST_PIXELS = 480_000
 """Of a picture at rest; tabs that are larger show it enlarged."""
@@ -24,6 +24,8 @@ _FAR = 160.0
 """Depth on the page of what is not there; viser's code for depths ends at 167."""
 _SLACK = 0.3
 """Depth on the page that handles may lie below the surface and still be seen."""
+_LOWER = 0.25
+"""How far below the object high windows look, in sizes of it."""
 _OVERLAP = 0.12
 """Seconds that a picture stays behind splats that become visible."""
 _QUALITY = 92
@@ -78,6 +80,20 @@ class Viewport:
     def eye(self) -> Tensor:
         """(3,) where the tab looks from, world units."""
         return torch.from_numpy(self._frame.to_world(self.client.camera.position)).float()
+
+    def fit(self, eye: tuple[float, float, float]) -> None:
+        """In a window that is higher than wide, step back until the object fits its width.
+
+        Args:
+            eye: (3,) on the page, where the object fits a window that is wide enough.
+        """
+        camera = self.client.camera
+        away = int(camera.image_height) / max(int(camera.image_width), 1)
+        if away > 1.0:
+            # The panel covers the lower part of such a window.
+            x, y, z = (away * one for one in eye)
+            down = _LOWER * away * SIZE
+            camera.position, camera.look_at = (x, y, z - down), (0.0, 0.0, -down)
 
     def moving(self) -> None:
         """Show the splats that there are, at once.
