@@ -25,8 +25,9 @@ from reprojected_truth import PhotoSurface
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from pcore.asset.asset import Asset, Posed
+from pcore.asset.asset import Asset
 from pcore.asset.content import LightName
+from pcore.asset.posed_asset import Posed
 from pcore.asset.saving import neural_points_of
 from pcore.data.load import load_scene
 from pcore.evaluation.ground_truth import DeformedTruth

@@ -63,3 +63,17 @@ def test_a_session_of_another_object_is_not_shown(asset: Asset) -> None:
     other = pcore.EditSession(torch.zeros(3, 3) + torch.arange(3.0).unsqueeze(1))
     with pytest.raises(InputError, match="splats: expected positions"):
         asset.splats(other, EYE)
+
+
+def test_a_light_as_a_second_stage_is_the_light_of_one(runs: dict[str, Path]) -> None:
+    asset = pcore.load(runs["lit"])
+    edit = {"version": 2, "edits": [{"type": "rigid", "axis": "x", "angle_deg": 90}]}
+    baked, lit = asset.pose(edit, light="baked"), asset.pose(edit)
+    gains, expected = asset.gains_of(asset.lit(baked)), asset.gains_of(lit)
+    assert gains is not None
+    assert expected is not None
+    assert torch.equal(gains, expected)
+    assert asset.gains_of(baked) is None
+    kept = asset.gains_of(asset.lit(baked, gains))
+    assert kept is not None
+    assert torch.equal(kept, gains)

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 import tiny_scene
-from pcore.asset.asset import Asset, Posed
+from pcore.asset.asset import Asset
+from pcore.asset.posed_asset import Posed
 from pcore.asset.saving import asset_of
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypedDict, Unpack, overload
+from typing import Any, Unpack, overload
 
-import torch
 from torch import Tensor
 
 from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
+from pcore.asset.posed_asset import How, Posed
 from pcore.asset.posing import Edit, EditLike, animation_of, bind_motion, script_of
 from pcore.contrib.learned_skinning import Skinning
 from pcore.data.load import load_scene
@@ -25,39 +25,11 @@ from pcore.files.provenance import Provenance
 from pcore.files.run_record import RunRecord
 from pcore.gaussians.splats import Splats, SplatsAtRest
 from pcore.geometry.camera import Camera
-from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
 from pcore.relight.relighting import Relighting
 from pcore.render.image import Image
 
 WHITE: Color = (1.0, 1.0, 1.0)
-
-
-class How(TypedDict, total=False):
-    """Options of `Asset.render`; see `Sampling`."""
-
-    samples: int | None
-    fast: bool
-    detail: float | None
-    cancel: Callable[[], bool] | None
-    progress: Callable[[float], None] | None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Posed:
-    """An asset as an edit leaves it; made by `Asset.pose`, drawn by `Asset.render`.
-
-    Attributes:
-        points: (N, 3) where its points are, world units.
-        local_maps: how space moved around them; None where plain rays do not need it.
-        notes: what is odd about the edits and was not refused, a sentence each.
-        content: what the kind of object is posed as.
-    """
-
-    points: Tensor = field(repr=False)
-    local_maps: LocalMaps | None = field(repr=False)
-    notes: tuple[str, ...] = ()
-    content: Any = field(repr=False)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -164,31 +136,34 @@ class Asset:
         *,
         gains: Tensor | None = None,
     ) -> Splats:
-        """Show the object as splats, as browsers draw them: for while something moves.
+        """Show the object as splats, as browsers draw them, in its colours for one place.
 
-        Gaussians as they are, in their colours for this place; neural points as flat discs, which
-        take a second the first time.
+        Neural points become flat discs, which take a second the first time.
 
         Args:
-            posed: from `pose`, or straight from a session, which is faster; None is the object as
-                it was photographed.
+            posed: from `pose`, or straight from a session, which is faster; None: as photographed.
             eye: (3,) where it is seen from, world units.
-            gains: (N,) factors on the brightness, such as `gains_of` what was posed last; None
-                takes those of `posed` itself.
+            gains: (N,) factors on the brightness; None takes those of `posed`.
 
         Raises:
             InputError: of another object.
         """
-        if posed is None:
+        state = posed.state if isinstance(posed, EditSession) else posed
+        if isinstance(state, EditState):
+            return self.splats_at_rest.moved(state.points, state.bound.linear, eye, gains)
+        if state is None:
             return self.splats_at_rest.moved(self.points, None, eye, gains)
-        if isinstance(posed, EditSession):
-            posed = posed.state
-        if isinstance(posed, EditState):
-            return self.splats_at_rest.moved(posed.points, posed.bound.linear, eye, gains)
-        maps = posed.local_maps
-        linear = None if maps is None else torch.linalg.inv(maps.to_rest.double())
-        gains = self.gains_of(posed) if gains is None else gains
-        return self.splats_at_rest.moved(posed.points, linear, eye, gains)
+        gains = self.gains_of(state) if gains is None else gains
+        return self.splats_at_rest.moved(state.points, state.linear, eye, gains)
+
+    def lit(self, posed: Posed, gains: Tensor | None = None) -> Posed:
+        """Light what was posed with `light="baked"`: the second stage of a picture.
+
+        Args:
+            posed: from `pose` with aware rays.
+            gains: (N,) of what was posed last; None finds those of the light of the photos.
+        """
+        return replace(posed, content=self.content.lit(posed.content, gains))
 
     def gains_of(self, posed: Posed) -> Tensor | None:
         """(N,) factors by which the light on its points has changed; None: as in the photos."""

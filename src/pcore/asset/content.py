@@ -133,6 +133,16 @@ class Content(Protocol[P]):
         """How space moved around them; None where nothing remembers it."""
         ...
 
+    def lit(self, posed: P, gains: Tensor | None) -> P:
+        """Return what was posed under a light.
+
+        Args:
+            posed: with shapes carried along, as "aware" does.
+            gains: (N,) as `gains_of`; None finds those of the light of the photos, which stands
+                still; without such a light nothing changes.
+        """
+        ...
+
     def gains_of(self, posed: P) -> Tensor | None:
         """(N,) factors on the brightness of its points, for a light; None: that of the photos."""
         ...

@@ -117,18 +117,32 @@ class GaussianContent:
             exact = self.points.double()
             positions = motion(exact)
             maps = analytic_maps(motion, self.points) if rays == "aware" else None
-        gains = None
-        if maps is not None and relighting is not None and self.surfels is not None:
-            world = motion.world if isinstance(motion, MovedPoints) else 1.0
-            gains = gaussian_gains(relighting, self.surfels, positions, maps, world=world)
         device = self.gaussians.means.device
         positions = positions.to(self.gaussians.means)
         if maps is None or rays == "plain":
             moved = replace(self.gaussians, means=positions)
             return MovedGaussians(drawn=PosedGaussians(gaussians=moved))
         linear = torch.linalg.inv(maps.to_rest.double()).to(positions).to(device)
-        factors = None if gains is None else gains.to(positions).unsqueeze(1)
-        return MovedGaussians(drawn=pose(self.gaussians, positions, linear, factors), maps=maps)
+        posed = MovedGaussians(drawn=pose(self.gaussians, positions, linear), maps=maps)
+        world = motion.world if isinstance(motion, MovedPoints) else 1.0
+        return posed if relighting is None else self._relit(posed, relighting, world)
+
+    def _relit(
+        self, posed: MovedGaussians, relighting: Relighting, world: float = 1.0
+    ) -> MovedGaussians:
+        """The same under a light that stands still."""
+        if posed.maps is None or self.surfels is None:
+            return posed
+        means = posed.drawn.gaussians.means
+        gains = gaussian_gains(relighting, self.surfels, means, posed.maps, world=world)
+        return self.lit(posed, gains)
+
+    def lit(self, posed: MovedGaussians, gains: Tensor | None) -> MovedGaussians:
+        """See `Content.lit`."""
+        if gains is None:
+            return posed if self.light is None else self._relit(posed, self.light)
+        factors = gains.to(posed.drawn.gaussians.means).unsqueeze(1)
+        return replace(posed, drawn=replace(posed.drawn, gains=factors))
 
     def _relighting(self, rays: RaysName, light: LightName | None) -> Relighting | None:
         if light == "baked" or (light is None and rays == "plain"):

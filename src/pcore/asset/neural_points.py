@@ -81,6 +81,16 @@ class NeuralPoints:
         world = motion.world if isinstance(motion, MovedPoints) else 1.0
         return replace(posed, gains=relighting.gains(posed, world=world))
 
+    def lit(self, posed: PosedCloud, gains: Tensor | None) -> PosedCloud:
+        """See `Content.lit`."""
+        still = posed.positions is posed.cloud.positions
+        if gains is None and (self.light is None or still or posed.surfels is None):
+            return posed
+        if gains is None:
+            assert self.light is not None
+            gains = self.light.gains(posed)
+        return replace(posed, gains=gains) if posed.surfels is not None else posed
+
     def _moved(self, motion: Motion | None, *, aware: bool) -> PosedCloud:
         """The points where a motion takes them, as they were photographed."""
         if motion is None:

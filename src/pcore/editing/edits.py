@@ -31,14 +31,17 @@ from pcore.deform.simple import (
 from pcore.editing.fields import (
     AXIS,
     EXTENT,
+    ROTATION,
     Angle,
     Axis,
     Extent,
     Factor,
     Limits,
     Positive,
+    Rotation,
     Triple,
     check_turn,
+    turn_of,
 )
 from pcore.editing.regions import REGION, AnyRegion, Setting
 from pcore.errors import EditError
@@ -235,11 +238,12 @@ class ScaleEdit(PlacedEdit):
 
 
 class RigidEdit(PlacedEdit):
-    """Turn by `angle_deg` about the axis through the origin, then translate."""
+    """Turn by `angle_deg` about the axis through the origin, or by `rotation`, then translate."""
 
     type: Literal["rigid"] = "rigid"
     axis: Axis | None = Field(default=None, description=AXIS)
     angle_deg: Angle = 0.0
+    rotation: Annotated[Rotation | None, Field(description=ROTATION)] = None
     translation: Annotated[Triple, Field(description="three finite numbers [x, y, z]")] = (
         0.0,
         0.0,
@@ -248,13 +252,13 @@ class RigidEdit(PlacedEdit):
 
     @model_validator(mode="after")
     def _turn_needs_axis(self) -> RigidEdit:
-        check_turn(self.axis, self.angle_deg)
+        check_turn(self.axis, self.angle_deg, self.rotation)
         return self
 
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`."""
-        axis = "z" if self.axis is None else self.axis
-        return rigid(axis, math.radians(self.angle_deg), self.translation, self.origin)
+        turn = turn_of(self.axis, self.angle_deg, self.rotation)
+        return rigid(*turn, self.translation, self.origin)
 
 
 def _measure(points: Tensor, direction: Tensor) -> tuple[float, float]:

@@ -56,7 +56,7 @@ def set_key(raw: dict[str, Any], path: str, time: float, value: Any, easing: str
     track["keyframes"] = sorted([*keys, [time, value]], key=lambda key: key[0])
     if easing is not None:
         track["easing"] = easing
-    check_track(track)
+    check_track(track, str(name))
     parent[name] = track
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pcore.asset.asset import Asset, Posed
+from pcore.asset.asset import Asset
 from pcore.asset.content import LightName, MovedPoints, RaysName
+from pcore.asset.posed_asset import Posed
 from pcore.errors import EditError, InputError
 from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
