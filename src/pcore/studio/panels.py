@@ -15,6 +15,8 @@ from pcore.studio.editor import Editor
 EASINGS = ("smooth", "linear", "in", "out", "step")
 Wish = Callable[..., None]
 """Takes the number of the tab, then what the widget says."""
+_SAID = {"anchors": "handles"}
+"""What the page calls kinds of edit that edit files call otherwise."""
 _NO_EDIT = "*No edits yet.* Ctrl-click the object to put a handle on it, or add an edit above."
 
 
@@ -252,7 +254,7 @@ class Panels:
             if not names:
                 self._list.append(self._gui.add_markdown(_NO_EDIT))
             for index, (kind, name, enabled) in enumerate(names):
-                label = f"{index + 1}  {name or kind}" + ("" if enabled else "  (off)")
+                label = f"{index + 1}  {name or _SAID.get(kind, kind)}" + ("" if enabled else "  (off)")
                 button = self._gui.add_button(label, color=None if index == selected else "gray")
                 self._on_click(button, "select", index)
                 self._list.append(button)
@@ -264,7 +266,7 @@ class Panels:
     def _build_card(self, editor: Editor, index: int) -> None:
         gui, raw = self._gui, editor.raw(index)
         kind = raw["type"]
-        name = gui.add_text("Name", raw.get("name") or kind)
+        name = gui.add_text("Name", raw.get("name") or _SAID.get(kind, kind))
         self._on_update(name, "rename", index)
         enabled = gui.add_checkbox("On", raw.get("enabled", True))
         self._on_update(enabled, "enable", index)
