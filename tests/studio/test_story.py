@@ -68,7 +68,6 @@ class Page:
             keyboard.up(key)
         self.tab.wait_for_timeout(600)
 
-
     def end(self, how: signal.Signals) -> int:
         """End the server and the tab; return its exit code."""
         self.server.send_signal(how)

@@ -254,7 +254,9 @@ class Panels:
             if not names:
                 self._list.append(self._gui.add_markdown(_NO_EDIT))
             for index, (kind, name, enabled) in enumerate(names):
-                label = f"{index + 1}  {name or _SAID.get(kind, kind)}" + ("" if enabled else "  (off)")
+                label = f"{index + 1}  {name or _SAID.get(kind, kind)}" + (
+                    "" if enabled else "  (off)"
+                )
                 button = self._gui.add_button(label, color=None if index == selected else "gray")
                 self._on_click(button, "select", index)
                 self._list.append(button)
