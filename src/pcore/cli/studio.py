@@ -30,7 +30,7 @@ _FOLDER = "studio"
 class StudioCommand:
     """Take an object in your hand: drag it, see it, undo it, key it, film it."""
 
-    run_or_file: Annotated[Positional[Path | None], arg(metavar="RUN")] = None
+    run_or_file: Annotated[Positional[Path | None], optional("RUN")] = None
     """Folder of a run; not needed with --demo."""
 
     edit: Annotated[Path | None, optional("FILE")] = None

@@ -15,7 +15,7 @@ from pcore.studio.handle_nodes import HandleNodes
 from pcore.studio.help_text import HELP, TOUR
 from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import SIZE, PageFrame
-from pcore.studio.panels import Panels
+from pcore.studio.widgets import Panels
 from pcore.studio.server import open_server
 from pcore.studio.showing import Showing
 from pcore.studio.studio_files import StudioFiles
@@ -210,8 +210,7 @@ class Studio(Tabs):
             self.files.stop()
 
     def _home(self, tab: int) -> None:
-        viewport = self._viewports.get(tab)
-        if viewport is not None:
+        if (viewport := self._viewports.get(tab)) is not None:
             camera = viewport.client.camera
             camera.look_at, camera.position = (0.0, 0.0, 0.0), self._eye
             viewport.fit(self._eye)
@@ -246,7 +245,7 @@ class Studio(Tabs):
             camera_keys=len(self.files.cameras),
         )
         self.panels.playing(self.actions.playing)
-        self.panels.shows_owner(self._owner, len(self._viewports))
+        self.panels.several(len(self._viewports))
         shown = editor.shown
         self.nodes.show(editor.handles, shown.handle, warn=False, moved=True)
         self.worker.draw(self._move, self._rest)

@@ -20,16 +20,14 @@ _SAID = {"anchors": "handles"}
 _NO_EDIT = "*No edits yet.* Ctrl-click the object to put a handle on it, or add an edit above."
 
 
-@dataclass(kw_only=True)
+@dataclass(frozen=True)
 class Widgets:
     """Handles of viser that change with the state."""
 
     status: Any
-    history: Any
     time: Any
     keys: Any
     play: Any
-    folds: Any
     overlay: Any
     compare: Any
     still: Any
@@ -74,22 +72,8 @@ class Panels:
             overlay, compare, still = self._view_tab(lit)
         with tabs.add_tab("Files"):
             name_, progress, line = self._files_tab(name)
-        self._w = Widgets(
-            status=status,
-            history=history,
-            time=time,
-            keys=keys,
-            play=play,
-            folds=None,
-            overlay=overlay,
-            compare=compare,
-            still=still,
-            name=name_,
-            progress=progress,
-            line=line,
-            chosen=chosen,
-            owner=owner,
-        )
+        shown = (status, time, keys, play, overlay, compare, still, name_, progress, line)
+        self._w = Widgets(*shown, chosen, owner)
 
     # What stands in the panel
 
@@ -209,10 +193,9 @@ class Panels:
                 if widget is not None and abs(widget.value - value) > 1e-9:
                     widget.value = min(max(value, widget.min), widget.max)
 
-    def shows_owner(self, number: int | None, count: int) -> None:
-        """Say that only one of several tabs edits, and offer to go on in another."""
-        self._w.owner.visible = count > 1
-        self._w.owner.label = "Edit in this tab" if number is not None else "Edit here"
+    def several(self, tabs: int) -> None:
+        """Only one of several tabs edits; offer to go on in another."""
+        self._w.owner.visible = tabs > 1
 
     def progress(self, share: float | None) -> None:
         """Show how far a film is; None where there is none."""
