@@ -29,7 +29,7 @@ from pcore.asset.asset import Asset
 from pcore.asset.content import LightName
 from pcore.asset.posed_asset import Posed
 from pcore.asset.saving import neural_points_of
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.methods import open_subject
 from pcore.evaluation.runner import Method, carry

@@ -13,8 +13,8 @@ from torch import Tensor
 from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
 from pcore.asset.posed_asset import How, Posed
 from pcore.asset.posing import Edit, EditLike, animation_of, bind_motion, script_of
+from pcore.capture.load import load_scene
 from pcore.contrib.learned_skinning import Skinning
-from pcore.data.load import load_scene
 from pcore.data.scene import Scene
 from pcore.editing.anchors import AnchorRig, rig_with
 from pcore.editing.script import EditScript

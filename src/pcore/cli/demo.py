@@ -125,8 +125,8 @@ def _train(
     device: str,
 ) -> None:
     from pcore.asset.training import train
+    from pcore.capture.load import load_scene
     from pcore.cli.sessions import shown_training
-    from pcore.data.load import load_scene
     from pcore.demo.demo_folder import stamp_of
     from pcore.demo.demo_story import BASELINE, CARRIED, RUNS
     from pcore.files.records import to_dict
@@ -150,8 +150,8 @@ def _train(
 def _finetune(folder: DemoFolder, settings: DemoSettings, console: Console, device: str) -> None:
     from pcore.asset.saving import load
     from pcore.asset.training import finetune
+    from pcore.capture.load import load_scene
     from pcore.cli.sessions import shown_training
-    from pcore.data.load import load_scene
     from pcore.demo.demo_folder import stamp_of
     from pcore.files.model_file import MODEL_FILE
     from pcore.files.records import to_dict

@@ -23,14 +23,14 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         InputError: an option that Gaussians do not have.
         PcoreError: as `fit_gaussians` and the run folder.
     """
+    from pcore.capture.load import load_scene
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
-    from pcore.data.load import load_scene
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
     config = _config(command)
-    scene = load_scene(command.scene, factor=command.factor)
+    scene = load_scene(command.scene, factor=command.factor, tell=console.print)
     masked = all(view.has_alpha for view in scene.split("train"))
     start = config.start if config.start != "auto" else "hull" if masked else "views"
     warn_of_start(scene, start, console, otherwise="views")

@@ -9,6 +9,7 @@ from pcore.data.images import background_color
 from pcore.data.scene import Scene, check_images, hold_out
 from pcore.errors import TrainingError
 from pcore.files.run_folder import RunFolder
+from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import GaussianPictures, PosedGaussians, render_views, view_matrices
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.gaussian_config import GaussianConfig
@@ -29,6 +30,7 @@ def fit_gaussians(
     scene: Scene,
     config: GaussianConfig,
     *,
+    start: Gaussians | None = None,
     folder: RunFolder | None = None,
     listener: Listener = silent,
     device: str = "cpu",
@@ -40,6 +42,7 @@ def fit_gaussians(
     Args:
         scene: its `train` split is used, nothing else; every `hold_out`-th view only validates.
         config: numbers, rates, schedule.
+        start: Gaussians to begin with; None takes those that `config.start` says.
         folder: where to save and what to continue from; None keeps everything in memory.
         listener: told of steps, validations, changes of the population, saves.
         device: "cpu", or "cuda" with gsplat.
@@ -54,7 +57,9 @@ def fit_gaussians(
     check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     masked = all(view.has_alpha for view in views)
-    start = start_gaussians(scene, views, config, torch.Generator().manual_seed(config.seed))
+    if start is None:
+        generator = torch.Generator().manual_seed(config.seed)
+        start = start_gaussians(scene, views, config, generator)
     work = trainable_gaussians(
         start.to(where),
         distance=camera_distance(scene),
@@ -83,7 +88,13 @@ def fit_gaussians(
         if _grows(work.step, config):
             found.means2d.retain_grad()
         shown[:] = [found]
-        return _photometric(found.rgb, photo_on(views[index], color, where), config.ssim_weight)
+        photo = photo_on(views[index], color, where)
+        valid = views[index].valid()
+        if valid is None:
+            return _photometric(found.rgb, photo, config.ssim_weight)
+        # Where the photo shows nothing, rendering is neither right nor wrong.
+        rgb = torch.where(valid.to(where)[..., None], found.rgb, photo)
+        return _photometric(rgb, photo, config.ssim_weight)
 
     def after_step(tell: Listener) -> None:
         _observe(work, shown.pop())
