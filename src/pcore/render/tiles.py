@@ -25,6 +25,7 @@ from pcore.model.papr import Papr, constant
 from pcore.model.unet import ALIGNMENT
 from pcore.render.image import Image
 from pcore.render.raster import Raster
+from pcore.render.reachable import reachable
 from pcore.render.surface import middle_surface, surface_of
 from pcore.render.trace import trace
 
@@ -115,8 +116,15 @@ def paint(
     """
     height, width = raster.size
     waiting, complete = deque(windows(raster)), 0
+    shown = reachable(posed, raster.camera, papr.config.cutoff)
     for wanted in torch.arange(height * width).split(chunk):
-        trace_pixels(canvas, papr, posed, _rays_of(raster, wanted), wanted, threshold)
+        rays, sent = _rays_of(raster, wanted), wanted
+        if shown is not None:
+            met = shown.view(-1)[wanted]
+            _leave_out(canvas, wanted[~met])
+            rays, sent = rays[met], wanted[met]
+        if len(sent):
+            trace_pixels(canvas, papr, posed, rays, sent, threshold)
         yield complete
         while waiting and waiting[0][0][0].stop * width <= wanted[-1] + 1:
             window = waiting.popleft()
@@ -124,6 +132,15 @@ def paint(
             rows, columns = window[2]
             complete = rows.stop if columns.stop == width else complete
             yield complete
+
+
+def _leave_out(canvas: Canvas, pixels: Tensor) -> None:
+    """Fill pixels (M,), given by their numbers, with what rays have that hit nothing."""
+    flat = pixels.to(canvas.alpha.device)
+    rows, width, channels = canvas.features.shape
+    canvas.features.view(-1, channels)[flat % (rows * width)] = 0.0
+    canvas.alpha.view(-1)[flat] = 0.0
+    canvas.surface.view(-1, 3)[flat] = math.nan
 
 
 def _rays_of(raster: Raster, wanted: Tensor) -> RayBundle:
