@@ -1,6 +1,7 @@
 """The page without a page: what its commands do to the edits and to what is shown."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +117,24 @@ def test_a_turned_handle_comes_back_as_it_was_turned(editor: Editor) -> None:
     editor.drag(HandlePose(place=place, turn=turn))
     editor.drop()
     assert editor.handles[0].turn == pytest.approx(turn, abs=1e-6)
-    assert edits(editor)[0]["handles"][0]["angle_deg"] == pytest.approx(30, abs=1e-3)
+    assert edits(editor)[0]["handles"][0]["rotation"] == pytest.approx(turn, abs=1e-6)
+
+
+def test_handles_move_in_pairs_across_a_mirror(editor: Editor) -> None:
+    points = editor.asset.points
+    middle = float(points[:, 1].amin() + points[:, 1].amax()) / 2
+    editor.shown = replace(editor.shown, mirror="y")
+    editor.place_handle(int((points[:, 1] - middle).abs().argmax()))
+    first, second = editor.handles
+    assert first.place[1] - middle == pytest.approx(middle - second.place[1], abs=0.1)
+    x, y, z = first.place
+    editor.drag(HandlePose(place=(x, y + 0.1, z + 0.05)))
+    editor.drop()
+    moved = editor.handles[1].place
+    assert moved[1] == pytest.approx(second.place[1] - 0.1, abs=1e-6)
+    assert moved[2] == pytest.approx(second.place[2] + 0.05, abs=1e-6)
+    editor.undo()
+    assert editor.handles[1].place == pytest.approx(second.place, abs=1e-6)
 
 
 def test_a_handle_of_an_earlier_edit_moves_on_the_object(editor: Editor) -> None:

@@ -18,7 +18,18 @@ if TYPE_CHECKING:
 
 COMMANDS = (
     *("undo", "redo", "add", "select", "enable", "order", "limit", "remove_handle", "cancel"),
-    *("visible_only", "selection", "freeze", "thaw", "play", "key", "unkey", "overlay", "still"),
+    *(
+        "visible_only",
+        "selection",
+        "freeze",
+        "thaw",
+        "play",
+        "key",
+        "unkey",
+        "overlay",
+        "still",
+        "mirror",
+    ),
     *("save", "open"),
 )
 """Wishes that are all fulfilled, in their order."""
@@ -144,6 +155,10 @@ class Actions:
     def still(self, on: bool) -> None:
         """Whether the light stands still."""
         self._shown(still=on)
+
+    def mirror(self, axis: str) -> None:
+        """Across which axis handles move in pairs."""
+        self._shown(mirror=axis)
 
     def play(self, on: bool | None = None) -> None:
         """Let the timeline run, or stop it; None changes that."""

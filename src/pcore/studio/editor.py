@@ -8,11 +8,22 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pcore.editing.dragging import Mirror
 from pcore.editing.stack import raw_region
 from pcore.errors import EditError
-from pcore.studio.edit_forms import SLIDERS, value_at
-from pcore.studio.handle_edit import HandlePose, arriving, handle_points, moved_handle, placed
+from pcore.studio.edit_forms import AXES, SLIDERS, value_at
+from pcore.studio.handle_edit import (
+    HandlePose,
+    arriving,
+    handle_points,
+    mirrored,
+    moved_handle,
+    placed,
+)
 from pcore.studio.stack_editor import StackEditor
+
+_UNEVEN = 4.0
+"""Spacings."""
 
 
 class Editor(StackEditor):
@@ -33,16 +44,18 @@ class Editor(StackEditor):
         if index is None or self._kind(index) != "anchors":
             index = len(self.session.stack.edits)
         state = self.session.state
-        near = arriving(state, index)[point].tolist()
-        entry = {"near": near, "to": arriving(state, index + 1)[point].tolist()}
-        if index == len(self.session.stack.edits):
-            self.session.do({"type": "anchors", "handles": [entry]})
-        else:
-            raw = self._whole(index)
-            self._refuse_second(raw, point, index)
-            raw["handles"] = [*raw["handles"], entry]
-            self.session.replace(index, raw)
-        self._select(index, handle=len(self.raw(index)["handles"]) - 1)
+        before, after = arriving(state, index), arriving(state, index + 1)
+        fresh = index == len(self.session.stack.edits)
+        raw = {"type": "anchors", "handles": []} if fresh else self._whole(index)
+        self._refuse_second(raw, point, index)
+        number = len(raw["handles"])
+        entries = [
+            {"near": before[one].tolist(), "to": after[one].tolist()}
+            for one in self._pair(point, before)
+        ]
+        raw["handles"] = [*raw["handles"], *entries]
+        self.session.do(raw) if fresh else self.session.replace(index, raw)
+        self._select(index, handle=number)
 
     def select_handle(self, number: int | None) -> None:
         """Give a handle of the selected edit the gizmo."""
@@ -68,6 +81,8 @@ class Editor(StackEditor):
         raw = self.raw(index)
         before = placed(raw, self.session.state, index)[number]
         moved = moved_handle(raw, number, before, pose)
+        if self._mirror is not None:
+            moved = mirrored(moved, number, self._mirror, self._beside)
         state = self.session.preview(moved, at=index)
         self._dragged, self._held_raw = state, moved
         if not len(state.folds):
@@ -161,22 +176,52 @@ class Editor(StackEditor):
 
     def _keyed(self, index: int, raw: dict[str, Any]) -> list[tuple[str, Any]]:
         if raw["type"] == "anchors":
-            return [(f"handles/{k}/to", one["to"]) for k, one in enumerate(raw["handles"])]
+            names = ("to", "rotation")
+            return [
+                (f"handles/{k}/{name}", one[name])
+                for k, one in enumerate(raw["handles"])
+                for name in names
+                if one.get(name) is not None
+            ]
         first = SLIDERS[raw["type"]][0]
         return [(first.path, value_at(raw, first))]
 
     def _keep_handle(self, index: int, number: int, kept: dict[str, Any]) -> None:
-        path, to = f"handles/{number}/to", kept["handles"][number]["to"]
-        if self.session.tracks(index):
-            self.set(index, path, to) if path in self.session.tracks(index) else None
-        else:
+        tracks = self.session.tracks(index)
+        if not tracks:
             self.session.replace(index, kept)
+        for name in ("to", "rotation"):
+            path = f"handles/{number}/{name}"
+            if path in tracks:
+                self.set(index, path, kept["handles"][number][name])
 
     def _held(self) -> tuple[int, int]:
         index, number = self.shown.selected, self.shown.handle
         if index is None or number is None or self._kind(index) != "anchors":
             raise EditError("handle: expected a selected handle, got none; click one")
         return index, number
+
+    @property
+    def _mirror(self) -> Mirror | None:
+        """The plane across which handles move in pairs; None where they do not."""
+        if self.shown.mirror == "off":
+            return None
+        return Mirror.of(self.asset.points, AXES.index(self.shown.mirror))
+
+    @property
+    def _beside(self) -> float:
+        """How far from its image a handle may be: objects are not as even as planes."""
+        return _UNEVEN * self.spacing
+
+    def _pair(self, point: int, places: Tensor) -> list[int]:
+        """A point and, with a mirror, the one at its image; alone on the plane or without one."""
+        mirror = self._mirror
+        if mirror is None or abs(mirror.distance(places[point])) <= self._beside:
+            return [point]
+        image = torch.tensor(mirror.image(places[point]), dtype=places.dtype)
+        away = (places - image).norm(dim=1)
+        other = int(away.argmin())
+        return [point, other] if float(away[other]) <= self._beside else [point]
 
     def _refuse_second(self, raw: dict[str, Any], point: int, index: int) -> None:
         if point in handle_points(raw, arriving(self.session.state, index)):

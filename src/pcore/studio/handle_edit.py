@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from pcore.deform.frame import axis_vector
+from pcore.editing.dragging import Mirror
 from pcore.editing.state import EditState
 
 Quat = tuple[float, float, float, float]
@@ -92,9 +93,45 @@ def moved_handle(
     way = (_triple(after.place) - _triple(before.place)) / share
     one["to"] = (_triple(one["to"]) + way).tolist()
     if after.turn != before.turn:
-        one |= _axis_angle(after.turn)
+        one = {key: one[key] for key in one if key not in ("axis", "angle_deg")}
+        one["rotation"] = list(after.turn)
     handles = [one if k == number else other for k, other in enumerate(raw["handles"])]
     return {**raw, "handles": handles}
+
+
+def mirrored(raw: dict[str, Any], number: int, mirror: Mirror, tolerance: float) -> dict[str, Any]:
+    """Return an edit in which the handle on the other side does what one handle does.
+
+    Args:
+        raw: the edit, without keyframes.
+        number: of the handle that leads.
+        mirror: the plane between the sides, where `near` is measured.
+        tolerance: how far from the image of its place the other one may be, world units.
+    """
+    one = raw["handles"][number]
+    other = across(raw, number, mirror, tolerance)
+    if other is None:
+        return raw
+    there = dict(raw["handles"][other])
+    moved = _triple(mirror.image(one["to"])) - _triple(mirror.image(one["near"]))
+    there["to"] = (_triple(there["near"]) + moved).tolist()
+    if one.get("rotation") is not None:
+        there["rotation"] = list(mirror.turned(one["rotation"]))
+    handles = [there if k == other else entry for k, entry in enumerate(raw["handles"])]
+    return {**raw, "handles": handles}
+
+
+def across(raw: dict[str, Any], number: int, mirror: Mirror, tolerance: float) -> int | None:
+    """Number of the handle on the other side of a mirror; None where there is none."""
+    near = raw["handles"][number].get("near")
+    if near is None or abs(mirror.distance(near)) <= tolerance:
+        return None
+    image, found = _triple(mirror.image(near)), list[tuple[float, int]]()
+    for k, entry in enumerate(raw["handles"]):
+        if k != number and entry.get("near") is not None:
+            found.append((float((_triple(entry["near"]) - image).norm()), k))
+    away, other = min(found, default=(float("inf"), 0))
+    return other if away <= tolerance else None
 
 
 def _triple(values: Any) -> Tensor:
@@ -102,19 +139,11 @@ def _triple(values: Any) -> Tensor:
 
 
 def _turn(one: dict[str, Any]) -> Quat:
+    if one.get("rotation") is not None:
+        w, x, y, z = one["rotation"]
+        return w, x, y, z
     if one.get("axis") is None:
         return STILL
     half = math.radians(one.get("angle_deg", 0.0)) / 2
     x, y, z = (axis_vector(one["axis"]).double() * math.sin(half)).tolist()
     return math.cos(half), x, y, z
-
-
-def _axis_angle(turn: Quat) -> dict[str, Any]:
-    w, *vector = turn
-    along = torch.tensor(vector, dtype=torch.float64)
-    length = float(along.norm())
-    if length < 1e-9:
-        return {"axis": "z", "angle_deg": 0.0}
-    angle = math.degrees(2 * math.atan2(length, w))
-    angle = angle - 360 if angle > 180 else angle
-    return {"axis": (along / length).tolist(), "angle_deg": angle}

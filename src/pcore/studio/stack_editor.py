@@ -28,6 +28,7 @@ class Shown:
         chosen: numbers of the points that are selected.
         overlay: "none", "strain", "holes" or "handles".
         still: the light stands still, where the object has one.
+        mirror: "off", or the axis across which handles move in pairs: "x", "y" or "z".
         compare: share of the picture, from the left, that shows the object before the edits.
     """
 
@@ -36,6 +37,7 @@ class Shown:
     chosen: frozenset[int] = frozenset()
     overlay: str = "none"
     still: bool = True
+    mirror: str = "off"
     compare: float = 0.0
 
 

@@ -15,12 +15,12 @@ from pcore.studio.handle_nodes import HandleNodes
 from pcore.studio.help_text import HELP, TOUR
 from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import SIZE, PageFrame
-from pcore.studio.widgets import Panels
 from pcore.studio.server import open_server
 from pcore.studio.showing import Showing
 from pcore.studio.studio_files import StudioFiles
 from pcore.studio.tabs import Tabs
 from pcore.studio.viewport import Viewport
+from pcore.studio.widgets import Panels
 
 _HOME = (0.75, -0.75, 0.5)
 """Direction from the object to the first camera."""

@@ -9,10 +9,11 @@ from typing import Any
 from pcore.editing.stack import raw_edit
 from pcore.geometry.extent import size_of
 from pcore.studio.drawing import OVERLAYS
-from pcore.studio.edit_forms import CHOICES, NEW, SLIDERS, value_at
+from pcore.studio.edit_forms import AXES, CHOICES, NEW, SLIDERS, value_at
 from pcore.studio.editor import Editor
 
 EASINGS = ("smooth", "linear", "in", "out", "step")
+_NO_BOX = "Drag a box with Shift held."
 Wish = Callable[..., None]
 """Takes the number of the tab, then what the widget says."""
 _SAID = {"anchors": "handles"}
@@ -86,6 +87,10 @@ class Panels:
         async def _(event: Any) -> None:
             self._say("add", event, kind.value)
 
+        mirror = gui.add_dropdown(
+            "Mirror", ("off", *AXES), initial_value="off", hint="Handles move in pairs across it"
+        )
+        self._on_update(mirror, "mirror")
         self._edits = gui.add_folder("Edits")
         self._values = gui.add_folder("Selected edit", visible=False)
         with self._edits:
@@ -93,7 +98,7 @@ class Panels:
 
     def _select_tab(self) -> Any:
         gui = self._gui
-        chosen = gui.add_markdown("Drag a box with Shift held.")
+        chosen = gui.add_markdown(_NO_BOX)
         visible = gui.add_checkbox("Only what is seen", True)
         self._on_update(visible, "visible_only")
         self._on_choice(
@@ -173,9 +178,7 @@ class Panels:
         self._w.status.content = status
         self._w.line.content = line
         count = len(editor.shown.chosen)
-        self._w.chosen.content = (
-            f"**{count:,} points** are selected." if count else "Drag a box with Shift held."
-        )
+        self._w.chosen.content = f"**{count:,} points** are selected." if count else _NO_BOX
         self._w.overlay.value = editor.shown.overlay
         self._w.compare.value = editor.shown.compare
         self._times(editor, camera_keys)
@@ -217,10 +220,8 @@ class Panels:
             self._w.time.min = min(times[0], self._w.time.min)
             self._w.time.max = max(times[-1], self._w.time.max)
         said = ", ".join(f"{time:g}" for time in times)
-        lines = [f"Keys at {said}." if said else "No keys."]
-        if camera_keys:
-            lines.append(f"{camera_keys} camera keys.")
-        self._w.keys.content = " ".join(lines)
+        keys = f"Keys at {said}." if said else "No keys."
+        self._w.keys.content = f"{keys} {camera_keys} camera keys." if camera_keys else keys
 
     def _shape(self, editor: Editor) -> Any:
         """What the list of edits looks like; where that stays, only values change."""
