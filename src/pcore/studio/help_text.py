@@ -26,3 +26,7 @@ TOUR = (
     "That was the tour. Ctrl-click more places: handles that rest hold what is around them.",
 )
 """Of the demo, one step after another."""
+SAID = {"anchors": "handles"}
+"""What the page calls kinds of edit that edit files call otherwise."""
+NO_EDIT = "*No edits yet.* Ctrl-click the object to put a handle on it, or add an edit above."
+NO_BOX = "Drag a box with Shift held."

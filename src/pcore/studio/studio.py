@@ -243,8 +243,8 @@ class Studio(Tabs):
             self._status(),
             line=self.files.line,
             camera_keys=len(self.files.cameras),
+            playing=self.actions.playing,
         )
-        self.panels.playing(self.actions.playing)
         self.panels.several(len(self._viewports))
         shown = editor.shown
         self.nodes.show(editor.handles, shown.handle, warn=False, moved=True)

@@ -11,14 +11,11 @@ from pcore.geometry.extent import size_of
 from pcore.studio.drawing import OVERLAYS
 from pcore.studio.edit_forms import AXES, CHOICES, NEW, SLIDERS, value_at
 from pcore.studio.editor import Editor
+from pcore.studio.help_text import NO_BOX, NO_EDIT, SAID
 
 EASINGS = ("smooth", "linear", "in", "out", "step")
-_NO_BOX = "Drag a box with Shift held."
 Wish = Callable[..., None]
 """Takes the number of the tab, then what the widget says."""
-_SAID = {"anchors": "handles"}
-"""What the page calls kinds of edit that edit files call otherwise."""
-_NO_EDIT = "*No edits yet.* Ctrl-click the object to put a handle on it, or add an edit above."
 
 
 @dataclass(frozen=True)
@@ -52,9 +49,7 @@ class Panels:
             name: of the edit file.
         """
         self._gui, self._wishes = server.gui, wishes
-        self._list: list[Any] = []
-        self._card: list[Any] = []
-        self._sliders: dict[str, Any] = {}
+        self._list, self._card, self._sliders = list[Any](), list[Any](), dict[str, Any]()
         self._built: Any = None
         gui = self._gui
         status = gui.add_markdown("Loading&hellip;")
@@ -94,11 +89,11 @@ class Panels:
         self._edits = gui.add_folder("Edits")
         self._values = gui.add_folder("Selected edit", visible=False)
         with self._edits:
-            self._list.append(gui.add_markdown(_NO_EDIT))
+            self._list.append(gui.add_markdown(NO_EDIT))
 
     def _select_tab(self) -> Any:
         gui = self._gui
-        chosen = gui.add_markdown(_NO_BOX)
+        chosen = gui.add_markdown(NO_BOX)
         visible = gui.add_checkbox("Only what is seen", True)
         self._on_update(visible, "visible_only")
         self._on_choice(
@@ -173,12 +168,14 @@ class Panels:
 
     # What the state says
 
-    def show(self, editor: Editor, status: str, *, line: str, camera_keys: int) -> None:
-        """Bring every widget to the state of an editor."""
+    def show(
+        self, editor: Editor, status: str, *, line: str, camera_keys: int, playing: bool
+    ) -> None:
+        """Bring every widget to the state of an editor; status and line are texts."""
         self._w.status.content = status
-        self._w.line.content = line
+        self._w.line.content, self._w.play.value = line, playing
         count = len(editor.shown.chosen)
-        self._w.chosen.content = f"**{count:,} points** are selected." if count else _NO_BOX
+        self._w.chosen.content = f"**{count:,} points** are selected." if count else NO_BOX
         self._w.overlay.value = editor.shown.overlay
         self._w.compare.value = editor.shown.compare
         self._times(editor, camera_keys)
@@ -209,10 +206,6 @@ class Panels:
         """Show another name of the edit file."""
         self._w.name.value = name
 
-    def playing(self, on: bool) -> None:
-        """Show whether the film plays."""
-        self._w.play.value = on
-
     def _times(self, editor: Editor, camera_keys: int) -> None:
         times = editor.key_times
         self._w.time.value = min(max(editor.session.time, self._w.time.min), self._w.time.max)
@@ -230,15 +223,15 @@ class Panels:
         return names, editor.shown.selected
 
     def _rebuild(self, editor: Editor) -> None:
-        for widget in [*self._list, *self._card]:
-            widget.remove()
+        for old in [*self._list, *self._card]:
+            old.remove()
         self._list, self._card, self._sliders = [], [], {}
         names, selected = self._shape(editor)
         with self._edits:
             if not names:
-                self._list.append(self._gui.add_markdown(_NO_EDIT))
+                self._list.append(self._gui.add_markdown(NO_EDIT))
             for index, (kind, name, enabled) in enumerate(names):
-                label = f"{index + 1}  {name or _SAID.get(kind, kind)}" + (
+                label = f"{index + 1}  {name or SAID.get(kind, kind)}" + (
                     "" if enabled else "  (off)"
                 )
                 button = self._gui.add_button(label, color=None if index == selected else "gray")
@@ -252,7 +245,7 @@ class Panels:
     def _build_card(self, editor: Editor, index: int) -> None:
         gui, raw = self._gui, editor.raw(index)
         kind = raw["type"]
-        name = gui.add_text("Name", raw.get("name") or _SAID.get(kind, kind))
+        name = gui.add_text("Name", raw.get("name") or SAID.get(kind, kind))
         self._on_update(name, "rename", index)
         enabled = gui.add_checkbox("On", raw.get("enabled", True))
         self._on_update(enabled, "enable", index)
