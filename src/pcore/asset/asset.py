@@ -12,12 +12,11 @@ from torch import Tensor
 
 from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
 from pcore.asset.posed_asset import How, Posed
-from pcore.asset.posing import Edit, EditLike, animation_of, bind_motion, script_of
+from pcore.asset.posing import Edit, EditLike, begin_with, bind_motion
 from pcore.capture.load import load_scene
 from pcore.contrib.learned_skinning import Skinning
 from pcore.data.scene import Scene
 from pcore.editing.anchors import AnchorRig, rig_with
-from pcore.editing.script import EditScript
 from pcore.editing.session import EditSession
 from pcore.editing.state import EditState
 from pcore.errors import InputError
@@ -157,11 +156,9 @@ class Asset:
         return self.splats_at_rest.moved(state.points, state.linear, eye, gains)
 
     def lit(self, posed: Posed, gains: Tensor | None = None) -> Posed:
-        """Light what was posed with `light="baked"`: the second stage of a picture.
+        """Light what was posed with `light="baked"` and aware rays: the second stage of a picture.
 
-        Args:
-            posed: from `pose` with aware rays.
-            gains: (N,) of what was posed last; None finds those of the light of the photos.
+        Gains are (N,) of what was posed last; None finds those of the light of the photos.
         """
         return replace(posed, content=self.content.lit(posed.content, gains))
 
@@ -256,10 +253,7 @@ class Asset:
         Raises:
             EditError: the edit is not valid or does not fit the points.
         """
-        script = edit if edit is None or time is None else script_of(edit, time)
-        if script is not None and not isinstance(script, EditScript):
-            script = animation_of(script)
-        return EditSession(self.points, script, rig=self.rig)
+        return EditSession(self.points, begin_with(edit, time), rig=self.rig)
 
     def over(self, background: Color) -> Asset:
         """Return the same object before another background, RGB in [0, 1]."""

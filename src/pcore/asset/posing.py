@@ -61,6 +61,19 @@ def script_of(edit: EditLike, time: float | None = None) -> EditScript:
     return animation.at(animation.start if time is None else time)
 
 
+def begin_with(edit: EditLike | None, time: float | None) -> EditScript | Animation | None:
+    """Read an edit for a session, if any: as it is at a time, or with its keyframes.
+
+    Raises:
+        EditError: it is not valid.
+    """
+    if edit is None:
+        return None
+    if isinstance(edit, EditScript) or time is not None:
+        return script_of(edit, time)
+    return animation_of(edit)
+
+
 def animation_of(edit: str | Path | Mapping[str, Any] | Animation) -> Animation:
     """Read an edit with or without keyframes.
 

@@ -289,10 +289,8 @@ def _dumped(entry: BaseModel, first: str, context: dict[str, Any]) -> dict[str, 
     """An edit or region as JSON values: its kind first, no key that says that there is nothing."""
     plain = entry.model_dump(mode="json", exclude_none=True, context=context)
     for key in _LEFT_OUT:
-        if key in plain:
-            value: Any = getattr(entry, key)
-            if not value:
-                del plain[key]
+        if key in plain and not getattr(entry, key):
+            del plain[key]
     if plain.get("enabled") is True:
         del plain["enabled"]
     return {first: plain[first], **plain}

@@ -152,8 +152,7 @@ class Camera:
 
         Args:
             position: (3,) world units.
-            wxyz: (4,) quaternion of `world_from_camera` with OpenCV axes: x right, y down, looking
-                along +z.
+            wxyz: (4,) quaternion of `world_from_camera` with OpenCV axes: y down, looking along +z.
             fov_y: vertical field of view, radians.
             width: in pixels.
             height: in pixels.
