@@ -37,7 +37,7 @@ def test_it_writes_one_file_and_says_how_large_it_is(
         (["--megabytes", "0.01"], "expected at least 0.2"),
         (["--html", "none/toy.html"], "expected an existing folder"),
         (["--port", "0"], "expected a number from 1 to 65535"),
-        (["--host", "no.such.host.invalid"], "cannot listen there"),
+        (["--host", "203.0.113.1"], "cannot listen there"),
     ],
 )
 def test_what_makes_no_page_is_refused(
