@@ -54,6 +54,8 @@ VERBS: tuple[Verb, ...] = (
     ),
     Verb("light", "pcore.cli.light", "LightCommand", "estimate the light, so that it stays put"),
     Verb("render", "pcore.cli.render", "RenderCommand", "take pictures of a run, also deformed"),
+    Verb("view", "pcore.cli.view", "ViewCommand", "look at a run, or make one HTML file of it"),
+    Verb("studio", "pcore.cli.studio", "StudioCommand", "edit a run by hand, in the browser"),
     Verb("animate", "pcore.cli.animate", "AnimateCommand", "film a run under keyframes"),
     Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),
     Verb("compare", "pcore.cli.compare", "CompareCommand", "score rival methods beside our own"),
