@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
 from pcore.data.images import background_color
 from pcore.data.scene import Scene, check_images, hold_out
@@ -17,12 +16,14 @@ from pcore.training.gaussian_density import changes
 from pcore.training.gaussian_start import camera_distance, start_gaussians
 from pcore.training.loop import Plan, run_loop
 from pcore.training.losses import Losses
-from pcore.training.ssim import ssim
+from pcore.training.ssim import picture_losses
 from pcore.training.trainable_gaussians import (
+    Bound,
     TrainableGaussians,
     TrainedGaussians,
     photo_on,
     trainable_gaussians,
+    valid_only,
 )
 
 
@@ -34,6 +35,7 @@ def fit_gaussians(
     folder: RunFolder | None = None,
     listener: Listener = silent,
     device: str = "cpu",
+    bound: Bound | None = None,
 ) -> TrainedGaussians:
     """Learn Gaussians from the training views.
 
@@ -46,6 +48,7 @@ def fit_gaussians(
         folder: where to save and what to continue from; None keeps everything in memory.
         listener: told of steps, validations, changes of the population, saves.
         device: "cpu", or "cuda" with gsplat.
+        bound: what the Gaussians hang on, and their start; None trains free ones.
 
     Raises:
         InputError: no silhouettes for a visual hull, or a bad file of points.
@@ -57,6 +60,8 @@ def fit_gaussians(
     check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     masked = all(view.has_alpha for view in views)
+    if bound is not None:
+        start = bound.start
     if start is None:
         generator = torch.Generator().manual_seed(config.seed)
         start = start_gaussians(scene, views, config, generator)
@@ -66,6 +71,7 @@ def fit_gaussians(
         footprint=config.footprint,
         backdrop=config.background,
         seed=config.seed + 1,
+        place=None if bound is None else bound.place,
     )
     matrices = [
         (*view_matrices([view.camera], work.raw["means"]), (view.camera.width, view.camera.height))
@@ -89,12 +95,8 @@ def fit_gaussians(
             found.means2d.retain_grad()
         shown[:] = [found]
         photo = photo_on(views[index], color, where)
-        valid = views[index].valid()
-        if valid is None:
-            return _photometric(found.rgb, photo, config.ssim_weight)
-        # Where the photo shows nothing, rendering is neither right nor wrong.
-        rgb = torch.where(valid.to(where)[..., None], found.rgb, photo)
-        return _photometric(rgb, photo, config.ssim_weight)
+        rgb = valid_only(found.rgb, photo, views[index])
+        return picture_losses(rgb, photo, config.ssim_weight)
 
     def after_step(tell: Listener) -> None:
         _observe(work, shown.pop())
@@ -134,15 +136,6 @@ def _degree(step: int, config: GaussianConfig) -> int:
 
 def _grows(step: int, config: GaussianConfig) -> bool:
     return step <= config.density.last * config.steps
-
-
-def _photometric(rgb: Tensor, photo: Tensor, ssim_weight: float) -> Losses:
-    """(1 - w) L1 + w (1 - SSIM)."""
-    error = rgb - photo
-    terms = {"l1": (1 - ssim_weight) * error.abs().mean()}
-    if ssim_weight > 0:
-        terms["ssim"] = ssim_weight * (1 - ssim(rgb, photo))
-    return Losses(terms=terms, squared_error=error.detach().square().mean())
 
 
 @torch.no_grad()

@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 from scipy.spatial import KDTree
 from torch import Tensor
+from torch.nn import functional as F
 
 from pcore.data.scene import Scene, View
 from pcore.errors import InputError
@@ -78,15 +79,24 @@ def start_gaussians(
 
 
 def mean_colors(positions: Tensor, views: Sequence[View]) -> Tensor:
-    """Mean colour (N, 3) of the pixels that points project to, weighted by alpha; grey for none."""
+    """Mean colour (N, 3) of the photos where points project to, weighted by alpha; grey for none.
+
+    Colours between pixels are bilinear, so that rounding of the points changes them by rounding.
+    """
     total, weight = torch.zeros(len(positions), 3), torch.zeros(len(positions), 1)
     for view in views:
         camera = view.camera
         across, down, depth = camera.project(positions)
         seen = (depth > 0) & (across >= 0) & (across < camera.width)
         seen &= (down >= 0) & (down < camera.height)
-        pixels = view.rgba()[down[seen].long(), across[seen].long()]
-        total[seen] += pixels[:, :3] * pixels[:, 3:]
+        rgba = view.rgba()
+        planes = torch.cat([rgba[..., :3] * rgba[..., 3:], rgba[..., 3:]], dim=-1).permute(2, 0, 1)
+        size = torch.tensor([camera.width, camera.height])
+        places = 2 * torch.stack([across[seen], down[seen]], dim=-1) / size - 1
+        pixels = F.grid_sample(
+            planes[None], places[None, None].to(planes), padding_mode="border", align_corners=False
+        )[0, :, 0].T
+        total[seen] += pixels[:, :3]
         weight[seen] += pixels[:, 3:]
     return torch.where(weight > 0, total / weight.clamp_min(1e-6), 0.5)
 
