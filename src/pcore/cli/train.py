@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from pcore.cli.losses import LossOptions, check_weights
 from pcore.cli.options import Count, optional
-from pcore.cli.runtime import DeviceName
+from pcore.cli.runtime import DeviceName, is_first
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -64,6 +64,10 @@ class TrainCommand:
     """Where rays begin for the networks: camera (the original) or reference (close
     before the object, whatever camera renders); default: that of the preset."""
 
+    patches: Count = None
+    """Patches of a step, whose loss is their mean; default: those of the preset. The processes
+    that `torchrun` starts share them (papr)."""
+
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of every random draw."""
 
@@ -102,11 +106,13 @@ class TrainCommand:
 
             train_gaussians(self, Console())
         else:
-            train(self, Console())
+            train(self, Console(quiet=not is_first()))
 
 
 def train(command: TrainCommand, console: Console) -> None:
-    """Train as the command says.
+    """Train as the command says, together with the other processes that torchrun started.
+
+    Only the first of them has the folder and says anything.
 
     Raises:
         SceneError: the scene cannot be read.
@@ -116,8 +122,9 @@ def train(command: TrainCommand, console: Console) -> None:
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     from pcore.capture.load import load_scene
-    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.runtime import joined_ranks, pick_device, prepare_torch
     from pcore.cli.sessions import show_result
+    from pcore.files.run_record import finished
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -126,7 +133,13 @@ def train(command: TrainCommand, console: Console) -> None:
     command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{command.preset}, {config.steps:,} steps on {device}")
-    asset = trained(command, scene, config, device, console)
+    with joined_ranks(device) as ranks:
+        if ranks.rank > 0:
+            if not ranks.from_first(False):
+                _help(command, scene, config, device)
+            return
+        ranks.from_first(command.resume and finished(command.output))
+        asset = trained(command, scene, config, device, console)
     if config.steps >= EARLY:
         check_shows(asset, scene)
     show_result(console, asset)
@@ -166,6 +179,15 @@ def trained(
     if not done:
         show_light(asset, console)
     return asset
+
+
+def _help(command: TrainCommand, scene: Scene, config: PretrainConfig, device: str) -> None:
+    """Do a part of the first process's training; the result is the same, and kept there."""
+    from pcore.asset.training import RunOptions
+    from pcore.asset.training import train as make
+
+    options = RunOptions(light=False, compiled=not command.no_compile)
+    make(scene, config, device=device, options=options)
 
 
 def check_shows(asset: Asset, scene: Scene) -> None:
@@ -208,7 +230,10 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     elif not all(view.has_alpha for view in scene.split("train")):
         console.print("images without alpha have no visual hull: points start on a grid")
         changes["start"] = "grid"
-    config = replace(preset(command.preset), **changes)
+    start = preset(command.preset)
+    if command.patches is not None:
+        changes["patch"] = replace(start.patch, views=command.patches)
+    config = replace(start, **changes)
     warn_of_start(scene, config.start, console, otherwise="grid")
     return config
 

@@ -24,9 +24,10 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         PcoreError: as `fit_gaussians` and the run folder.
     """
     from pcore.capture.load import load_scene
-    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.runtime import pick_device, prepare_torch, refuse_ranks
     from pcore.cli.sessions import show_result
 
+    refuse_ranks("--model gaussians")
     prepare_torch(command.threads)
     device = pick_device(command.device)
     config = _config(command)
@@ -50,7 +51,11 @@ def _config(command: TrainCommand) -> GaussianConfig:
     """Return the preset with what the command changes."""
     from pcore.training.presets import gaussian_preset
 
-    foreign = {"--origin": command.origin, "--no-compile": command.no_compile or None}
+    foreign = {
+        "--origin": command.origin,
+        "--patches": command.patches,
+        "--no-compile": command.no_compile or None,
+    }
     foreign |= {f"--{name.replace('_', '-')}": x for name, x in command.losses.changes().items()}
     given = [name for name, value in foreign.items() if value is not None]
     if command.init == "grid":

@@ -27,6 +27,7 @@ from pcore.training.events import (
 )
 from pcore.training.interrupt import deferred_interrupt
 from pcore.training.losses import Losses
+from pcore.training.ranks import Ranks, current_ranks
 from pcore.training.schedule import Schedule
 from pcore.training.work import Work
 
@@ -80,7 +81,8 @@ def run_loop(
         budget: what the result may cost; None takes the last weights. Where the last ones cost
             more, it is as much of the way to them as the budget allows. A run that is stopped has
             the weights of the last validation that met it, else those before.
-        folder: where to save; None keeps everything in memory.
+        folder: where to save; None keeps everything in memory. Of several processes that train
+            together, only the first has one.
         listener: told everything.
 
     Raises:
@@ -90,7 +92,8 @@ def run_loop(
     """
     if budget is not None:
         work.best = {"weights": {k: t.clone() for k, t in budget.before.items()}, "kept_step": 0}
-    _resume(work, folder)
+    ranks = current_ranks()
+    _resume(work, folder, ranks)
     if work.step >= plan.steps:
         # Killed between the files of the last save: complete them.
         finish(listener)
@@ -98,18 +101,20 @@ def run_loop(
     clock = _Clock(work.step, plan.steps)
     with deferred_interrupt() as interrupted:
         while work.step < plan.steps:
-            found = _step(work, plan, losses)
+            found = _step(work, plan, losses, ranks)
             after_step(listener)
             if work.step % _REPORT_EVERY == 0 or work.step == plan.steps:
                 listener(_report(work, plan, found, clock))
             if work.step % plan.validate_every == 0 or work.step == plan.steps:
                 _validate(work, plan, budget, listener)
-            last = work.step == plan.steps or bool(interrupted)
-            if last and not interrupted:
+            stop = ranks.any(bool(interrupted))
+            last = work.step == plan.steps or stop
+            if last and not stop:
                 finish(listener)
             if last or work.step % plan.save_every == 0:
-                _save(work, plan, folder, listener, finished=last and not interrupted)
-            if interrupted:
+                ranks.check_same(work.weights(), work.step)
+                _save(work, plan, folder, listener, finished=last and not stop)
+            if stop:
                 _stop(work, folder, listener)
     listener(_finished(work))
     return _result(work)
@@ -126,14 +131,17 @@ def _finished(work: Work[Any]) -> Stopped:
     return Stopped(stage=work.stage, step=work.step, reason="finished", message=message)
 
 
-def _step(work: Work[Any], plan: Plan, losses: Callable[[], Losses]) -> Losses:
+def _step(work: Work[Any], plan: Plan, losses: Callable[[], Losses], ranks: Ranks) -> Losses:
     work.set_rates(plan.rates, plan.steps)
     work.optimizer.zero_grad(set_to_none=True)
     with compiler_errors_explained():
         found = losses()
         found.total.backward()
+    ranks.add_gradients(work.optimizer)
     work.optimizer.step()
     work.step += 1
+    with torch.no_grad():
+        ranks.add([found.squared_error, *found.terms.values()])
     return found
 
 
@@ -205,8 +213,8 @@ def _result(work: Work[Result]) -> Result:
     return work.result(work.best.get("weights"))
 
 
-def _resume(work: Work[Any], folder: RunFolder | None) -> None:
-    state = folder.load_state() if folder is not None else None
+def _resume(work: Work[Any], folder: RunFolder | None, ranks: Ranks) -> None:
+    state = ranks.from_first(folder.load_state() if folder is not None else None)
     if state is not None:
         work.restore(state)
 

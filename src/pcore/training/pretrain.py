@@ -25,6 +25,7 @@ from pcore.training.loop import Plan, autocast, run_loop
 from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric, training_image
 from pcore.training.patches import draw_patch
 from pcore.training.population import growth_mixture, growth_sites, replace_rows
+from pcore.training.ranks import current_ranks
 from pcore.training.scene_frame import in_frame, network_frame
 from pcore.training.start_cloud import start_positions
 from pcore.training.trainable import Trainable, trainable
@@ -75,7 +76,7 @@ def pretrain(
             for _ in range(config.patch.views)
         ]
         found: list[Losses] = []
-        for patch in patches:
+        for patch in current_ranks().share(patches):
             with autocast(where, enabled=config.mixed_precision):
                 posed = PosedCloud.at_rest(work.cloud)
                 image = training_image(work.papr, posed, patch.rays, patch.background)
@@ -89,7 +90,7 @@ def pretrain(
                     front_weight=config.front_weight / work.papr.config.unit**2,
                 )
             )
-        return mean_of(found)
+        return mean_of(found, of=len(patches))
 
     return run_loop(
         work,
