@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -87,7 +88,7 @@ def test_impossible_resources_are_refused() -> None:
     check_resources(TrialResources(cpus=2, memory_gb=4), [small])
     check_resources(TrialResources(gpus=1), [small, Machine(cpus=8, gpus=1)])
     for wanted in ({"cpus": 3}, {"gpus": 0.5}, {"memory_gb": 4.5}):
-        with pytest.raises(InputError, match="2 CPUs, 0 GPUs, 4.0 GB of memory"):
+        with pytest.raises(InputError, match=r"2 CPUs, 0 GPUs, 4\.0 GB of memory"):
             check_resources(TrialResources(**wanted), [small])
     check_workers(TrialResources(cpus=1), 2, small)
     with pytest.raises(InputError, match="at most 1"):
@@ -95,7 +96,7 @@ def test_impossible_resources_are_refused() -> None:
 
 
 def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    monkeypatch.setitem(sys.modules, "ray", None)
     machine = Machine(cpus=2, gpus=0)
     with (
         pytest.raises(DependencyError, match=r"pcore-edit\[cluster\]"),
@@ -107,7 +108,7 @@ def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None
 def test_an_attempt_is_on_record_until_the_plan_changes(tmp_path: Path) -> None:
     trial = some_trial(tmp_path)
     assert finished_trial(trial) is None
-    result = attempt(trial, lambda one: print(one.name))
+    result = attempt(trial, lambda one: sys.stdout.write(f"{one.name}\n") and None)
     assert result.failed is None
     assert (trial.folder / "output.txt").read_text() == f"{trial.name}\n"
     assert finished_trial(trial) == result

@@ -39,17 +39,19 @@ def write_results(
         OSError: a file cannot be written.
     """
     from pcore.sweep.spread import paired_differences, variant_means
-    from pcore.sweep.sweep_scores import scores_of
+    from pcore.sweep.sweep_scores import notes_of, scores_of
     from pcore.sweep.sweep_tables import write_sweep
 
     failed = {one.trial.name for one in results if one.failed is not None}
-    scores = scores_of([one for one in trials if one.name not in failed])
+    finished = [one for one in trials if one.name not in failed]
+    scores = scores_of(finished)
     means, differences = variant_means(scores), paired_differences(scores)
     write_sweep(folder, results, scores, means, differences)
     seeds = len({one.seed for one in scores})
     for sheet in (_mean_sheet(means, seeds), _difference_sheet(differences)):
         if sheet.rows:
             print_lines(console, [*sheet_lines(_filled(sheet), room(console)), ""])
+    print_lines(console, [f"note: {note}" for note in notes_of(finished)])
     console.print(Text(f"written to {folder}"), soft_wrap=True)
 
 

@@ -80,10 +80,10 @@ def check_trials(trials: Sequence[Trial]) -> None:
     commands = {one.setting: {verb: parsed(one, verb) for verb in one.verbs} for one in trials}
     for place, setting in dict.fromkeys((one.scene_folder, one.setting) for one in trials):
         train: Any = commands[setting]["train"]
-        scored: Any = commands[setting].get("eval")
         load_scene(place, factor=train.factor)
-        if scored is not None:
-            states = scored.state or (() if scored.edit else ("all",))
+        for verb in {"eval", "compare"} & {*commands[setting]}:
+            scored: Any = commands[setting][verb]
+            states = scored.state or (() if verb == "eval" and scored.edit else ("all",))
             open_states(place, factor=scored.factor or train.factor).select(states)
 
 

@@ -79,7 +79,7 @@ def _compared(path: Path) -> list[StateMean]:
         record: dict[str, Any] = json.loads(path.read_bytes())
         return [
             StateMean(
-                method=f"{line['name']} ({line['setting']})",
+                method=_method(line),
                 state=state,
                 kind="analytic",
                 protocol=_COMPARED,
@@ -94,6 +94,21 @@ def _compared(path: Path) -> list[StateMean]:
             f"{path}: expected results that `pcore compare` wrote, got something else; delete the "
             "folder and give the same command again"
         ) from error
+
+
+def _method(line: Mapping[str, Any]) -> str:
+    way = line["setting"]
+    return line["name"] if way == "given" else f"{line['name']} ({way})"
+
+
+def notes_of(trials: Sequence[Trial]) -> list[str]:
+    """What `pcore compare` says of finished trials: above all, which methods failed."""
+    return [
+        f"{trial.name}: {note}"
+        for trial in trials
+        if "compare" in trial.verbs
+        for note in json.loads((trial.folder / COMPARE / "compare.json").read_bytes())["notes"]
+    ]
 
 
 def _number(value: Any) -> Value:
