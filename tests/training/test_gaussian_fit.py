@@ -22,6 +22,7 @@ from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from pcore.training.gaussian_fit import fit_gaussians
 from pcore.training.gaussian_start import camera_distance, mean_colors, start_gaussians
 from pcore.training.presets import gaussian_preset
+from pcore.training.schedule import Level
 from pcore.training.trainable_gaussians import TrainedGaussians
 from small_training import Heard, assert_same, box_work
 from tiny_scene import write_scene
@@ -101,6 +102,40 @@ def test_an_interrupted_run_ends_as_one_that_was_not(scene: Scene, tmp_path: Pat
     assert saved.footprint == config().footprint
     assert (saved.provenance.step, saved.provenance.scene) == (40, "box")
     assert RunFolder.open(tmp_path / "run").notes["status"] == "finished"
+
+
+def test_a_promise_is_kept_by_a_clock_and_across_processes(scene: Scene, tmp_path: Path) -> None:
+    """Every reading of the clock takes its time: fewer steps fit than were foreseen."""
+    seconds, now = 60.0, [0.0]
+
+    def clock() -> float:
+        now[0] += 0.5
+        return now[0]
+
+    levels = (Level(until=0.5, reduction=2),)
+    settings = config(steps=2000, seconds=seconds, levels=levels, points=40)
+    heard = Heard()
+
+    def stop(event: Event) -> None:
+        heard(event)
+        if isinstance(event, StepReport) and event.step == 30:
+            signal.raise_signal(signal.SIGINT)
+
+    def folder(*, resume: bool) -> RunFolder:
+        return RunFolder.create(
+            tmp_path / "run", stage="pretrain", scene="box", config={}, resume=resume
+        )
+
+    with folder(resume=False) as run, pytest.raises(KeyboardInterrupt):
+        fit_gaussians(scene, settings, folder=run, listener=stop, clock=clock)
+    before, now[0] = now[0], 1e6
+    with folder(resume=True) as run:
+        fit_gaussians(scene, settings, folder=run, listener=heard, clock=clock)
+    assert before + now[0] - 1e6 == pytest.approx(seconds, rel=0.1)
+    reports = heard.of(StepReport)
+    assert reports[-1].step == reports[-1].steps < 400
+    assert reports[-1].rates["scales"] < 0.1 * reports[0].rates["scales"]
+    assert heard.of(ValidationReport)[0].step < 0.4 * reports[-1].step
 
 
 def test_units_do_not_matter(tmp_path: Path) -> None:

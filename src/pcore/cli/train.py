@@ -52,6 +52,10 @@ class TrainCommand:
     factor: Annotated[int, arg(metavar="N")] = 1
     """Down-scale images by this whole number (area mean)."""
 
+    minutes: Annotated[float | None, optional("M")] = None
+    """Time for all of it: chooses resolution, number of Gaussians or points, steps and schedule
+    from the photos and the measured speed of this machine, and keeps to it within a fifth."""
+
     steps: Count = None
     """Optimiser steps; default: those of the preset."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
+from pcore.cli.minutes import Promise, promised, say_duration
 from pcore.cli.train import TrainCommand, announce, trained
 from pcore.errors import InputError
 
@@ -27,11 +29,18 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     from pcore.cli.sessions import show_result
     from pcore.data.load import load_scene
 
+    began = time.monotonic()
     prepare_torch(command.threads)
     device = pick_device(command.device)
     config = _config(command)
     scene = load_scene(command.scene, factor=command.factor)
-    announce(console, scene, f"Gaussians, {command.preset}, {config.steps:,} steps on {device}")
+    plan = f"{command.preset}, {config.steps:,} steps"
+    if command.minutes is not None:
+        promise = Promise(minutes=command.minutes, began=began)
+        scene, config, plan = promised(command, scene, config, device, promise)
+    announce(console, scene, f"Gaussians, {plan} on {device}")
+    if command.minutes is None:
+        say_duration(console, scene, config, device)
     if not all(view.has_alpha for view in scene.split("train")):
         console.print(
             Text("images without alpha have no visual hull: Gaussians start before the cameras"),

@@ -9,7 +9,7 @@ from pcore.errors import InputError
 from pcore.gaussians.render import Footprint
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE
 from pcore.training.config import Background
-from pcore.training.schedule import Schedule
+from pcore.training.schedule import Level, Schedule, check_levels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +102,11 @@ class GaussianConfig:
     """Steps between saves."""
     seed: int = 0
     """Of every random draw."""
+    levels: tuple[Level, ...] | None = None
+    """Coarse to fine; from the end of the last one on the photos are whole. None: always."""
+    seconds: float | None = None
+    """Promised for all steps, validations and saves; `steps` is then what is foreseen. None makes
+    the steps and promises nothing."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "points", "validate_every", "save_every"):
@@ -123,6 +128,7 @@ class GaussianConfig:
                 "training of Gaussians: expected an opacity between 0 and 1 and a weight of the "
                 f"SSIM from 0 to 1, got {self.opacity_start} and {self.ssim_weight}"
             )
+        check_levels(self.levels)
         if not 0 <= self.seed < 2**63 - 1 or not math.isfinite(self.degree_every):
             raise InputError(
                 f"training of Gaussians: expected a seed from 0 to 2**63 - 2, got {self.seed}"

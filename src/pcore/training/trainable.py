@@ -73,7 +73,7 @@ class Trainable:
             return {}
         return {name: t.detach() for name, t in self.skinning.network.state_dict().items()}
 
-    def set_rates(self, rates: Mapping[str, Schedule], steps: int) -> None:
+    def set_rates(self, rates: Mapping[str, Schedule], steps: float) -> None:
         """Set the learning rate of every group, by its name, for the coming step."""
         for group in self.optimizer.param_groups:
             group["lr"] = rates[group["name"]].at(self.step, steps)

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from pcore.data.images import background_color, composite
+from pcore.data.images import background_color
 from pcore.data.scene import View
 from pcore.errors import CheckpointError
 from pcore.files.gaussian_file import SavedGaussians, save_gaussians
@@ -99,7 +99,7 @@ class TrainableGaussians:
         """All parameters by name, sharing memory with the training."""
         return {name: parameter.detach() for name, parameter in self.raw.items()}
 
-    def set_rates(self, rates: Mapping[str, Schedule], steps: int) -> None:
+    def set_rates(self, rates: Mapping[str, Schedule], steps: float) -> None:
         """Set the learning rate of every group, by its name, for the coming step."""
         for group in self.optimizer.param_groups:
             group["lr"] = rates[group["name"]].at(self.step, steps)
@@ -239,11 +239,6 @@ def provenance_of_gaussians(found: TrainedGaussians, scene: str) -> Provenance:
         extent=(_vector(means.amin(dim=0)), _vector(means.amax(dim=0))),
         pcore=pcore_version(),
     )
-
-
-def photo_on(view: View, color: Tensor, device: torch.device) -> Tensor:
-    """(1, H, W, 3) the photo over a background colour (3,)."""
-    return composite(view.rgba(), color).to(device).unsqueeze(0)
 
 
 def _vector(tensor: Tensor) -> tuple[float, float, float]:

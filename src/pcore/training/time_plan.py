@@ -1,0 +1,150 @@
+"""From a promise of minutes to settings: resolution, Gaussians, steps and schedule."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from pcore.errors import InputError
+from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.schedule import Level
+from pcore.training.speed import Speed
+
+_COARSEST = 80
+"""Pixels along the longer side of the coarsest photos of a schedule."""
+_SMALLEST = 64
+"""No finest photos are smaller."""
+_LEVEL_SHARES = {1: (1.0,), 2: (0.3, 0.7), 3: (0.25, 0.3, 0.45), 4: (0.2, 0.2, 0.25, 0.35)}
+"""Shares of the steps by the number of resolutions, coarse to fine."""
+_LEAST_STEPS = 1500
+"""A schedule of fewer steps at a resolution is worse than a whole one at half of it."""
+_USUAL_STEPS = 4000
+"""Steps before time goes into more Gaussians."""
+_DENSE, _DENSEST = 1.2, 5.0
+"""Gaussians per pixel that the object covers in a photo, with little time and with much."""
+_FEWEST, _MOST = 6_000, 300_000
+_START_SHARE = 0.25
+"""Gaussians at the start, of those at the end."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photos:
+    """What a plan asks of the training photos.
+
+    Attributes:
+        width: pixels of the largest one.
+        height: pixels of the largest one.
+        count: how many there are.
+        coverage: share of the pixels that the object covers; 1 without masks.
+    """
+
+    width: int
+    height: int
+    count: int
+    coverage: float
+
+    def pixels(self, factor: int) -> float:
+        """Of one photo at 1 / factor of its size."""
+        return self.width * self.height / factor**2
+
+    def factors(self) -> list[int]:
+        """Whole numbers that divide both sides and leave photos large enough, finest first."""
+        common = math.gcd(self.width, self.height)
+        longest = max(self.width, self.height)
+        return [
+            n for n in range(1, common + 1) if common % n == 0 and longest / n >= _SMALLEST
+        ] or [1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimePlan:
+    """How a promise will be kept.
+
+    Attributes:
+        factor: by which the photos are divided for good.
+        gaussians: settings, with the promise in them.
+    """
+
+    factor: int
+    gaussians: GaussianConfig
+
+
+def plan_gaussians(
+    photos: Photos,
+    speed: Speed,
+    seconds: float,
+    base: GaussianConfig,
+    *,
+    factor: int | None = None,
+) -> TimePlan:
+    """Choose settings whose training takes so many seconds on a machine of a speed.
+
+    The finest photos for which there are enough steps; then as many Gaussians as leave the usual
+    number of steps; what is left are more steps.
+
+    Args:
+        photos: of the scene, undivided.
+        speed: of this machine with this scene.
+        seconds: for all steps, validations and saves.
+        base: what is not chosen here.
+        factor: by which photos are divided; None chooses it.
+
+    Raises:
+        InputError: less time than the smallest training takes.
+    """
+    factors = photos.factors() if factor is None else [factor]
+    for one in factors:
+        plan = _at(photos, speed, seconds, base, one)
+        if plan.gaussians.steps >= _LEAST_STEPS:
+            return plan
+    plan = _at(photos, speed, seconds, base, factors[-1])
+    least = seconds * 200 / plan.gaussians.steps
+    if plan.gaussians.steps < 200:
+        raise InputError(
+            f"training in {seconds:.0f} seconds: expected time for at least 200 steps, got "
+            f"{plan.gaussians.steps} on this machine; promise {math.ceil(least / 60)} minutes or more"
+        )
+    return plan
+
+
+def _at(
+    photos: Photos, speed: Speed, seconds: float, base: GaussianConfig, factor: int
+) -> TimePlan:
+    reductions = _reductions(max(photos.width, photos.height) / factor)
+    shares = _LEVEL_SHARES[len(reductions)]
+    covered = photos.pixels(factor) * photos.coverage
+
+    def mean_cost(limit: float) -> float:
+        costs = [
+            speed.seconds(photos.pixels(factor * one), max(limit / one, _START_SHARE * limit))
+            for one in reductions
+        ]
+        return sum(cost * share for cost, share in zip(costs, shares, strict=True))
+
+    # The cost is linear in the number: as many as leave the usual steps, within bounds.
+    empty = mean_cost(0)
+    each = (mean_cost(1000) - empty) / 1000
+    affordable = (seconds / _USUAL_STEPS - empty) / each
+    wanted = min(max(affordable, _DENSE * covered), _DENSEST * covered)
+    limit = int(min(max(wanted, _FEWEST), _MOST))
+    levels, end = list[Level](), 0.0
+    for one, share in zip(reductions[:-1], shares[:-1], strict=True):
+        end += share
+        levels.append(Level(until=round(end, 6), reduction=one))
+    return TimePlan(
+        factor=factor,
+        gaussians=replace(
+            base,
+            steps=max(1, int(seconds / mean_cost(limit))),
+            points=max(1000, int(_START_SHARE * limit)),
+            density=replace(base.density, limit=limit, last=0.5 if not levels else 0.75),
+            levels=tuple(levels) or None,
+            seconds=seconds,
+        ),
+    )
+
+
+def _reductions(longest: float) -> list[int]:
+    """Divisors of a schedule, coarse to fine, the last of which is 1."""
+    halvings = min(len(_LEVEL_SHARES) - 1, max(0, int(math.log2(longest / _COARSEST))))
+    return [2**n for n in range(halvings, -1, -1)]
