@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.scene import View
 from pcore.evaluation.protocol import STANDARD, ImageScores, measure
 from pcore.gaussians.render import PosedGaussians, render

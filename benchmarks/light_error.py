@@ -23,7 +23,7 @@ from reprojected_truth import look_up
 from torch import Tensor
 from torch.nn import functional as F
 
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.scene import View
 from pcore.evaluation.ground_truth import mesh_depth
 from pcore.evaluation.states import CANONICAL, open_states

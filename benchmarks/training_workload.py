@@ -18,7 +18,7 @@ from benchmarks.measure import peak_bytes, seconds
 from benchmarks.metrics import Metric
 from benchmarks.papr_workloads import fast_error, sharpened
 from benchmarks.plan import Plan
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.scene import Scene
 from pcore.geometry.point_cloud import PointCloud
 from pcore.metrics.perceptual import find_weights

@@ -28,7 +28,7 @@ from torch import Tensor
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.content import LightName
 from pcore.asset.saving import neural_points_of
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.methods import open_subject
 from pcore.evaluation.runner import Method, carry

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pcore.asset.importing import import_papr
     from pcore.asset.saving import asset_of, load
     from pcore.asset.training import RunOptions, estimate_light, finetune, train
-    from pcore.data.load import load_cameras, load_scene
+    from pcore.capture.load import load_cameras, load_scene
     from pcore.data.scene import Scene
     from pcore.deform.base import Deformation
     from pcore.editing.animation import load_animation
@@ -97,9 +97,9 @@ _HOMES = {
     "import_papr": "pcore.asset.importing",
     "load": "pcore.asset.saving",
     "load_animation": "pcore.editing.animation",
-    "load_cameras": "pcore.data.load",
+    "load_cameras": "pcore.capture.load",
     "load_edit": "pcore.editing.script",
-    "load_scene": "pcore.data.load",
+    "load_scene": "pcore.capture.load",
     "orbit_around": "pcore.geometry.orbit",
     "parse_edit": "pcore.editing.script",
     "preset": "pcore.training.presets",

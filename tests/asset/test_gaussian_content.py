@@ -14,7 +14,7 @@ from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.saving import load
 from pcore.asset.training import RunOptions, train
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.scene import Scene
 from pcore.deform.simple import uniform_scale
 from pcore.errors import InputError

@@ -16,10 +16,10 @@ from PIL import ExifTags, Image
 from toys import CONFIG, toy_cameras, toy_cloud, write_cameras, write_run, write_scene
 
 from pcore.asset.saving import load
+from pcore.capture.load import load_scene
 from pcore.cli.main import main
 from pcore.cli.train import check_shows
 from pcore.data.image_files import read_header
-from pcore.data.load import load_scene
 from pcore.data.points import save_points
 from pcore.errors import TrainingError
 from pcore.files.model_file import load_model
@@ -39,7 +39,19 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def train(*args: object) -> int:
-    words = ["train", "ball", "-o", "new", "--steps", 1, "--device", "cpu", "--no-tensorboard"]
+    words = [
+        "train",
+        "ball",
+        "-o",
+        "new",
+        "--model",
+        "papr",
+        "--steps",
+        1,
+        "--device",
+        "cpu",
+        "--no-tensorboard",
+    ]
     words += [] if "--init" in args else ["--points", 40]
     return main([*map(str, words), *map(str, args)])
 

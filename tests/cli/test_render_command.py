@@ -14,10 +14,10 @@ from PIL import Image
 from torch import Tensor
 from toys import toy_cameras, write_cameras, write_run, write_scene
 
+from pcore.capture.load import load_cameras, load_scene
 from pcore.cli import draw
 from pcore.cli.main import main
 from pcore.contrib.learned_skinning import SkinningConfig, untrained_skinning
-from pcore.data.load import load_cameras, load_scene
 from pcore.deform.anchor_distance import path_distance
 from pcore.deform.jacobian import estimated_maps
 from pcore.editing.anchors import rig_with

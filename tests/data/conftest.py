@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+
 from scene_files import write_split
 
 

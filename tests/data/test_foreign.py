@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scene_files import change_frame, pose
 
-from pcore.data.load import load_cameras, load_scene
+from pcore.capture.load import load_cameras, load_scene
 from pcore.errors import SceneError
+from scene_files import change_frame, pose
 
 FLAT = [number for row in pose(0.0) for number in row]
 SFM_VIEW = {"viewId": "1", "path": "a.jpg"}

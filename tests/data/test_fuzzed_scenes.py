@@ -6,10 +6,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from scene_files import write_split
-
-from pcore.data.load import load_cameras, load_scene
+from pcore.capture.load import load_cameras, load_scene
 from pcore.errors import PcoreError
+from scene_files import write_split
 
 _KEYS = "fl_x cx w h k1 camera_model camera_angle_x camera_angle_y x_fov mask_path is_fisheye"
 KEYS = _KEYS.split()

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from scene_files import change_frame, write_split
 
-from pcore.data.load import load_cameras, load_scene
+from pcore.capture.load import load_cameras, load_scene
 from pcore.errors import SceneError
+from scene_files import change_frame, write_split
 
 NFC, NFD = (unicodedata.normalize(form, "Gerät_ö") for form in ("NFC", "NFD"))
 

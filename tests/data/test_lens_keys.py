@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scene_files import ANGLE_X, change, change_frame
 
-from pcore.data.load import camera_notes, load_cameras, load_scene
+from pcore.capture.load import camera_notes, load_cameras, load_scene
 from pcore.errors import SceneError
 from pcore.geometry.camera import Camera
+from scene_files import ANGLE_X, change, change_frame
 
 FOCAL = 6 / math.tan(0.5 * ANGLE_X)
 """Of images 12 x 8 pixels with `ANGLE_X`."""

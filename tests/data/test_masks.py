@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from scene_files import change, change_frame, write_split
 
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.masks import check_masks
 from pcore.errors import SceneError
+from scene_files import change, change_frame, write_split
 
 DISC = np.zeros((8, 12), dtype=np.uint8)
 DISC[2:6, 3:9] = 255

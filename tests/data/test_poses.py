@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from scene_files import pose, write_split
 
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.poses import check_poses
 from pcore.errors import SceneError
 from pcore.geometry.camera import Camera
+from scene_files import pose, write_split
 
 OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 UTM = (512345.0, 5412345.0, 432.0)

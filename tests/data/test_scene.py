@@ -4,12 +4,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scene_files import change_frame, pose, write_split
 
+from pcore.capture.load import load_scene
 from pcore.data.images import composite
-from pcore.data.load import load_scene
 from pcore.data.scene import Scene, hold_out
 from pcore.errors import InputError, SceneError
+from scene_files import change_frame, pose, write_split
 
 
 def test_view_shapes_and_compositing(scene: Path) -> None:

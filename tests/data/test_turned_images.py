@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 from PIL import ExifTags, Image
-from scene_files import change, change_frame
 
+from pcore.capture.load import load_scene
 from pcore.data.image_files import read_header, read_rgba
-from pcore.data.load import load_scene
 from pcore.errors import SceneError
+from scene_files import change, change_frame
 
 
 def turn(root: Path, orientation: int, *, ending: str = "jpg", size: tuple[int, int] = (12, 8)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.asset.test_lit_gaussians import dark_asset, lit_asset
 
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.scene import Scene
 from pcore.errors import InputError
 from pcore.evaluation.methods import methods_of

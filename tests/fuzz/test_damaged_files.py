@@ -32,10 +32,10 @@ from toys import CONFIG, toy_cameras, toy_cloud, write_cameras, write_run, write
 
 from pcore.asset.saving import load
 from pcore.asset.training import finetune_settings
+from pcore.capture.load import load_cameras, load_scene
 from pcore.cli.info import describe
 from pcore.cli.main import main
 from pcore.data.images import read_rgba
-from pcore.data.load import load_cameras, load_scene
 from pcore.data.meshes import read_mesh
 from pcore.data.points import load_points, read_point_file, save_moved
 from pcore.data.splat_formats import read_splats

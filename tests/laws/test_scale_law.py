@@ -9,7 +9,7 @@ import pytest
 
 from pcore.asset.content import RaysName
 from pcore.asset.saving import asset_of
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.evaluation.protocol import PROTOCOLS
 from pcore.evaluation.runner import Method, evaluate, mean
 from pcore.evaluation.states import CANONICAL, open_states

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from pcore.asset.saving import asset_of, load
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.scene import Scene, View
 from pcore.geometry.camera import Camera
 from pcore.training import loop

@@ -7,7 +7,7 @@ import pytest
 import torch
 from PIL import Image
 
-from pcore.data.load import load_scene, load_state
+from pcore.capture.load import load_scene, load_state
 from pcore.errors import DependencyError, InputError, SceneError
 from pcore.sample.sample import MANIFEST, make_sample
 from pcore.sample.sample_mesh import snail

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.scene import Scene
 from tiny_scene import write_scene
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import pcore.data.images
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.scene import Scene, hold_out
 from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError

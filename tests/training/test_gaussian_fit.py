@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.points import save_points
 from pcore.data.scene import Scene
 from pcore.errors import CheckpointError, InputError

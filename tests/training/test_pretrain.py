@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 
 import pcore.data.images
-from pcore.data.load import load_scene
+from pcore.capture.load import load_scene
 from pcore.data.points import save_points
 from pcore.data.scene import Scene, hold_out
 from pcore.errors import InputError, SceneError, TrainingError

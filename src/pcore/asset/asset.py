@@ -12,8 +12,8 @@ from torch import Tensor
 
 from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
 from pcore.asset.posing import Edit, EditLike, bind_motion, script_of
+from pcore.capture.load import load_scene
 from pcore.contrib.learned_skinning import Skinning
-from pcore.data.load import load_scene
 from pcore.data.scene import Scene
 from pcore.editing.anchors import AnchorRig, rig_with
 from pcore.editing.session import EditSession

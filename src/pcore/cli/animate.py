@@ -172,9 +172,9 @@ def _cameras(
 ) -> list[Camera]:
     import torch
 
+    from pcore.capture.load import camera_notes, load_scene
     from pcore.cli import cameras
     from pcore.cli.diagnosing import note
-    from pcore.data.load import camera_notes, load_scene
     from pcore.geometry.camera_path import path_through
     from pcore.geometry.orbit import growth
 

@@ -36,7 +36,7 @@ def cameras_of_file(path: Path, size: Size | None, fallback: Size | None = None)
 
     `size` wins over the size in the file; `fallback` serves where the file has none.
     """
-    from pcore.data.load import load_cameras
+    from pcore.capture.load import load_cameras
 
     width, height = size or (None, None)
     try:

@@ -246,7 +246,7 @@ class Subject:
         Raises:
             SceneError: the scene is damaged.
         """
-        from pcore.data.load import load_scene
+        from pcore.capture.load import load_scene
 
         record = None if self.asset is None else self.asset.record
         folder = scene or (None if record is None else record.scene_folder)

@@ -110,7 +110,7 @@ def _single(gaussians: Gaussians) -> Gaussians:
 def _compared(
     gaussians: Gaussians, footprint: Footprint, command: ImportGaussiansCommand
 ) -> Agreement | None:
-    from pcore.data.load import load_scene
+    from pcore.capture.load import load_scene
     from pcore.training.splat_check import agreement_with, check_agreement
 
     if command.scene is None:

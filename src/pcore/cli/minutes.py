@@ -53,7 +53,7 @@ def promised(
     Raises:
         InputError: an option that the promise decides on, or too little time.
     """
-    from pcore.data.load import load_scene
+    from pcore.capture.load import load_scene
     from pcore.files.run_record import RunRecord, begun
     from pcore.training.measured_speed import measured_speed, photos_of
     from pcore.training.time_plan import plan_gaussians

@@ -166,7 +166,7 @@ def _films(command: RenderCommand) -> bool:
 
 def _image_size(folder: Path, factor: int) -> tuple[int, int]:
     """Width and height of the images of a scene."""
-    from pcore.data.load import load_scene
+    from pcore.capture.load import load_scene
 
     scene = load_scene(folder, factor=factor)
     camera = scene.split(scene.splits[0])[0].camera
@@ -174,9 +174,9 @@ def _image_size(folder: Path, factor: int) -> tuple[int, int]:
 
 
 def _views(command: RenderCommand, asset: Asset, posed: Posed, console: Console) -> Named:
+    from pcore.capture.load import camera_notes, load_scene
     from pcore.cli import cameras
     from pcore.cli.diagnosing import note
-    from pcore.data.load import camera_notes, load_scene
     from pcore.geometry.orbit import growth
 
     record = asset.record

@@ -1,4 +1,4 @@
-"""`pcore train SCENE -o RUN`: learn the points and networks of PAPR, or Gaussians, from photos."""
+"""`pcore train SCENE -o RUN`: learn Gaussians, or the points and networks of PAPR, from photos."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _LOOKS, _LOOK_SIDE, _LEAST_SIDE, _FAINT = 3, 64, 4, 0.02
 """Views that are looked at in the end, sizes of these pictures, and what opacity is nothing."""
-_EARLY = 50
+EARLY = 50
 """Pictures of a training of fewer steps may still be empty."""
 _HAZE = 0.5
 """More faint pixels than that per solid one are no rims (clean masks: `faint_share`)."""
@@ -42,8 +42,8 @@ class TrainCommand:
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder to make; new or empty, unless --resume."""
 
-    model: Literal["papr", "gaussians"] = "papr"
-    """papr: points and networks, the paper's object; gaussians: 3D Gaussians, minutes."""
+    model: Literal["gaussians", "papr"] = "gaussians"
+    """gaussians: 3D Gaussians, minutes; papr: points and networks, the paper's object."""
 
     preset: Literal["tiny", "fast", "paper", "paper-lego"] = "tiny"
     """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours;
@@ -117,9 +117,9 @@ def train(command: TrainCommand, console: Console) -> None:
         TrainingError: training diverged or cannot write, or nothing is to be seen at its end.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
+    from pcore.capture.load import load_scene
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
-    from pcore.data.load import load_scene
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -129,7 +129,7 @@ def train(command: TrainCommand, console: Console) -> None:
     check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{command.preset}, {config.steps:,} steps on {device}")
     asset = trained(command, scene, config, device, console)
-    if config.steps >= _EARLY:
+    if config.steps >= EARLY:
         check_shows(asset, scene)
     show_result(console, asset)
 
@@ -211,12 +211,18 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
         console.print("images without alpha have no visual hull: points start on a grid")
         changes["start"] = "grid"
     config = replace(preset(command.preset), **changes)
-    _check_start(scene, config.start, console)
+    warn_of_start(scene, config.start, console, otherwise="grid")
     return config
 
 
-def _check_start(scene: Scene, start: str, console: Console) -> None:
+def warn_of_start(scene: Scene, start: str, console: Console, *, otherwise: str) -> None:
     """Warn where masks or a file would start points beside the object.
+
+    Args:
+        scene: to be trained on.
+        start: where points begin.
+        console: told of it.
+        otherwise: the start that needs no masks.
 
     Raises:
         SceneError: no mask holds anything.
@@ -234,9 +240,9 @@ def _check_start(scene: Scene, start: str, console: Console) -> None:
         notes.append(
             f"the masks are hazy: for 100 pixels that show the object, {100 * share:.0f} are 5 to "
             "50 % opaque, and points will start in all of that; clean the alpha channels, or start "
-            "without them: --init grid"
+            f"without them: --init {otherwise}"
         )
-    if start not in ("hull", "grid"):
+    if start not in ("hull", otherwise):
         notes += check_start(start_from_file(Path(start)), views, start)
     note(console, notes)
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from pcore.cli.minutes import Promise, promised, say_duration
-from pcore.cli.train import TrainCommand, announce, trained
+from pcore.cli.train import EARLY, TrainCommand, announce, check_shows, trained, warn_of_start
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,9 +25,9 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         InputError: an option that Gaussians do not have.
         PcoreError: as `fit_gaussians` and the run folder.
     """
+    from pcore.capture.load import load_scene
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
-    from pcore.data.load import load_scene
 
     began = time.monotonic()
     prepare_torch(command.threads)
@@ -38,15 +38,21 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     if command.minutes is not None:
         promise = Promise(minutes=command.minutes, began=began)
         scene, config, plan = promised(command, scene, config, device, promise)
+    masked = all(view.has_alpha for view in scene.split("train"))
+    start = config.start if config.start != "auto" else "hull" if masked else "views"
+    warn_of_start(scene, start, console, otherwise="views")
     announce(console, scene, f"Gaussians, {plan} on {device}")
     if command.minutes is None:
         say_duration(console, scene, config, device)
-    if not all(view.has_alpha for view in scene.split("train")):
+    if start == "views":
         console.print(
             Text("images without alpha have no visual hull: Gaussians start before the cameras"),
             soft_wrap=True,
         )
-    show_result(console, trained(command, scene, config, device, console))
+    asset = trained(command, scene, config, device, console)
+    if config.steps >= EARLY:
+        check_shows(asset, scene)
+    show_result(console, asset)
 
 
 def _config(command: TrainCommand) -> GaussianConfig:

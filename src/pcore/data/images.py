@@ -10,14 +10,19 @@ from functools import cached_property
 from pathlib import Path
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from pcore.data.image_files import ImageHeader, read_mask, read_rgba
 from pcore.errors import InputError
+from pcore.geometry.lens_distortion import LensDistortion
 from pcore.validation import check_count
 
 DEFAULT_MEMORY_BUDGET = 2 * 1024**3
 _SOLID = 0.5
+
+Crop = tuple[int, int, int, int]
+"""Left, top, right and lower end of a part of a picture, pixels."""
 
 
 class ImageCache:
@@ -79,7 +84,7 @@ class AlphaOfSplit:
     def separates(self) -> bool:
         """Whether any pixel of any image is background. Decodes until one is found."""
         return any(
-            float(source.rgba()[..., 3].min()) <= _SOLID
+            bool(((source.rgba()[..., 3] <= _SOLID) & source.shown()).any())
             for source in self.sources
             if source.header.has_alpha
         )
@@ -96,6 +101,8 @@ class ImageSource:
         cache: shared by all views of a scene.
         mask: file of a mask that the alpha is multiplied by; None is none.
         upright: turn the pixels as the EXIF tag says.
+        lens: that bent the whole picture as it is decoded; None of a pinhole.
+        crop: part that is kept of the straight picture before down-scaling; None keeps all.
         alpha: of the split that it belongs to; None takes any alpha channel for a mask.
     """
 
@@ -105,6 +112,8 @@ class ImageSource:
     cache: ImageCache
     mask: Path | None = None
     upright: bool = False
+    lens: LensDistortion | None = None
+    crop: Crop | None = None
     alpha: AlphaOfSplit | None = field(default=None, repr=False, compare=False)
 
     @property
@@ -113,9 +122,33 @@ class ImageSource:
         return self.header.has_alpha and (self.alpha is None or self.alpha.separates)
 
     def rgba(self) -> Tensor:
-        """(H, W, 4) float32 straight alpha in [0, 1]. Shared with the cache: do not write to it."""
-        key = (self.path, self.mask, self.upright, self.factor)
+        """(H, W, 4) float32 straight alpha in [0, 1]. Shared with the cache: do not write to it.
+
+        Pixels that the photo says nothing about (`valid`) are 0 in all channels.
+        """
+        key = (self.path, self.mask, self.upright, self.lens, self.crop, self.factor)
         return self.cache.get(key, self._decode)
+
+    def valid(self) -> Tensor | None:
+        """(H, W) bool: pixels that the photo shows; None where it shows all.
+
+        Straightening a picture leaves pixels at its borders that the lens did not see. Shared with
+        the cache: do not write to it.
+        """
+        if self.lens is None:
+            return None
+        key = ("valid", self._size, self.lens, self.crop, self.factor)
+        return self.cache.get(key, self._seen)
+
+    def shown(self) -> Tensor:
+        """(H, W) or () bool: `valid`, or one value for all pixels."""
+        valid = self.valid()
+        return torch.tensor(True) if valid is None else valid
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        header = self.header
+        return header.upright_size if self.upright else (header.width, header.height)
 
     def _decode(self) -> Tensor:
         stored = (self.header.width, self.header.height)
@@ -123,7 +156,40 @@ class ImageSource:
         if self.mask is not None:
             mask = read_mask(self.mask, size=(rgba.shape[1], rgba.shape[0]))
             rgba = torch.cat([rgba[..., :3], rgba[..., 3:] * mask[..., None]], dim=-1)
-        return area_downscale(rgba, self.factor)
+        if self.lens is not None:
+            rgba = straight_picture(rgba, self.lens)
+        small = area_downscale(_part(rgba, self.crop), self.factor)
+        return small * self.shown()[..., None]
+
+    def _seen(self) -> Tensor:
+        assert self.lens is not None, "only bent pictures have pixels without content"
+        seen = _part(self.lens.sources(*self._size)[1], self.crop)
+        height, width = seen.shape[0] // self.factor, seen.shape[1] // self.factor
+        return seen.reshape(height, self.factor, width, self.factor).all(dim=3).all(dim=1)
+
+
+def straight_picture(rgba: Tensor, lens: LensDistortion) -> Tensor:
+    """Undo a lens: (H, W, 4) straight alpha as a pinhole of the same focal lengths would show it.
+
+    Sampled bilinearly on premultiplied colour; where the lens saw nothing, the border goes on.
+    """
+    height, width = rgba.shape[:2]
+    places, _ = lens.sources(width, height)
+    grid = 2 * places / torch.tensor([width, height]) - 1
+    alpha = rgba[..., 3:]
+    planes = torch.cat([rgba[..., :3] * alpha, alpha], dim=-1).permute(2, 0, 1)[None]
+    found = F.grid_sample(planes, grid[None], padding_mode="border", align_corners=False)
+    found = found[0].permute(1, 2, 0)
+    covered = found[..., 3:]
+    color = torch.where(covered > 0, found[..., :3] / covered.clamp_min(1e-12), 0.0)
+    return torch.cat([color.clamp(0.0, 1.0), covered], dim=-1)
+
+
+def _part(picture: Tensor, crop: Crop | None) -> Tensor:
+    if crop is None:
+        return picture
+    left, top, right, bottom = crop
+    return picture[top:bottom, left:right]
 
 
 def area_downscale(rgba: Tensor, factor: int) -> Tensor:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from pcore.data.images import ImageSource, composite
+from pcore.data.images import Crop, ImageSource, composite
 from pcore.data.poses import closest_to_axes, seen_radius
-from pcore.errors import SceneError
+from pcore.data.sparse import SparsePoints
+from pcore.errors import InputError, SceneError
 from pcore.geometry.camera import Camera
+from pcore.geometry.object_region import Region
 from pcore.validation import check_count
 
 
@@ -45,8 +47,63 @@ class View:
         return composite(self.image.rgba(), background)
 
     def alpha(self) -> Tensor:
-        """(H, W) float32 opacity; all ones when the file has no alpha channel."""
+        """(H, W) float32 opacity; all ones when the file has no alpha channel.
+
+        0 where the photo shows nothing (`valid`).
+        """
         return self.image.rgba()[..., 3].clone()
+
+    def valid(self) -> Tensor | None:
+        """(H, W) bool: pixels that the photo shows, the caller's own copy; None: all of them.
+
+        Straightening the picture of a lens leaves some at its borders that it does not show. They
+        are background in no loss, figure or hull: nothing is known of them.
+        """
+        valid = self.image.valid()
+        return None if valid is None else valid.clone()
+
+    def cropped(self, crop: Crop) -> View:
+        """Return the part of a view from left, top to right, bottom; the camera moves along.
+
+        Args:
+            crop: pixels of the down-scaled picture.
+
+        Raises:
+            InputError: it does not lie in the picture.
+        """
+        left, top, right, bottom = crop
+        camera, factor = self.camera, self.image.factor
+        if not (0 <= left < right <= camera.width and 0 <= top < bottom <= camera.height):
+            raise InputError(
+                f"crop of {self.name}: expected left, top, right and bottom in order inside of "
+                f"{camera.width} x {camera.height} pixels, got {crop}"
+            )
+        x, y = (0, 0) if self.image.crop is None else self.image.crop[:2]
+        part = (x + left * factor, y + top * factor, x + right * factor, y + bottom * factor)
+        return replace(
+            self,
+            image=replace(self.image, crop=part),
+            camera=replace(
+                camera,
+                width=right - left,
+                height=bottom - top,
+                cx=camera.cx - left,
+                cy=camera.cy - top,
+            ),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Skipped:
+    """A picture of a capture that is not used.
+
+    Attributes:
+        name: of the picture, as the capture's files write it.
+        reason: why, to be read after the name.
+    """
+
+    name: str
+    reason: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +159,12 @@ class Scene:
         states: names of deformed states whose test views `load_state` reads.
         folder: what `load_scene` was given; None for scenes that come from elsewhere.
         factor: whole number by which its images were down-scaled.
+        layout: name of the layout that it was read from.
+        sparse: points of the reconstruction that posed the photos; None where there are none.
+        region: where its files say that the object is; None where they do not.
+        skipped: pictures that its files name, or that lie beside the others, and are not used.
+
+    Views of one scene may differ in size and lens.
 
     The region of the object comes from the poses of the training views alone (of all views when
     there is no training split, as in a deformed state): no image is looked at, no test pose
@@ -114,6 +177,10 @@ class Scene:
     states: tuple[str, ...] = ()
     folder: Path | None = None
     factor: int = 1
+    layout: str = "NeRF-Synthetic"
+    sparse: SparsePoints | None = None
+    region: Region | None = None
+    skipped: tuple[Skipped, ...] = ()
 
     @property
     def splits(self) -> tuple[str, ...]:

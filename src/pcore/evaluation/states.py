@@ -17,7 +17,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from pcore.data.load import find_states, load_scene, load_state
+from pcore.capture.load import find_states, load_scene, load_state
 from pcore.data.scene import Scene, View
 from pcore.deform.base import Deformation
 from pcore.deform.jacobian import analytic_maps, estimated_maps

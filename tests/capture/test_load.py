@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from scene_files import ANGLE_X, change, change_frame, pose, write_split
 
-from pcore.data.load import find_states, load_cameras, load_scene, load_state
+from pcore.capture.load import find_states, load_cameras, load_scene, load_state
 from pcore.errors import InputError, SceneError
+from scene_files import ANGLE_X, change, change_frame, pose, write_split
 
 
 def test_splits_cameras_and_downscaling(scene: Path) -> None:
