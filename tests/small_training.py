@@ -142,6 +142,9 @@ class FakeView:
     def rgb(self, background: Tensor) -> Tensor:
         return composite(self.pixels, background)
 
+    def valid(self) -> Tensor | None:
+        return None
+
     def alpha(self) -> Tensor:
         return self.pixels[..., 3].clone()
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pcore.errors import InputError
 from pcore.gaussians.render import Footprint
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE
-from pcore.training.config import Background
+from pcore.training.config import Background, Exposure
 from pcore.training.schedule import Level, Schedule, check_levels
 
 
@@ -104,6 +104,9 @@ class GaussianConfig:
     """Of every random draw."""
     levels: tuple[Level, ...] | None = None
     """Coarse to fine; from the end of the last one on the photos are whole. None: always."""
+    exposure: Exposure = None
+    """"per-view" learns an affine map of colours for every photo along; None takes them as they
+    are."""
     seconds: float | None = None
     """Promised for all steps, validations and saves; `steps` is then what is foreseen. None makes
     the steps and promises nothing."""

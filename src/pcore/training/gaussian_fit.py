@@ -12,15 +12,16 @@ from pcore.data.images import background_color, composite
 from pcore.data.scene import Scene, check_images, hold_out
 from pcore.errors import TrainingError
 from pcore.files.run_folder import RunFolder
-from pcore.gaussians.render import GaussianPictures, PosedGaussians, render_views
+from pcore.gaussians.render import GaussianPictures, PosedGaussians, render_views, view_matrices
 from pcore.training.events import Listener, PopulationReport, silent
+from pcore.training.exposure import ViewExposure
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from pcore.training.gaussian_density import changes
 from pcore.training.gaussian_start import camera_distance, start_gaussians
 from pcore.training.loop import Plan, run_loop
 from pcore.training.losses import Losses
 from pcore.training.pace import Clock, Leg, Pace
-from pcore.training.photo_level import PhotoLevel
+from pcore.training.reduced_view import PhotosInTurn
 from pcore.training.schedule import Level, reduction_at
 from pcore.training.speed import Speed
 from pcore.training.ssim import ssim
@@ -63,38 +64,47 @@ def fit_gaussians(
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     masked = all(view.has_alpha for view in views)
     start = start_gaussians(scene, views, config, torch.Generator().manual_seed(config.seed))
+    exposure = ViewExposure(len(views), where) if config.exposure else None
     work = trainable_gaussians(
         start.to(where),
         distance=camera_distance(scene),
         footprint=config.footprint,
         backdrop=config.background,
         seed=config.seed + 1,
+        fits_exposure=exposure is not None,
     )
     pace = _pace(config, scene, clock)
-    photos: list[PhotoLevel] = []
+    photos = PhotosInTurn(views)
     shown: list[GaussianPictures] = []
 
     def losses() -> Losses:
         index = _turn(work.step, len(views), config.seed)
         color = background_color(config.background, work.generator)
         progress = pace.progress(work.step)
-        reduction = reduction_at(config.levels, progress)
-        if not photos or photos[0].reduction != reduction:
-            photos[:] = [PhotoLevel(views=views, reduction=reduction)]
-        viewmat, intrinsics, size = photos[0].matrices(index, work.raw["means"])
+        photo = photos.at(reduction_at(config.levels, progress))[index]
+        camera = photo.camera
+        viewmat, intrinsics = view_matrices([camera], work.raw["means"])
         found = render_views(
             PosedGaussians(gaussians=work.gaussians(_degree(progress, config))),
             viewmat,
             intrinsics,
-            size,
+            (camera.width, camera.height),
             footprint=config.footprint,
             background=color.to(where),
         )
         if progress <= config.density.last:
             found.means2d.retain_grad()
         shown[:] = [found]
-        photo = composite(photos[0].rgba(index), color).to(where).unsqueeze(0)
-        return picture_losses(found.rgb, photo, config.ssim_weight)
+        rgb = found.rgb
+        if exposure is not None:
+            rgb = exposure.applied(index, rgb, found.alpha, color.to(where))
+        target = composite(photo.rgba(), color).to(where).unsqueeze(0)
+        valid = photo.valid()
+        if valid is not None:
+            # Nothing is known of the other pixels: there the picture is right as it is.
+            known = valid.to(where)[None, ..., None]
+            target = torch.where(known, target, rgb.detach())
+        return picture_losses(rgb, target, config.ssim_weight)
 
     def after_step(tell: Listener) -> None:
         _observe(work, shown.pop())
@@ -117,6 +127,7 @@ def fit_gaussians(
             background=config.background,
             scene=scene.name,
             pace=pace,
+            exposure=exposure,
         ),
         losses,
         after_step=after_step,

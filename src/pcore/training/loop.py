@@ -24,6 +24,7 @@ from pcore.training.events import (
     Stopped,
     ValidationReport,
 )
+from pcore.training.exposure import ViewExposure
 from pcore.training.interrupt import deferred_interrupt
 from pcore.training.losses import Losses
 from pcore.training.pace import Pace
@@ -48,6 +49,7 @@ class Plan:
         background: behind images with alpha.
         scene: name of the scene, for the model file.
         pace: of a training that has promised a time; None makes the steps and no promise.
+        exposure: of the photos, where it is learned along.
     """
 
     steps: int
@@ -58,6 +60,7 @@ class Plan:
     background: Background
     scene: str
     pace: Pace | None = None
+    exposure: ViewExposure | None = None
 
 
 def run_loop(
@@ -95,7 +98,7 @@ def run_loop(
     pace = plan.pace or Pace(
         plan.steps, validate_every=plan.validate_every, save_every=plan.save_every
     )
-    _resume(work, pace, folder)
+    _resume(work, plan, pace, folder)
     if pace.done(work.step):
         # Killed between the files of the last save: complete them.
         finish(listener)
@@ -138,6 +141,8 @@ def _step(work: Work[Any], plan: Plan, pace: Pace, losses: Callable[[], Losses])
         found = losses()
         found.total.backward()
     work.optimizer.step()
+    if plan.exposure is not None:
+        plan.exposure.step(pace.progress(work.step))
     work.step += 1
     return found
 
@@ -213,11 +218,13 @@ def _result(work: Work[Result]) -> Result:
     return work.result(work.best.get("weights"))
 
 
-def _resume(work: Work[Any], pace: Pace, folder: RunFolder | None) -> None:
+def _resume(work: Work[Any], plan: Plan, pace: Pace, folder: RunFolder | None) -> None:
     state = folder.load_state() if folder is not None else None
     if state is not None:
         work.restore(state)
         pace.restore(state.optimisers.get("pace", {}), work.step)
+        if plan.exposure is not None:
+            plan.exposure.restore(state.optimisers.get("exposure", {}))
 
 
 def _save(
@@ -233,7 +240,10 @@ def _save(
     if folder is None:
         return
     state = work.state()
-    folder.save_state(replace(state, optimisers={**state.optimisers, "pace": pace.state()}))
+    more = {"pace": pace.state()}
+    if plan.exposure is not None:
+        more["exposure"] = plan.exposure.state()
+    folder.save_state(replace(state, optimisers={**state.optimisers, **more}))
     listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
     for path in work.save(folder, plan.scene):
         listener(Saved(stage=work.stage, step=work.step, path=path))

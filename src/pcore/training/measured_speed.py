@@ -10,12 +10,12 @@ from dataclasses import replace
 import torch
 
 from pcore.data.scene import Scene, View
-from pcore.gaussians.render import PosedGaussians, render_views
+from pcore.gaussians.render import PosedGaussians, render_views, view_matrices
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.gaussian_fit import picture_losses
 from pcore.training.gaussian_start import camera_distance, start_gaussians
 from pcore.training.pace import Clock
-from pcore.training.photo_level import PhotoLevel
+from pcore.training.reduced_view import Photo, reduced
 from pcore.training.speed import Speed, speed_from
 from pcore.training.time_plan import Photos
 from pcore.training.trainable_gaussians import TrainableGaussians, trainable_gaussians
@@ -69,9 +69,9 @@ def measured_speed(
     for count in _NUMBERS:
         work = _prepared(scene, views, replace(config, points=count), where)
         for reduction in (fine, 2 * fine):
-            level = PhotoLevel(views=views, reduction=reduction)
-            camera = level.camera(0)
-            seconds = _step_seconds(work, level, config, clock)
+            photos = reduced(views, reduction)
+            camera = photos[0].camera
+            seconds = _step_seconds(work, photos, config, clock)
             samples.append((camera.width * camera.height, work.points, seconds))
     return speed_from(samples)
 
@@ -95,7 +95,7 @@ def _prepared(
 
 
 def _step_seconds(
-    work: TrainableGaussians, level: PhotoLevel, config: GaussianConfig, clock: Clock
+    work: TrainableGaussians, photos: Sequence[Photo], config: GaussianConfig, clock: Clock
 ) -> float:
     """Median of a few steps; the first one, which may compile, does not count."""
     took: list[float] = []
@@ -103,16 +103,17 @@ def _step_seconds(
     color = torch.ones(3)
     for turn in range(_TURNS + 1):
         began = clock()
-        viewmat, intrinsics, size = level.matrices(turn % len(level.views), like)
+        shown = photos[turn % len(photos)]
+        viewmat, intrinsics = view_matrices([shown.camera], like)
         found = render_views(
             PosedGaussians(gaussians=work.gaussians(config.degree)),
             viewmat,
             intrinsics,
-            size,
+            (shown.camera.width, shown.camera.height),
             footprint=config.footprint,
             background=color.to(like),
         )
-        photo = level.rgba(turn % len(level.views))[..., :3].to(like).unsqueeze(0)
+        photo = shown.rgba()[..., :3].to(like).unsqueeze(0)
         picture_losses(found.rgb, photo, config.ssim_weight).total.backward()
         # A rate of zero moves nothing and costs the same.
         for group in work.optimizer.param_groups:

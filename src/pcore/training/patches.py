@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from pcore.data.images import background_color, composite
-from pcore.data.scene import View
 from pcore.geometry.pixel_samples import drawn_places
 from pcore.geometry.rays import RayBundle
 from pcore.training.config import Background, PatchConfig
+from pcore.training.reduced_view import Photo
 
 _TRIES = 20
 _LEAST_COVERAGE = 0.02
@@ -27,16 +27,20 @@ class Patch:
         rgb: (H, W, 3) photo over the background.
         alpha: (H, W) coverage, None for photos without an alpha channel.
         background: (3,) colour behind the object.
+        view: number of the view.
+        valid: (H, W) bool, pixels that the photo shows; None for all of them.
     """
 
     rays: RayBundle
     rgb: Tensor
     alpha: Tensor | None
     background: Tensor
+    view: int = 0
+    valid: Tensor | None = None
 
 
 def draw_patch(
-    views: Sequence[View],
+    views: Sequence[Photo],
     config: PatchConfig,
     background: Background,
     generator: torch.Generator,
@@ -47,10 +51,11 @@ def draw_patch(
     Returns:
         The patch on `device`; every draw comes from `generator`.
     """
-    view = views[_draw(len(views), generator)]
+    index = _draw(len(views), generator)
+    view = views[index]
     camera = view.camera
     height, width = min(config.side, camera.height), min(config.side, camera.width)
-    rgba = view.rgba()
+    rgba, valid = view.rgba(), view.valid()
     top = left = 0
     for _ in range(_TRIES):
         top = _draw(camera.height - height + 1, generator)
@@ -69,6 +74,10 @@ def draw_patch(
         rgb=_sent(composite(crop, color), device),
         alpha=_sent(crop[..., 3], device) if view.has_alpha else None,
         background=_sent(color, device),
+        view=index,
+        valid=None
+        if valid is None
+        else _sent(valid[top : top + height, left : left + width], device),
     )
 
 

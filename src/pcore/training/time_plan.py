@@ -18,6 +18,8 @@ _LEVEL_SHARES = {1: (1.0,), 2: (0.3, 0.7), 3: (0.25, 0.3, 0.45), 4: (0.2, 0.2, 0
 """Shares of the steps by the number of resolutions, coarse to fine."""
 _LEAST_STEPS = 1500
 """A schedule of fewer steps at a resolution is worse than a whole one at half of it."""
+_FEWEST_STEPS = 200
+"""What is trained in fewer steps is no object yet."""
 _USUAL_STEPS = 4000
 """Steps before time goes into more Gaussians."""
 _DENSE, _DENSEST = 1.2, 5.0
@@ -98,11 +100,12 @@ def plan_gaussians(
         if plan.gaussians.steps >= _LEAST_STEPS:
             return plan
     plan = _at(photos, speed, seconds, base, factors[-1])
-    least = seconds * 200 / plan.gaussians.steps
-    if plan.gaussians.steps < 200:
+    steps = plan.gaussians.steps
+    if steps < _FEWEST_STEPS:
+        minutes = math.ceil(seconds * _FEWEST_STEPS / steps / 60)
         raise InputError(
-            f"training in {seconds:.0f} seconds: expected time for at least 200 steps, got "
-            f"{plan.gaussians.steps} on this machine; promise {math.ceil(least / 60)} minutes or more"
+            f"training in {seconds:.0f} seconds: expected time for at least {_FEWEST_STEPS} steps, "
+            f"got {steps} on this machine; promise {minutes} minutes or more"
         )
     return plan
 

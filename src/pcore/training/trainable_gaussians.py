@@ -62,6 +62,7 @@ class TrainableGaussians:
         stage: "pretrain": in a run folder this is what stands in the place of pre-training.
         step: steps done.
         best: figures of the best validation.
+        fits_exposure: whether figures are also given under a fitted map of colours.
     """
 
     raw: dict[str, nn.Parameter]
@@ -75,6 +76,7 @@ class TrainableGaussians:
     stage: str = "pretrain"
     step: int = 0
     best: dict[str, Any] = field(default_factory=dict[str, Any])
+    fits_exposure: bool = False
 
     @property
     def points(self) -> int:
@@ -144,7 +146,7 @@ class TrainableGaussians:
             )
             return found.rgb[0].cpu()
 
-        return mean_scores(views, color, draw)
+        return mean_scores(views, color, draw, fitted=self.fits_exposure)
 
     def save(self, folder: RunFolder, scene: str) -> list[str]:
         """Write what users load; return the paths."""
@@ -202,6 +204,7 @@ def trainable_gaussians(
     footprint: Footprint,
     backdrop: Background,
     seed: int,
+    fits_exposure: bool = False,
 ) -> TrainableGaussians:
     """Return Gaussians made ready to train, with Adam, on the device where they are."""
     rows = {
@@ -225,6 +228,7 @@ def trainable_gaussians(
         backdrop=backdrop,
         slopes=slopes,
         seen=seen,
+        fits_exposure=fits_exposure,
     )
 
 
