@@ -223,7 +223,7 @@ def _look(papr: Papr, posed: PosedCloud, view: View, sums: Tensor) -> Shown:
     columns = [torch.cat(each).reshape(*shape, -1) for each in zip(*parts, strict=True)]
     alpha, surface, weights, points = columns[0][..., 0], columns[1], columns[2], columns[3]
     image = Image(rgb=rgba[..., :3], alpha=alpha, depth=camera.depth(surface), surface=surface)
-    seen, shown = told(image, camera, rgba, masked=view.has_alpha)
+    seen, shown = told(image, camera, rgba)
     used = seen[..., 6] > 0
     share = weights[used].unsqueeze(-1) * seen[used].unsqueeze(1)
     sums.index_add_(0, points[used].flatten(), share.flatten(0, 1))
@@ -238,18 +238,17 @@ def small(view: View) -> tuple[Camera, Tensor]:
     return camera, _shrunk(view.rgba(), camera.height, camera.width)
 
 
-def told(image: Image, camera: Camera, rgba: Tensor, *, masked: bool) -> tuple[Tensor, Shown]:
+def told(image: Image, camera: Camera, rgba: Tensor) -> tuple[Tensor, Shown]:
     """What the pixels of a photo say: normal, colour and 1 (H, W, 7), zeros where nothing.
 
     Args:
         image: what the model shows there.
         camera: of both.
         rgba: (H, W, 4) the photo.
-        masked: whether the photo knows what is solid.
     """
-    normal, solid = normals(image, camera), image.alpha > _SOLID
-    if masked:
-        solid &= rgba[..., 3] > _SOLID
+    normal = normals(image, camera)
+    # Photos without masks are opaque but where they show nothing at all.
+    solid = (image.alpha > _SOLID) & (rgba[..., 3] > _SOLID)
     used = ~normal.isnan().any(dim=-1) & solid
     one = torch.ones(*solid.shape, 1)
     seen = torch.cat([normal, rgba[..., :3], one], dim=-1).where(used.unsqueeze(-1), 0.0)

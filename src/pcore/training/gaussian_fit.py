@@ -101,9 +101,8 @@ def fit_gaussians(
         target = composite(photo.rgba(), color).to(where).unsqueeze(0)
         valid = photo.valid()
         if valid is not None:
-            # Nothing is known of the other pixels: there the picture is right as it is.
-            known = valid.to(where)[None, ..., None]
-            target = torch.where(known, target, rgb.detach())
+            # Where the photo shows nothing, rendering is neither right nor wrong.
+            rgb = torch.where(valid.to(where)[..., None], rgb, target)
         return picture_losses(rgb, target, config.ssim_weight)
 
     def after_step(tell: Listener) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -84,29 +84,18 @@ def photometric(
     distance from it, weighted by the opacity. Colours alone leave PAPR free to blend the back of
     the object into its front, and then its surface points lie between the two.
     """
-    if patch.valid is not None:
-        patch = _known(patch, image)
-    error = (image.rgb - patch.rgb).square().mean()
+    rgb = patch.told(image.rgb, patch.rgb)
+    error = (rgb - patch.rgb).square().mean()
     terms = {"rgb": error}
     if perceptual is not None:
-        images = [_as_lpips(one) for one in (image.rgb, patch.rgb)]
+        images = [_as_lpips(one) for one in (rgb, patch.rgb)]
         terms["lpips"] = lpips_weight * perceptual(*images).mean()
     if opacity_weight > 0 and patch.alpha is not None:
-        terms["opacity"] = opacity_weight * (image.alpha - patch.alpha).square().mean()
+        alpha = patch.told(image.alpha, patch.alpha)
+        terms["opacity"] = opacity_weight * (alpha - patch.alpha).square().mean()
     if front_weight > 0:
         terms["front"] = front_weight * (image.alpha.detach() * image.spread).mean()
     return Losses(terms=terms, squared_error=error.detach())
-
-
-def _known(patch: Patch, image: Image) -> Patch:
-    """A patch that agrees with a picture where its photo shows nothing."""
-    assert patch.valid is not None
-    valid, alpha = patch.valid, patch.alpha
-    return replace(
-        patch,
-        rgb=torch.where(valid.unsqueeze(-1), patch.rgb, image.rgb.detach()),
-        alpha=None if alpha is None else torch.where(valid, alpha, image.alpha.detach()),
-    )
 
 
 def _as_lpips(image: Tensor) -> Tensor:
