@@ -142,13 +142,10 @@ class FakeView:
     def rgb(self, background: Tensor) -> Tensor:
         return composite(self.pixels, background)
 
-    def valid(self) -> Tensor | None:
-        return None
-
     def alpha(self) -> Tensor:
         return self.pixels[..., 3].clone()
 
-    def valid(self) -> None:
+    def valid(self) -> Tensor | None:
         return None
 
 

@@ -322,10 +322,12 @@ def test_a_promise_of_minutes_says_its_plan_and_resumes_it(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def plan(photos: Photos, speed: object, seconds: float, base: Any, **rest: object) -> TimePlan:
+    def plan(
+        photos: Photos, speed: object, seconds: float, base: Any, **rest: object
+    ) -> TimePlan[Any]:
         assert 0 < seconds < 60 * 3
         assert (photos.width, photos.count) == (16, 12)
-        return TimePlan(factor=1, gaussians=replace(base, steps=40, points=60, seconds=0.5))
+        return TimePlan(factor=1, config=replace(base, steps=40, points=60, seconds=0.5))
 
     monkeypatch.setattr(time_plan, "plan_gaussians", plan)
     monkeypatch.setattr(measured_speed, "measured_speed", lambda *others: Speed())

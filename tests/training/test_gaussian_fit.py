@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import imageio.v3 as iio
 import pytest
 import torch
 
@@ -27,6 +28,7 @@ from pcore.training.trainable_gaussians import TrainedGaussians
 from small_training import Heard, assert_same, box_work
 from tiny_scene import write_scene
 
+LEVELS = (Level(until=0.6, reduction=2),)
 DENSITY = DensityConfig(every=10, first=10, last=0.8, gradient=1e-6, limit=150)
 
 
@@ -79,8 +81,11 @@ def test_the_same_seed_gives_the_same_gaussians(scene: Scene) -> None:
     assert not torch.equal(first.gaussians.means[:50], other.gaussians.means[:50])
 
 
-def test_an_interrupted_run_ends_as_one_that_was_not(scene: Scene, tmp_path: Path) -> None:
-    whole = fit_gaussians(scene, config())
+@pytest.mark.parametrize("more", [{}, {"exposure": "per-view", "levels": LEVELS}])
+def test_an_interrupted_run_ends_as_one_that_was_not(
+    scene: Scene, tmp_path: Path, more: dict[str, Any]
+) -> None:
+    whole = fit_gaussians(scene, config(**more))
 
     def folder(*, resume: bool) -> RunFolder:
         return RunFolder.create(
@@ -92,10 +97,10 @@ def test_an_interrupted_run_ends_as_one_that_was_not(scene: Scene, tmp_path: Pat
             signal.raise_signal(signal.SIGINT)
 
     with folder(resume=False) as run, pytest.raises(KeyboardInterrupt):
-        fit_gaussians(scene, config(), folder=run, listener=stop)
+        fit_gaussians(scene, config(**more), folder=run, listener=stop)
     with folder(resume=True) as run:
         assert run.saved_step() == 20
-        found = fit_gaussians(scene, config(), folder=run)
+        found = fit_gaussians(scene, config(**more), folder=run)
     assert_same(tensors(found), tensors(whole))
     saved = load_gaussians(tmp_path / "run")
     assert torch.equal(saved.gaussians.sh, whole.gaussians.sh)
@@ -112,8 +117,7 @@ def test_a_promise_is_kept_by_a_clock_and_across_processes(scene: Scene, tmp_pat
         now[0] += 0.5
         return now[0]
 
-    levels = (Level(until=0.5, reduction=2),)
-    settings = config(steps=2000, seconds=seconds, levels=levels, points=40)
+    settings = config(steps=2000, seconds=seconds, levels=LEVELS, points=40)
     heard = Heard()
 
     def stop(event: Event) -> None:
@@ -136,6 +140,26 @@ def test_a_promise_is_kept_by_a_clock_and_across_processes(scene: Scene, tmp_pat
     assert reports[-1].step == reports[-1].steps < 400
     assert reports[-1].rates["scales"] < 0.1 * reports[0].rates["scales"]
     assert heard.of(ValidationReport)[0].step < 0.4 * reports[-1].step
+
+
+def test_photos_of_changing_exposure_are_learned_with_a_map_for_each(tmp_path: Path) -> None:
+    """Every second photo is half as bright: without maps the box is a colour between."""
+    root = write_scene(tmp_path / "box", states=False)
+    for path in sorted((root / "train").glob("*.png"))[::2]:
+        picture = iio.imread(path)
+        picture[..., :3] //= 2
+        iio.imwrite(path, picture)
+    figures: list[dict[str, float]] = []
+    for exposure in (None, "per-view"):
+        heard = Heard()
+        settings = config(steps=120, validate_every=120, exposure=exposure)
+        fit_gaussians(load_scene(root), settings, listener=heard)
+        figures.append(heard.of(ValidationReport)[-1].scores)
+        last = heard.of(StepReport)[-5:]
+        figures[-1]["loss"] = sum(report.loss for report in last) / len(last)
+    assert figures[1]["loss"] < 0.8 * figures[0]["loss"]
+    assert {*figures[1]} - {*figures[0]} == {"fitted_psnr"}
+    assert figures[1]["fitted_psnr"] > figures[1]["foreground_psnr"]
 
 
 def test_units_do_not_matter(tmp_path: Path) -> None:

@@ -32,28 +32,28 @@ def test_the_steps_take_the_promised_time(minutes: float, slower: float) -> None
     parts = ("fixed", "pixel", "gaussian")
     speed = replace(SPEED, **{name: slower * getattr(SPEED, name) for name in parts})
     plan = plan_gaussians(PHOTOS, speed, 60 * minutes, GaussianConfig())
-    took = seconds_of(plan.gaussians, PHOTOS, plan.factor, speed)
+    took = seconds_of(plan.config, PHOTOS, plan.factor, speed)
     assert took == pytest.approx(60 * minutes, rel=0.05)
-    assert plan.gaussians.seconds == 60 * minutes
+    assert plan.config.seconds == 60 * minutes
 
 
 def test_more_time_is_finer_photos_then_more_gaussians_then_more_steps() -> None:
     plans = [plan_gaussians(PHOTOS, SPEED, 60 * n, GaussianConfig()) for n in (1, 4, 20, 200, 2000)]
     assert [plan.factor for plan in plans] == sorted((p.factor for p in plans), reverse=True)
     assert plans[0].factor > plans[2].factor == 1
-    limits = [plan.gaussians.density.limit for plan in plans]
+    limits = [plan.config.density.limit for plan in plans]
     assert limits == sorted(limits)
     assert limits[1] < limits[3]
-    assert plans[4].gaussians.steps > 5 * plans[3].gaussians.steps
+    assert plans[4].config.steps > 5 * plans[3].config.steps
 
 
 def test_schedules_go_from_coarse_to_fine() -> None:
-    levels = plan_gaussians(PHOTOS, SPEED, 1200, GaussianConfig()).gaussians.levels
+    levels = plan_gaussians(PHOTOS, SPEED, 1200, GaussianConfig()).config.levels
     assert levels is not None
     assert [level.reduction for level in levels] == [8, 4, 2]
     assert [reduction_at(levels, at) for at in (0.0, 0.3, 0.5, 0.9)] == [8, 4, 2, 1]
     small = Photos(width=100, height=100, count=100, coverage=0.2)
-    assert plan_gaussians(small, SPEED, 90, GaussianConfig()).gaussians.levels is None
+    assert plan_gaussians(small, SPEED, 90, GaussianConfig()).config.levels is None
 
 
 def test_a_given_factor_is_kept() -> None:

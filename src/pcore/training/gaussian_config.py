@@ -76,8 +76,9 @@ class GaussianConfig:
     points: int = 4000
     """Gaussians at the start."""
     start: str = "auto"
-    """"hull" (visual hull of the training masks), "views" (in front of the cameras, near ones and
-    far ones), a PLY or NPY file of points, or "auto": hull where there are masks, else views."""
+    """"hull" (visual hull of the training masks), "sparse" (points of the reconstruction that posed
+    the photos, and far ones), "views" (in front of the cameras, near and far), a PLY or NPY file of
+    points, or "auto": the first of these that the scene has."""
     degree: int = 3
     """Of the spherical harmonics."""
     degree_every: float = 1 / 6

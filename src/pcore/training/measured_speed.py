@@ -1,4 +1,4 @@
-"""How fast this machine trains Gaussians on a scene: a few real steps at a few sizes."""
+"""How fast this machine trains on a scene: a few real steps at a few sizes, thrown away."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ import torch
 
 from pcore.data.scene import Scene, View
 from pcore.gaussians.render import PosedGaussians, render_views, view_matrices
+from pcore.training.config import PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.gaussian_fit import picture_losses
 from pcore.training.gaussian_start import camera_distance, start_gaussians
 from pcore.training.pace import Clock
+from pcore.training.pretrain import begin, patch_losses
 from pcore.training.reduced_view import Photo, reduced
 from pcore.training.speed import Speed, speed_from
 from pcore.training.time_plan import Photos
@@ -74,6 +76,31 @@ def measured_speed(
             seconds = _step_seconds(work, photos, config, clock)
             samples.append((camera.width * camera.height, work.points, seconds))
     return speed_from(samples)
+
+
+def papr_step_seconds(
+    scene: Scene, config: PretrainConfig, device: str = "cpu", clock: Clock = time.perf_counter
+) -> float:
+    """Seconds of a step of PAPR, from a few that are thrown away; LPIPS is not counted.
+
+    Args:
+        scene: its training views; a few are decoded.
+        config: architecture, patch, number of points.
+        device: that will train.
+        clock: tells the time.
+    """
+    views = _some(scene.split("train"))
+    work = begin(scene, views, config, torch.device(device))
+    took: list[float] = []
+    for _ in range(_TURNS + 1):
+        began = clock()
+        patch_losses(work, views, config).total.backward()
+        for group in work.optimizer.param_groups:
+            group["lr"] = 0.0
+        work.optimizer.step()
+        work.optimizer.zero_grad(set_to_none=True)
+        took.append(clock() - began)
+    return statistics.median(took[1:])
 
 
 def _some(views: Sequence[View]) -> Sequence[View]:

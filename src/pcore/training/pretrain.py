@@ -23,11 +23,18 @@ from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.exposure import ViewExposure
 from pcore.training.loop import Plan, autocast, run_loop
-from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric, training_image
+from pcore.training.losses import (
+    Losses,
+    Perceptual,
+    mean_of,
+    perceptual_loss,
+    photometric,
+    training_image,
+)
 from pcore.training.pace import Clock, Pace
 from pcore.training.patches import draw_patch
 from pcore.training.population import growth_mixture, growth_sites, replace_rows
-from pcore.training.reduced_view import PhotosInTurn
+from pcore.training.reduced_view import Photo, PhotosInTurn
 from pcore.training.scene_frame import in_frame, network_frame
 from pcore.training.schedule import reduction_at
 from pcore.training.start_cloud import start_positions
@@ -71,7 +78,7 @@ def pretrain(
     check_images(scene.split("train"))
     check_masks(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
-    work = _begin(scene, views, config, where)
+    work = begin(scene, views, config, where)
     pace = Pace(
         config.steps,
         validate_every=config.validate_every,
@@ -87,29 +94,7 @@ def pretrain(
 
     def losses() -> Losses:
         shown = photos.at(reduction_at(config.levels, pace.progress(work.step)))
-        patches = [
-            draw_patch(shown, config.patch, config.background, work.generator, where)
-            for _ in range(config.patch.views)
-        ]
-        found: list[Losses] = []
-        for patch in patches:
-            with autocast(where, enabled=config.mixed_precision):
-                posed = PosedCloud.at_rest(work.cloud)
-                image = training_image(work.papr, posed, patch.rays, patch.background)
-            if exposure is not None:
-                rgb = exposure.applied(patch.view, image.rgb, image.alpha, patch.background)
-                image = dataclasses.replace(image, rgb=rgb)
-            found.append(
-                photometric(
-                    image,
-                    patch,
-                    opacity_weight=config.opacity_weight,
-                    lpips_weight=config.lpips_weight,
-                    perceptual=perceptual,
-                    front_weight=config.front_weight / work.papr.config.unit**2,
-                )
-            )
-        return mean_of(found)
+        return patch_losses(work, shown, config, perceptual, exposure)
 
     return run_loop(
         work,
@@ -132,9 +117,44 @@ def pretrain(
     )
 
 
-def _begin(
+def patch_losses(
+    work: Trainable,
+    views: Sequence[Photo],
+    config: PretrainConfig,
+    perceptual: Perceptual | None = None,
+    exposure: ViewExposure | None = None,
+) -> Losses:
+    """Draw the patches of the coming step and compare them with what the work shows there."""
+    where = work.cloud.positions.device
+    patches = [
+        draw_patch(views, config.patch, config.background, work.generator, where)
+        for _ in range(config.patch.views)
+    ]
+    found: list[Losses] = []
+    for patch in patches:
+        with autocast(where, enabled=config.mixed_precision):
+            posed = PosedCloud.at_rest(work.cloud)
+            image = training_image(work.papr, posed, patch.rays, patch.background)
+        if exposure is not None:
+            rgb = exposure.applied(patch.view, image.rgb, image.alpha, patch.background)
+            image = dataclasses.replace(image, rgb=rgb)
+        found.append(
+            photometric(
+                image,
+                patch,
+                opacity_weight=config.opacity_weight,
+                lpips_weight=config.lpips_weight,
+                perceptual=perceptual,
+                front_weight=config.front_weight / work.papr.config.unit**2,
+            )
+        )
+    return mean_of(found)
+
+
+def begin(
     scene: Scene, views: Sequence[View], config: PretrainConfig, device: torch.device
 ) -> Trainable:
+    """Networks and points before the first step."""
     model = _model_config(config, scene)
     # Weights come from torch's global generator; fork it so that the library leaves it alone.
     with torch.random.fork_rng(devices=[]):

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 from pcore.errors import InputError
+from pcore.training.config import PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.schedule import Level
 from pcore.training.speed import Speed
+
+Config = TypeVar("Config", GaussianConfig, PretrainConfig)
 
 _COARSEST = 80
 """Pixels along the longer side of the coarsest photos of a schedule."""
@@ -25,6 +29,10 @@ _USUAL_STEPS = 4000
 _DENSE, _DENSEST = 1.2, 5.0
 """Gaussians per pixel that the object covers in a photo, with little time and with much."""
 _FEWEST, _MOST = 6_000, 300_000
+_PAPR_SIDE, _PAPR_STEPS = 100, 3500
+"""Pixels along a side that so many steps of PAPR are a usual training for (`presets.TINY`)."""
+_PAPR_MOST, _PAPR_COARSE = 15_000, 0.3
+"""Points at most; share of the steps with photos of half the size, where they are fine."""
 _START_SHARE = 0.25
 """Gaussians at the start, of those at the end."""
 
@@ -59,16 +67,16 @@ class Photos:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimePlan:
+class TimePlan(Generic[Config]):
     """How a promise will be kept.
 
     Attributes:
         factor: by which the photos are divided for good.
-        gaussians: settings, with the promise in them.
+        config: settings, with the promise in them.
     """
 
     factor: int
-    gaussians: GaussianConfig
+    config: Config
 
 
 def plan_gaussians(
@@ -78,7 +86,7 @@ def plan_gaussians(
     base: GaussianConfig,
     *,
     factor: int | None = None,
-) -> TimePlan:
+) -> TimePlan[GaussianConfig]:
     """Choose settings whose training takes so many seconds on a machine of a speed.
 
     The finest photos for which there are enough steps; then as many Gaussians as leave the usual
@@ -97,22 +105,68 @@ def plan_gaussians(
     factors = photos.factors() if factor is None else [factor]
     for one in factors:
         plan = _at(photos, speed, seconds, base, one)
-        if plan.gaussians.steps >= _LEAST_STEPS:
+        if plan.config.steps >= _LEAST_STEPS:
             return plan
     plan = _at(photos, speed, seconds, base, factors[-1])
-    steps = plan.gaussians.steps
+    _check_steps(plan.config.steps, seconds)
+    return plan
+
+
+def plan_papr(
+    photos: Photos,
+    step_seconds: float,
+    seconds: float,
+    base: PretrainConfig,
+    *,
+    factor: int | None = None,
+) -> TimePlan[PretrainConfig]:
+    """Choose settings of PAPR whose training takes so many seconds.
+
+    A step costs the same for photos of any size, since it draws a patch; but finer photos have more
+    to learn. So the finest ones are taken whose pixels get as many steps as those of the usual size
+    do in a usual training.
+
+    Args:
+        photos: of the scene, undivided.
+        step_seconds: of a step of `base`.
+        seconds: for all steps, validations and saves.
+        base: what is not chosen here.
+        factor: by which photos are divided; None chooses it.
+
+    Raises:
+        InputError: less time than the smallest training takes.
+    """
+    steps = max(1, int(seconds / step_seconds))
+    _check_steps(steps, seconds)
+    longest = max(photos.width, photos.height)
+    side = _PAPR_SIDE * math.sqrt(max(1.0, steps / _PAPR_STEPS))
+    factors = photos.factors() if factor is None else [factor]
+    # A fifth more pixels than that is no reason for half of them.
+    chosen = next((one for one in factors if longest / one <= 1.2 * side), factors[-1])
+    fine = longest / chosen > 1.5 * _PAPR_SIDE
+    points = min(_PAPR_MOST, int(base.points * max(1.0, longest / chosen / _PAPR_SIDE)))
+    config = replace(
+        base,
+        steps=steps,
+        points=points,
+        levels=(Level(until=_PAPR_COARSE, reduction=2),) if fine else None,
+        seconds=seconds,
+    )
+    return TimePlan(factor=chosen, config=config)
+
+
+def _check_steps(steps: int, seconds: float) -> None:
     if steps < _FEWEST_STEPS:
         minutes = math.ceil(seconds * _FEWEST_STEPS / steps / 60)
         raise InputError(
             f"training in {seconds:.0f} seconds: expected time for at least {_FEWEST_STEPS} steps, "
             f"got {steps} on this machine; promise {minutes} minutes or more"
         )
-    return plan
 
 
 def _at(
     photos: Photos, speed: Speed, seconds: float, base: GaussianConfig, factor: int
-) -> TimePlan:
+) -> TimePlan[GaussianConfig]:
     reductions = _reductions(max(photos.width, photos.height) / factor)
     shares = _LEVEL_SHARES[len(reductions)]
     covered = photos.pixels(factor) * photos.coverage
@@ -136,7 +190,7 @@ def _at(
         levels.append(Level(until=round(end, 6), reduction=one))
     return TimePlan(
         factor=factor,
-        gaussians=replace(
+        config=replace(
             base,
             steps=max(1, int(seconds / mean_cost(limit))),
             points=max(1000, int(_START_SHARE * limit)),
