@@ -8,9 +8,10 @@ import pytest
 
 from pcore.errors import InputError
 from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.presets import preset
 from pcore.training.schedule import reduction_at
 from pcore.training.speed import Speed, speed_from
-from pcore.training.time_plan import Photos, plan_gaussians
+from pcore.training.time_plan import Photos, plan_gaussians, plan_papr
 
 SPEED = Speed(fixed=4e-3, pixel=8e-7, gaussian=1.4e-6)
 PHOTOS = Photos(width=800, height=800, count=100, coverage=0.2)
@@ -64,6 +65,8 @@ def test_photos_are_divided_by_what_divides_both_sides() -> None:
     photos = Photos(width=1080, height=1920, count=50, coverage=1.0)
     assert photos.factors() == [1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 24, 30]
     assert Photos(width=101, height=103, count=5, coverage=1.0).factors() == [1]
+    odd = Photos(width=201, height=403, count=5, coverage=1.0, any_factor=True)
+    assert odd.factors() == [1, 2, 3, 4, 5, 6]
 
 
 def test_too_little_time_is_refused_with_what_is_needed() -> None:
@@ -77,3 +80,17 @@ def test_a_model_of_the_speed_is_found_again_in_what_it_says() -> None:
     assert found.seconds(6.4e5, 1e5) == pytest.approx(SPEED.seconds(6.4e5, 1e5), rel=1e-6)
     # A machine on which nothing seems to cost anything.
     assert speed_from([(p, n, 0.02) for p, n in sizes]).seconds(1e6, 1e6) > 0
+
+
+def test_papr_gets_finer_photos_when_there_are_steps_for_them() -> None:
+    """A usual training of 100 pixels has 3,500 steps, which at 0.2 seconds are 12 minutes."""
+    base, step = preset("tiny"), 0.2
+    plans = [plan_papr(PHOTOS, step, 60 * n, base) for n in (3, 12, 60, 1000)]
+    assert [plan.factor for plan in plans] == [8, 8, 4, 1]
+    assert [plan.config.steps for plan in plans] == [900, 3600, 18_000, 300_000]
+    assert plans[1].config.levels is None
+    assert plans[2].config.levels is not None
+    assert plans[2].config.points > plans[1].config.points == base.points
+    assert plan_papr(PHOTOS, step, 180, base, factor=2).factor == 2
+    with pytest.raises(InputError, match="promise 1 minutes"):
+        plan_papr(PHOTOS, step, 10, base)

@@ -30,6 +30,8 @@ _NUMBERS = (4_000, 16_000)
 """Gaussians of the two objects."""
 _OPACITY = 0.5
 """Of every Gaussian, as in the middle of a training."""
+_RENDERED = "NeRF-Synthetic"
+"""The layout whose photos are only divided by what divides their sides."""
 _TURNS = 3
 _SOLID = 0.5
 
@@ -46,6 +48,7 @@ def photos_of(scene: Scene) -> Photos:
         height=max(view.camera.height for view in views),
         count=len(views),
         coverage=max(coverage, 1e-3),
+        any_factor=scene.layout != _RENDERED,
     )
 
 

@@ -46,21 +46,25 @@ class Photos:
         height: pixels of the largest one.
         count: how many there are.
         coverage: share of the pixels that the object covers; 1 without masks.
+        any_factor: whether a factor need not divide both sides.
     """
 
     width: int
     height: int
     count: int
     coverage: float
+    any_factor: bool = False
 
     def pixels(self, factor: int) -> float:
         """Of one photo at 1 / factor of its size."""
         return self.width * self.height / factor**2
 
     def factors(self) -> list[int]:
-        """Whole numbers that divide both sides and leave photos large enough, finest first."""
-        common = math.gcd(self.width, self.height)
+        """Whole numbers to divide by that leave photos large enough, finest first."""
         longest = max(self.width, self.height)
+        if self.any_factor:
+            return [*range(1, max(1, longest // _SMALLEST) + 1)]
+        common = math.gcd(self.width, self.height)
         return [
             n for n in range(1, common + 1) if common % n == 0 and longest / n >= _SMALLEST
         ] or [1]
