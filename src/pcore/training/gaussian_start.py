@@ -17,7 +17,7 @@ from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.population import hull_points
 
 _NEIGHBOURS = 3
-_NEAREST, _FARTHEST = 0.3, 30.0
+_NEAREST, _FARTHEST = 0.7, 30.0
 """Depths of the start "views", in distances of the cameras."""
 _BEHIND, _FAR_SHARE = 1.0, 0.3
 """Beside the points of a reconstruction: depth from which on, and share of, points farther away."""
