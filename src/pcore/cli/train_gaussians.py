@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pcore.training.gaussian_config import GaussianConfig
 
 _WITHOUT_MASKS = {
-    "views": "before the cameras",
+    "views": "before the cameras, where photos agree",
     "sparse": "at the points of the reconstruction and far away",
 }
 

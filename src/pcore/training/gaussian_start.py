@@ -14,10 +14,11 @@ from pcore.data.scene import Scene, View
 from pcore.errors import InputError
 from pcore.gaussians.gaussians import Gaussians
 from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.photo_consistency import consistent_points
 from pcore.training.population import hull_points
 
 _NEIGHBOURS = 3
-_NEAREST, _FARTHEST = 0.7, 30.0
+_NEAREST, _FARTHEST = 0.3, 30.0
 """Depths of the start "views", in distances of the cameras."""
 _BEHIND, _FAR_SHARE = 1.0, 0.3
 """Beside the points of a reconstruction: depth from which on, and share of, points farther away."""
@@ -67,7 +68,7 @@ def start_gaussians(
             )
         positions = hull_points(config.points, views, scene.lower, scene.upper, generator=generator)
     elif start == "views":
-        positions = _before_cameras(config.points, views, distance, generator)
+        positions = _consistent_and_far(config.points, views, distance, generator)
     elif start == "sparse":
         positions = _sparse_and_far(scene, config.points, views, distance, generator)
     else:
@@ -126,6 +127,23 @@ def _sparse_and_far(
     known = known[torch.randperm(len(known), generator=generator)[:most]]
     far = _before_cameras(count - most, views, distance, generator, nearest=_BEHIND)
     return torch.cat([known, far])
+
+
+def _consistent_and_far(
+    count: int, views: Sequence[View], distance: float, generator: torch.Generator
+) -> Tensor:
+    """Points (count, 3) where neighbouring photos agree, and some far away."""
+    near = torch.empty(0, 3)
+    if len(views) > 2:
+        near = consistent_points(
+            int((1 - _FAR_SHARE) * count),
+            views,
+            _NEAREST * distance,
+            _FARTHEST * distance,
+            generator,
+        )
+    far = _before_cameras(count - len(near), views, distance, generator, nearest=_BEHIND)
+    return torch.cat([near, far])
 
 
 def _before_cameras(
