@@ -74,8 +74,8 @@ class TrainCommand:
     init: Annotated[str | None, optional("hull|grid|sparse|views|FILE")] = None
     """Where points start: hull (of the masks), grid (the original's; papr), sparse (points of the
     reconstruction that posed the photos, and far ones; gaussians), views (where neighbouring
-    photos agree, and far away; gaussians), or a PLY or NPY file. Default: hull; for images without alpha grid (papr),
-    or sparse where there are such points, else views (gaussians)."""
+    photos agree, and far away; gaussians), or a PLY or NPY file. Default: hull; for images without
+    alpha grid (papr), or sparse where there are such points, else views (gaussians)."""
 
     background: Annotated[
         Literal["white", "black", "random"] | None, optional("{white,black,random}")

@@ -77,8 +77,8 @@ class GaussianConfig:
     """Gaussians at the start."""
     start: str = "auto"
     """"hull" (visual hull of the training masks), "sparse" (points of the reconstruction that posed
-    the photos, and far ones), "views" (where neighbouring photos agree, and far ones), a PLY or NPY file of
-    points, or "auto": the first of these that the scene has."""
+    the photos, and far ones), "views" (where neighbouring photos agree, and far ones), a PLY or NPY
+    file of points, or "auto": the first of these that the scene has."""
     degree: int = 3
     """Of the spherical harmonics."""
     degree_every: float = 1 / 6
