@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -39,7 +40,8 @@ class TrainCommand:
     """
 
     scene: Annotated[Positional[Path], arg(metavar="SCENE")]
-    """Folder of the scene, in the NeRF-Synthetic or PAPR-in-Motion layout."""
+    """Folder of the scene, in any layout that is known (NeRF-Synthetic, COLMAP, transforms.json,
+    IDR, LLFF, NSVF), or of photos; see the guide "Own photos"."""
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder to make; new or empty, unless --resume."""
@@ -131,7 +133,7 @@ def train(command: TrainCommand, console: Console) -> None:
     began = time.monotonic()
     prepare_torch(command.threads)
     device = pick_device(command.device)
-    scene = load_scene(command.scene, factor=command.factor)
+    scene = load_scene(command.scene, factor=command.factor, tell=console.print)
     config = _config(command, scene, console)
     command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
@@ -267,11 +269,13 @@ def announce(console: Console, scene: Scene, plan: str) -> None:
 
     views = scene.split("train")
     note(console, scene.notes)
-    camera = views[0].camera
+    sizes = Counter((view.camera.width, view.camera.height) for view in views)
+    width, height = sizes.most_common(1)[0][0]
+    others = f" (and {len(sizes) - 1} other sizes)" if len(sizes) > 1 else ""
     console.print(
         Text(
-            f"{scene.name}: {len(views)} training views of {camera.width} x {camera.height} "
-            f"pixels; {plan}"
+            f"{scene.name}: {len(views)} training views of {width} x {height} pixels{others}; "
+            f"{plan}"
         ),
         soft_wrap=True,
     )

@@ -39,7 +39,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     prepare_torch(command.threads)
     device = pick_device(command.device)
     config = _config(command)
-    scene = load_scene(command.scene, factor=command.factor)
+    scene = load_scene(command.scene, factor=command.factor, tell=console.print)
     plan = f"{command.preset}, {config.steps:,} steps"
     if command.minutes is not None:
         promise = Promise(minutes=command.minutes, began=began)

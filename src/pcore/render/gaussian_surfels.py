@@ -114,6 +114,6 @@ def _look(gaussians: Gaussians, footprint: Footprint, view: View) -> tuple[Tenso
     opacity, far = alpha.detach().cpu(), depth.detach().cpu()
     far = torch.where(opacity > 0, far, torch.nan)
     taken = Image(rgb=rgba[..., :3], alpha=opacity, depth=far, surface=surface_points(far, camera))
-    seen, shown = told(taken, camera, rgba)
+    seen, shown = told(taken, camera, rgba, masked=view.has_alpha)
     (weighed,) = torch.autograd.grad(image, values, seen.to(image))
     return weighed.cpu().float(), shown

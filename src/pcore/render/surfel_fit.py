@@ -195,6 +195,25 @@ def colors_at(places: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: 
     return torch.where(enough[:, None], colors.nanmedian(dim=0).values, math.nan)
 
 
+def share_that_shows(
+    places: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: float
+) -> Tensor:
+    """Share (N,) of the photos which places on the surface face that show them there.
+
+    Args:
+        places: (N, 3) world units.
+        normals: (N, 3) unit.
+        shown: the photos.
+        spacing: of the points, world units.
+    """
+    seen, faced = torch.zeros(len(places)), torch.zeros(len(places))
+    for one in shown:
+        towards = F.normalize(one.camera.center - places, dim=1)
+        faced += (towards * normals).sum(dim=1) > _FACING
+        seen += ~_colors(places, normals, one, _CLOSEST * spacing)[:, 0].isnan()
+    return seen / faced.clamp_min(1)
+
+
 def _colors(places: Tensor, normals: Tensor, shown: Shown, close: float) -> Tensor:
     """Colours (N, 3) that a photo shows at places (N, 3); NaN where it shows something else."""
     camera = shown.camera
@@ -223,7 +242,7 @@ def _look(papr: Papr, posed: PosedCloud, view: View, sums: Tensor) -> Shown:
     columns = [torch.cat(each).reshape(*shape, -1) for each in zip(*parts, strict=True)]
     alpha, surface, weights, points = columns[0][..., 0], columns[1], columns[2], columns[3]
     image = Image(rgb=rgba[..., :3], alpha=alpha, depth=camera.depth(surface), surface=surface)
-    seen, shown = told(image, camera, rgba)
+    seen, shown = told(image, camera, rgba, masked=view.has_alpha)
     used = seen[..., 6] > 0
     share = weights[used].unsqueeze(-1) * seen[used].unsqueeze(1)
     sums.index_add_(0, points[used].flatten(), share.flatten(0, 1))
@@ -238,17 +257,18 @@ def small(view: View) -> tuple[Camera, Tensor]:
     return camera, _shrunk(view.rgba(), camera.height, camera.width)
 
 
-def told(image: Image, camera: Camera, rgba: Tensor) -> tuple[Tensor, Shown]:
+def told(image: Image, camera: Camera, rgba: Tensor, *, masked: bool) -> tuple[Tensor, Shown]:
     """What the pixels of a photo say: normal, colour and 1 (H, W, 7), zeros where nothing.
 
     Args:
         image: what the model shows there.
         camera: of both.
         rgba: (H, W, 4) the photo.
+        masked: whether the photo knows what is solid.
     """
     normal = normals(image, camera)
-    # Photos without masks are opaque but where they show nothing at all.
-    solid = (image.alpha > _SOLID) & (rgba[..., 3] > _SOLID)
+    # Photos without masks are transparent where they show nothing at all.
+    solid = (image.alpha > _SOLID) & (rgba[..., 3] > (_SOLID if masked else 0.0))
     used = ~normal.isnan().any(dim=-1) & solid
     one = torch.ones(*solid.shape, 1)
     seen = torch.cat([normal, rgba[..., :3], one], dim=-1).where(used.unsqueeze(-1), 0.0)
