@@ -16,7 +16,7 @@ from pcore.cli.runtime import DeviceName
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
     from pcore.evaluation.ablation import AblationFigure
-    from pcore.evaluation.runner import Method
+    from pcore.evaluation.asset_method import AssetMethod
     from pcore.evaluation.states import SceneStates
     from pcore.training.config import FinetuneConfig
 
@@ -152,7 +152,7 @@ def _train(
         )
 
 
-def _methods(asset: Asset, output: Path, places: SceneStates, device: str) -> list[Method]:
+def _methods(asset: Asset, output: Path, places: SceneStates, device: str) -> list[AssetMethod]:
     from pcore.asset.saving import load
     from pcore.evaluation.ablation import VANILLA, VARIANTS
     from pcore.evaluation.methods import plain_method
@@ -166,7 +166,7 @@ def _score(
     command: AblateCommand,
     console: Console,
     source: tuple[Asset, SceneStates],
-    methods: list[Method],
+    methods: list[AssetMethod],
     figure: AblationFigure,
 ) -> None:
     from pcore.cli.eval import finish

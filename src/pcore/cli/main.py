@@ -56,6 +56,7 @@ VERBS: tuple[Verb, ...] = (
     Verb("render", "pcore.cli.render", "RenderCommand", "take pictures of a run, also deformed"),
     Verb("animate", "pcore.cli.animate", "AnimateCommand", "film a run under keyframes"),
     Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),
+    Verb("compare", "pcore.cli.compare", "CompareCommand", "score rival methods beside our own"),
     Verb("ablate", "pcore.cli.ablate", "AblateCommand", "fine-tune with parts left out, compare"),
     Verb("study make", "pcore.cli.study", "StudyMakeCommand", "ask people which of two is better"),
     Verb("study read", "pcore.cli.study", "StudyReadCommand", "say what people chose"),

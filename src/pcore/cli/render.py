@@ -17,7 +17,8 @@ from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
-    from pcore.asset.asset import Asset, Posed
+    from pcore.asset.asset import Asset
+    from pcore.asset.posed_asset import Posed
     from pcore.cli.cameras import Named
 
 _FRAMES = 60

@@ -51,6 +51,27 @@ def linear_colors(rgb: Tensor) -> Tensor:
     return torch.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
+def write_rgba(path: Path, rgb: Tensor, alpha: Tensor) -> None:
+    """Write colours that were taken over black, with opacity, as a PNG of straight alpha.
+
+    Args:
+        path: the file.
+        rgb: (H, W, 3) over black.
+        alpha: (H, W).
+
+    Raises:
+        InputError: not a picture, or NaN in it.
+        OSError: the file cannot be written; an old one is untouched.
+    """
+    _check_picture(path, rgb)
+    opacity = alpha.detach().cpu().clamp(0, 1).unsqueeze(-1)
+    straight = torch.where(opacity > 0, rgb.detach().cpu() / opacity.clamp_min(1e-6), 0.0)
+    pixels = to_bytes(torch.cat([straight, opacity], dim=-1))
+    buffer = io.BytesIO()
+    Image.fromarray(pixels.numpy()).save(buffer, format="PNG")
+    replace_file(path, buffer.getvalue())
+
+
 def write_raw(path: Path, **arrays: Tensor) -> None:
     """Write named arrays, such as `rgb`, `alpha`, `depth` and `surface`, as float32 in an `.npz`.
 

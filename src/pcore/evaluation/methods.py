@@ -13,7 +13,7 @@ from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.saving import load
 from pcore.data.scene import Scene
 from pcore.errors import CheckpointError
-from pcore.evaluation.runner import Method
+from pcore.evaluation.asset_method import AssetMethod, Draw, draw_asset
 from pcore.geometry.visibility import seen_by
 
 UNTUNED, GAUSSIANS = "PAPR", "Gaussians"
@@ -70,16 +70,21 @@ def never_seen(points: Tensor, scene: Scene) -> Tensor:
     return ~seen_by(points, [view.camera for view in scene.split("train")])
 
 
-def plain_method(name: str, asset: Asset, scene: Scene) -> Method:
+def plain_method(name: str, asset: Asset, scene: Scene) -> AssetMethod:
     """The method that draws a run with plain rays, as the paper does."""
-    return Method(
+    return AssetMethod(
         name=name, asset=asset.over(WHITE), rays="plain", unseen=never_seen(asset.points, scene)
     )
 
 
 def methods_of(
-    subjects: Sequence[Asset], scene: Scene, *, rays: str, light: LightName | None
-) -> list[Method]:
+    subjects: Sequence[Asset],
+    scene: Scene,
+    *,
+    rays: str,
+    light: LightName | None,
+    take: Draw = draw_asset,
+) -> list[AssetMethod]:
     """All methods of runs, the baseline first; equal names are told apart by their folders.
 
     Where a run has a light, aware rays come with it as well, unless the light is to be baked.
@@ -89,13 +94,14 @@ def methods_of(
         scene: their scene, whose training views say what was never seen.
         rays: "plain", "aware" or "both".
         light: as for `Asset.pose`.
+        take: takes the pictures.
 
     Raises:
         CheckpointError: a light is damaged or belongs to other points.
         InputError: a light is asked for and there is none.
     """
     labels = [label_of(one) for one in subjects]
-    found: list[Method] = []
+    found: list[AssetMethod] = []
     for asset, label in zip(subjects, labels, strict=True):
         unseen = never_seen(asset.points, scene)
         wanted = rays != "plain" and light != "baked"
@@ -105,12 +111,13 @@ def methods_of(
         ways = _WAYS if lit else _WAYS[:2]
         alike = f" ({asset.path.resolve().name})" if labels.count(label) > 1 else ""
         found += [
-            Method(
+            AssetMethod(
                 name=_name(label, way, lamp) + alike,
                 asset=asset,
                 rays=way,
                 light=lamp,
                 unseen=unseen,
+                take=take,
             )
             for way, lamp in ways
             if rays in ("both", way)

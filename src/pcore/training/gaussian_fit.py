@@ -27,6 +27,7 @@ from pcore.training.schedule import Level, reduction_at
 from pcore.training.speed import Speed
 from pcore.training.ssim import ssim
 from pcore.training.trainable_gaussians import (
+    Bound,
     TrainableGaussians,
     TrainedGaussians,
     trainable_gaussians,
@@ -41,6 +42,7 @@ def fit_gaussians(
     folder: RunFolder | None = None,
     listener: Listener = silent,
     device: str = "cpu",
+    bound: Bound | None = None,
     clock: Clock = time.monotonic,
 ) -> TrainedGaussians:
     """Learn Gaussians from the training views.
@@ -54,6 +56,7 @@ def fit_gaussians(
         folder: where to save and what to continue from; None keeps everything in memory.
         listener: told of steps, validations, changes of the population, saves.
         device: "cpu", or "cuda" with gsplat.
+        bound: what the Gaussians hang on, and their start; None trains free ones.
         clock: tells the time to a training that has promised one.
 
     Raises:
@@ -66,6 +69,8 @@ def fit_gaussians(
     check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     masked = all(view.has_alpha for view in views)
+    if bound is not None:
+        start = bound.start
     if start is None:
         generator = torch.Generator().manual_seed(config.seed)
         start = start_gaussians(scene, views, config, generator)
@@ -76,6 +81,7 @@ def fit_gaussians(
         footprint=config.footprint,
         backdrop=config.background,
         seed=config.seed + 1,
+        place=None if bound is None else bound.place,
         fits_exposure=exposure is not None,
     )
     pace = _pace(config, scene, clock)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -45,6 +45,19 @@ class TrainedGaussians:
     step: int
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bound:
+    """Gaussians that hang on something, such as the triangles of a mesh.
+
+    Attributes:
+        start: in the frames of what they hang on.
+        place: gives them in the world, with gradients.
+    """
+
+    start: Gaussians
+    place: Callable[[Gaussians], Gaussians]
+
+
 @dataclass(kw_only=True)
 class TrainableGaussians:
     """What a loop changes from step to step.
@@ -59,6 +72,7 @@ class TrainableGaussians:
         backdrop: behind photos with alpha.
         slopes: (N,) sums of the lengths of screen gradients since the number changed last.
         seen: (N,) how many pictures they are of.
+        place: gives Gaussians in the world of what the parameters say; None where they are that.
         stage: "pretrain": in a run folder this is what stands in the place of pre-training.
         step: steps done.
         best: figures of the best validation.
@@ -73,6 +87,7 @@ class TrainableGaussians:
     backdrop: Background
     slopes: Tensor
     seen: Tensor
+    place: Callable[[Gaussians], Gaussians] | None = None
     stage: str = "pretrain"
     step: int = 0
     best: dict[str, Any] = field(default_factory=dict[str, Any])
@@ -89,13 +104,14 @@ class TrainableGaussians:
         more = raw["harmonics"]
         if degree is not None:
             more = more[:, : (degree + 1) ** 2 - 1]
-        return Gaussians(
+        found = Gaussians(
             means=raw["means"],
             quats=nn.functional.normalize(raw["quats"], dim=-1),
             scales=raw["scales"].exp(),
             opacities=raw["opacities"].sigmoid(),
             sh=torch.cat([raw["colors"], more], dim=1) if more.shape[1] else raw["colors"],
         )
+        return found if self.place is None else self.place(found)
 
     def weights(self) -> dict[str, Tensor]:
         """All parameters by name, sharing memory with the training."""
@@ -204,6 +220,7 @@ def trainable_gaussians(
     footprint: Footprint,
     backdrop: Background,
     seed: int,
+    place: Callable[[Gaussians], Gaussians] | None = None,
     fits_exposure: bool = False,
 ) -> TrainableGaussians:
     """Return Gaussians made ready to train, with Adam, on the device where they are."""
@@ -228,6 +245,7 @@ def trainable_gaussians(
         backdrop=backdrop,
         slopes=slopes,
         seen=seen,
+        place=place,
         fits_exposure=fits_exposure,
     )
 
