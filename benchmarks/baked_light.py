@@ -27,8 +27,8 @@ from reprojected_truth import PhotoSurface
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from pcore.data.images import area_downscale, composite
 from pcore.capture.load import load_scene
+from pcore.data.images import area_downscale, composite
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.states import CANONICAL, State, open_states
 from pcore.geometry.camera import Camera

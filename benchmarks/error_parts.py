@@ -23,8 +23,8 @@ from scipy import ndimage
 from torch import Tensor
 
 import pcore
-from pcore.data.images import composite
 from pcore.capture.load import load_scene
+from pcore.data.images import composite
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.runner import Method, carry
 from pcore.evaluation.states import CANONICAL, State, open_states

@@ -15,7 +15,7 @@ from pcore.data.scene import Scene, check_images
 from pcore.errors import InputError
 from pcore.files.records import to_dict
 from pcore.files.run_folder import RunFolder
-from pcore.files.run_record import RunRecord, relative
+from pcore.files.run_record import RunRecord, of_scene, relative
 from pcore.relight.estimate import fit_light
 from pcore.relight.light_file import LIGHT_FILE, save_light
 from pcore.render.surfel_fit import Observed, observe
@@ -25,6 +25,7 @@ from pcore.training.events import Listener, silent
 from pcore.training.finetune import finetune as run_finetuning
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.in_folder import FolderPlan, disk_space, train_in_folder
+from pcore.training.locate import locate
 from pcore.training.presets import PretrainName
 from pcore.training.pretrain import pretrain
 from pcore.training.trained import Trained
@@ -85,6 +86,7 @@ def train(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     chosen = options or RunOptions()
+    scene = scene if scene.region is not None else locate(scene).scene
     if isinstance(settings, GaussianConfig):
         plan = gaussian_plan(
             scene,
@@ -107,7 +109,7 @@ def train(
         stage="pretrain",
         config={
             "preset": chosen.preset or name,
-            "factor": scene.factor,
+            **of_scene(scene, None if folder is None else Path(folder)),
             "pretrain": to_dict(config),
         },
     )
@@ -163,7 +165,7 @@ def finetune(
         config={
             **_base_of(asset, path),
             "preset": chosen.preset or name,
-            "factor": scene.factor,
+            **of_scene(scene, path),
             "finetune": to_dict(config),
         },
     )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
+from pcore.capture.mask_folder import masks_beside, with_masks
 from pcore.data.blender import load_splits, transforms_path
 from pcore.data.images import DEFAULT_MEMORY_BUDGET, ImageCache
 from pcore.data.scene import Scene
@@ -16,7 +18,11 @@ START, END = "start", "end"
 
 
 def load_scene(
-    path: str | Path, *, factor: int = 1, memory_budget: int = DEFAULT_MEMORY_BUDGET
+    path: str | Path,
+    *,
+    factor: int = 1,
+    memory_budget: int = DEFAULT_MEMORY_BUDGET,
+    masks: Path | Literal["none"] | None = None,
 ) -> Scene:
     """Load a scene of any format that pcore knows.
 
@@ -28,6 +34,8 @@ def load_scene(
         path: the scene's folder.
         factor: whole number by which images are down-scaled (area mean of premultiplied colour).
         memory_budget: bytes of decoded images kept, shared by all views of the scene.
+        masks: folder of masks made elsewhere (`with_masks`); None takes one beside photos that have
+            no alpha channel, "none" leaves it alone.
 
     Training views are read now. Other splits are read when they are asked for: a missing test
     image does not keep anybody from training.
@@ -52,7 +60,8 @@ def load_scene(
         factor=factor,
     )
     scene.split("train")  # Read now: without training views there is no scene.
-    return scene
+    chosen = masks_beside(scene) if masks is None else masks
+    return scene if chosen is None or chosen == "none" else with_masks(scene, Path(chosen))
 
 
 def find_states(path: str | Path) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from pcore.cli.train import TrainCommand, announce, trained
+from pcore.cli.train import TrainCommand, announce, opened, trained
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,14 +23,13 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         InputError: an option that Gaussians do not have.
         PcoreError: as `fit_gaussians` and the run folder.
     """
-    from pcore.capture.load import load_scene
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
     config = _config(command)
-    scene = load_scene(command.scene, factor=command.factor)
+    scene = opened(command, console)
     announce(console, scene, f"Gaussians, {command.preset}, {config.steps:,} steps on {device}")
     if not all(view.has_alpha for view in scene.split("train")):
         console.print(

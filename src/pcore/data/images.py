@@ -137,7 +137,7 @@ class ImageSource:
         """
         if self.lens is None:
             return None
-        key = ("valid", self._size, self.lens, self.crop, self.factor)
+        key = ("valid", self.size, self.lens, self.crop, self.factor)
         return self.cache.get(key, self._seen)
 
     def shown(self) -> Tensor:
@@ -146,7 +146,8 @@ class ImageSource:
         return torch.tensor(True) if valid is None else valid
 
     @property
-    def _size(self) -> tuple[int, int]:
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the whole picture as it is decoded, before lens, crop and factor."""
         header = self.header
         return header.upright_size if self.upright else (header.width, header.height)
 
@@ -163,7 +164,7 @@ class ImageSource:
 
     def _seen(self) -> Tensor:
         assert self.lens is not None, "only bent pictures have pixels without content"
-        seen = _part(self.lens.sources(*self._size)[1], self.crop)
+        seen = _part(self.lens.sources(*self.size)[1], self.crop)
         height, width = seen.shape[0] // self.factor, seen.shape[1] // self.factor
         return seen.reshape(height, self.factor, width, self.factor).all(dim=3).all(dim=1)
 

@@ -1,0 +1,308 @@
+"""Masks of an object in photos that have none: GrabCut within its region, held against one hull.
+
+Every photo is cut by itself (Rother et al. 2004) inside of the outline of what is known to be the
+object. Then the masks of all views vote on a hull in space, and every photo is cut again from the
+outline of that hull: a view whose cut went wrong is corrected by the others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pcore.errors import DependencyError, InputError
+from pcore.geometry.camera import Camera
+from pcore.geometry.object_region import Region
+
+Bits = NDArray[np.uint8]
+
+_LONGEST = 320
+"""Longer side of the pictures that are cut, pixels: finer ones cost more and find no more."""
+_MARGIN = 0.12
+"""Room around an outline in which the cut may still find object, as a share of its size."""
+_ROUNDS, _ITERATIONS = 3, 2
+_VOXELS = 80
+_VOTE, _SURE_VOTE = 0.6, 0.75
+"""Share of the views that see a voxel and must have it in their mask: while the object is looked
+for, and where masks are judged."""
+_SEEN = 0.15
+"""Share of all views that must see a voxel."""
+_FEW = 8
+"""Fewer points than that have no outline to go by."""
+_DOUBTFUL = 0.8
+"""Overlap (intersection over union) of a mask with the hull below which it is told of."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photo:
+    """A photo to cut.
+
+    Attributes:
+        name: of its view.
+        camera: pose and lens, for the size of `rgb`.
+        rgb: (H, W, 3) float32 in [0, 1].
+    """
+
+    name: str
+    camera: Camera
+    rgb: Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundMasks:
+    """Masks of all photos and how well they agree.
+
+    Attributes:
+        masks: (H, W) float32 in [0, 1] of every photo, in its size.
+        agreement: intersection over union of each with the hull of all.
+    """
+
+    masks: tuple[Tensor, ...]
+    agreement: tuple[float, ...]
+
+    def doubtful(self) -> tuple[int, ...]:
+        """Numbers of the photos whose mask contradicts the others'."""
+        return tuple(i for i, share in enumerate(self.agreement) if share < _DOUBTFUL)
+
+
+def find_masks(
+    photos: Sequence[Photo],
+    region: Region,
+    *,
+    points: Tensor | None = None,
+    judged: Sequence[Photo] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> FoundMasks:
+    """Cut an object out of photos.
+
+    Args:
+        photos: at least two, of posed cameras.
+        region: where the object is, world units.
+        points: (N, 3) points of the object where some are known; their outline is tighter than
+            that of the region's box.
+        judged: further photos that get masks and have no vote on the hull, such as test views.
+        progress: told (photos cut, cuts in all).
+
+    Returns:
+        Masks of `photos`, then of `judged`.
+
+    Raises:
+        InputError: no photo shows the region, or no cut leaves anything.
+        DependencyError: OpenCV is not installed.
+    """
+    small, others = [_shrunk(photo) for photo in photos], [_shrunk(photo) for photo in judged]
+    everyone = [*small, *others]
+    known = region.corners if points is None or len(points) < _FEW else points
+    seeds = [_outline(photo.camera, known) for photo in everyone]
+    # What the points leave out of the object lies in their box.
+    rooms = [_outline(photo.camera, region.corners) for photo in everyone]
+    if not any(seed.any() for seed in seeds):
+        raise InputError(
+            "automatic masks: none of the photos shows the object's region; give its --box"
+        )
+    masks: list[Bits] = []
+    total, done = (_ROUNDS - 1) * len(small) + len(everyone), 0
+    for turn in range(_ROUNDS):
+        last = turn == _ROUNDS - 1
+        masks = []
+        for photo, seed, room in zip(everyone if last else small, seeds, rooms, strict=False):
+            masks.append(_cut(photo.rgb, seed, room, sure=turn > 0))
+            done += 1
+            if progress is not None:
+                progress(done, total)
+        vote = _SURE_VOTE if last else _VOTE
+        seeds = hull_silhouettes(small, masks[: len(small)], region, vote=vote, into=everyone)
+        if not any(one.any() for one in seeds):
+            raise InputError(
+                "automatic masks: the cuts of the photos have no common object inside of the "
+                "region; give a tighter --box, or masks of your own (--masks FOLDER)"
+            )
+    sized = (
+        _resized(mask, one.camera) for mask, one in zip(masks, [*photos, *judged], strict=True)
+    )
+    return FoundMasks(
+        masks=tuple(sized),
+        agreement=tuple(overlap(a, b) for a, b in zip(masks, seeds, strict=True)),
+    )
+
+
+def hull_silhouettes(
+    photos: Sequence[Photo],
+    masks: Sequence[Bits],
+    region: Region,
+    *,
+    vote: float,
+    into: Sequence[Photo],
+) -> list[Bits]:
+    """Outlines (H, W) 0 or 1 of the hull that most masks agree on.
+
+    Args:
+        photos: of the masks.
+        masks: (H, W) 0 or 1.
+        region: where voxels are looked at, with room around it.
+        vote: share of the views that see a voxel and must have it in their mask.
+        into: pictures that the hull is drawn in.
+    """
+    places, size = _grid(region)
+    seen, within = torch.zeros(len(places)), torch.zeros(len(places))
+    for photo, mask in zip(photos, masks, strict=True):
+        visible, pixels = _pixels(photo.camera, places)
+        seen += visible
+        within[visible] += torch.from_numpy(mask)[pixels].float()
+    least = max(2.0, _SEEN * len(photos))
+    kept = places[(seen >= least) & (within >= vote * seen)]
+    return [_splat(photo.camera, kept, size) for photo in into]
+
+
+def overlap(mask: Bits, other: Bits) -> float:
+    """Intersection over union of two masks; 1 where both are empty."""
+    union = int((mask | other).sum())
+    return 1.0 if union == 0 else int((mask & other).sum()) / union
+
+
+def require_opencv() -> Any:
+    """Return OpenCV.
+
+    Raises:
+        DependencyError: it is not installed.
+    """
+    try:
+        import cv2
+    except ImportError as error:
+        raise DependencyError(
+            "automatic masks need OpenCV, which is not installed: "
+            "`pip install 'pcore-edit[capture]'`"
+        ) from error
+    return cv2
+
+
+def _shrunk(photo: Photo) -> Photo:
+    camera = photo.camera
+    scale = _LONGEST / max(camera.width, camera.height)
+    if scale >= 1:
+        return photo
+    width, height = max(1, round(scale * camera.width)), max(1, round(scale * camera.height))
+    pixels = require_opencv().resize(photo.rgb.numpy(), (width, height), interpolation=3)
+    return Photo(
+        name=photo.name, camera=camera.resized(width, height), rgb=torch.from_numpy(pixels)
+    )
+
+
+def _outline(camera: Camera, points: Tensor) -> Bits:
+    """Convex outline (H, W) 0 or 1 of points in a picture; empty where all are behind it."""
+    cv2 = require_opencv()
+    column, row, depth = camera.project(points)
+    ahead = depth > 0
+    picture = np.zeros((camera.height, camera.width), dtype=np.uint8)
+    if int(ahead.sum()) < 3:
+        return picture
+    corners = torch.stack([column, row], dim=-1)[ahead].numpy()
+    limit = 8.0 * max(camera.width, camera.height)
+    hull = cv2.convexHull(np.clip(corners, -limit, limit).round().astype(np.int32))
+    return cv2.fillConvexPoly(picture, hull, 1)
+
+
+def _cut(rgb: Tensor, seed: Bits, room: Bits, *, sure: bool) -> Bits:
+    """GrabCut (H, W) 0 or 1 from an outline; with `sure` its core is object for certain.
+
+    What lies outside of both the room and the outline's surroundings is background for certain.
+    """
+    cv2 = require_opencv()
+    if not seed.any():
+        return seed
+    reach = max(2, round(_MARGIN * math.sqrt(float(seed.sum()))))
+    near = _grown(seed, reach) | room
+    if near.all():
+        return seed  # Nothing of the picture is known to be background.
+    trimap = np.full(seed.shape, cv2.GC_BGD, dtype=np.uint8)
+    trimap[near > 0] = cv2.GC_PR_BGD
+    trimap[seed > 0] = cv2.GC_PR_FGD
+    if sure:
+        trimap[_shrunken(seed, reach) > 0] = cv2.GC_FGD
+    pixels = (255 * rgb.clamp(0, 1)).round().byte().numpy()
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    # OpenCV draws its clusters from a generator of its own, which is shared by the process.
+    cv2.setRNGSeed(0)
+    cv2.grabCut(
+        np.ascontiguousarray(pixels), trimap, None, *models, _ITERATIONS, cv2.GC_INIT_WITH_MASK
+    )
+    found = ((trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)).astype(np.uint8)
+    return _largest(cv2.morphologyEx(found, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)), seed)
+
+
+def _largest(mask: Bits, seed: Bits) -> Bits:
+    """The parts of a mask that reach into the seed, without specks and with small holes closed."""
+    cv2 = require_opencv()
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
+    if count < 2:
+        return mask
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    inside = np.bincount(labels[seed > 0], minlength=count)[1:]
+    kept = [i + 1 for i in range(count - 1) if areas[i] >= 0.1 * areas.max() and inside[i] > 0]
+    whole = np.isin(labels, kept).astype(np.uint8)
+    return cv2.morphologyEx(whole, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+
+
+def _grown(mask: Bits, reach: int) -> Bits:
+    cv2 = require_opencv()
+    return cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2))
+
+
+def _shrunken(mask: Bits, reach: int) -> Bits:
+    cv2 = require_opencv()
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
+    # What the border of the picture cuts off goes on behind it.
+    return cv2.erode(mask, kernel, borderType=cv2.BORDER_REPLICATE)
+
+
+def _grid(region: Region) -> tuple[Tensor, float]:
+    """Centres (V, 3) of cubic voxels that fill the region with room around it, and their size."""
+    lower, upper = region.bounds
+    room = 0.25 * (upper - lower).max()
+    lower, upper = lower - room, upper + room
+    size = float((upper - lower).max()) / _VOXELS
+    axes = [
+        float(low) + size * (torch.arange(max(1, round(float(high - low) / size))) + 0.5)
+        for low, high in zip(lower, upper, strict=True)
+    ]
+    return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, 3), size
+
+
+def _pixels(camera: Camera, places: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+    """Which places (V, 3) are in the picture (V,), and row and column of those."""
+    column, row, depth = camera.project(places)
+    visible = (depth > 0) & (column >= 0) & (column < camera.width)
+    visible &= (row >= 0) & (row < camera.height)
+    return visible, (row[visible].long(), column[visible].long())
+
+
+def _splat(camera: Camera, places: Tensor, size: float) -> Bits:
+    """Outline (H, W) 0 or 1 of voxels of a size in a picture."""
+    cv2 = require_opencv()
+    picture = np.zeros((camera.height, camera.width), dtype=np.uint8)
+    if len(places) == 0:
+        return picture
+    _, pixels = _pixels(camera, places)
+    picture[pixels[0].numpy(), pixels[1].numpy()] = 1
+    wide = max(1, math.ceil(0.5 * size / camera.pixel_width(places.mean(dim=0))))
+    kernel = np.ones((2 * wide + 1, 2 * wide + 1), np.uint8)
+    return cv2.morphologyEx(picture, cv2.MORPH_CLOSE, kernel)
+
+
+def _resized(mask: Bits, camera: Camera) -> Tensor:
+    """A mask in the size of its photo, with a rim of a pixel's softness."""
+    cv2 = require_opencv()
+    size = (camera.width, camera.height)
+    if mask.shape == (camera.height, camera.width):
+        return torch.from_numpy(mask.astype(np.float32))
+    smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7)
+    large = cv2.resize(smooth, size, interpolation=cv2.INTER_CUBIC)
+    factor = max(1.0, camera.width / mask.shape[1])
+    return torch.from_numpy(np.clip((large - 0.5) * factor + 0.5, 0.0, 1.0).astype(np.float32))
