@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from pcore.capture.mask_folder import masks_beside, with_masks
+from pcore.capture.assemble import scene_of
+from pcore.capture.layouts import PHOTOS, RENDERED, VIDEO, layout_of, read_layout
+from pcore.capture.mask_folder import scene_with_masks
+from pcore.capture.photo_folders import with_masks
+from pcore.capture.structure import Tell, with_poses
 from pcore.data.blender import load_splits, transforms_path
 from pcore.data.images import DEFAULT_MEMORY_BUDGET, ImageCache
 from pcore.data.scene import Scene
@@ -23,33 +28,61 @@ def load_scene(
     factor: int = 1,
     memory_budget: int = DEFAULT_MEMORY_BUDGET,
     masks: Path | Literal["none"] | None = None,
+    tell: Tell | None = None,
 ) -> Scene:
-    """Load a scene of any format that pcore knows.
+    """Load a scene or capture of any layout that pcore knows; the layout is found by itself.
 
-    NeRF-Synthetic (`transforms_train.json` in the folder; sub-folders with a
-    `transforms_test.json` are its deformed states) or PAPR in Motion (folders `start` and `end`,
-    each NeRF-Synthetic; the scene is `start`, the only state is `end`).
+    Rendered scenes: NeRF-Synthetic (`transforms_train.json`; sub-folders with a
+    `transforms_test.json` are deformed states) and PAPR in Motion (folders `start` and `end`, each
+    NeRF-Synthetic). Captures: COLMAP, `transforms.json` of nerfstudio and instant-ngp, IDR and
+    NeuS, LLFF, NSVF, `cameras.json` of 3D Gaussian splatting; photos of bent lenses are
+    straightened. Photos alone and videos get their poses from COLMAP (extra `colmap`), once; they
+    are kept in the user's cache. Nothing is ever written into the folder.
 
     Args:
-        path: the scene's folder.
+        path: the scene's folder; of one with several layouts, the file or model that is meant.
         factor: whole number by which images are down-scaled (area mean of premultiplied colour).
         memory_budget: bytes of decoded images kept, shared by all views of the scene.
-        masks: folder of masks made elsewhere (`with_masks`); None takes one beside photos that have
-            no alpha channel, "none" leaves it alone.
+        masks: folder of masks made elsewhere (`scene_with_masks`); "none" takes photos of captures
+            without any; None takes those that the files name or that lie beside the photos.
+        tell: called with a line now and then where poses must be found first.
 
-    Training views are read now. Other splits are read when they are asked for: a missing test
-    image does not keep anybody from training.
+    Training views are read now. Other splits of rendered scenes are read when they are asked for: a
+    missing test image does not keep anybody from training.
 
     Raises:
-        SceneError: unknown format, or files missing, damaged or inconsistent.
-        InputError: a factor that does not divide the image size.
+        SceneError: unknown format, several layouts, or files missing, damaged or inconsistent.
+        InputError: a factor that does not divide the image size of a rendered scene.
+        DependencyError: poses must be found and COLMAP is not installed.
     """
-    folder = _folder(path)
+    scene = _open(path, factor, ImageCache(memory_budget), masks == "none", tell or _silent)
+    return scene if masks is None or masks == "none" else scene_with_masks(scene, masks)
+
+
+def _open(path: str | Path, factor: int, cache: ImageCache, bare: bool, tell: Tell) -> Scene:
+    given = _path(path)
     check_count("down-scaling factor", factor)
-    cache = ImageCache(memory_budget)
-    root = folder / START if _is_pair(folder) else folder
-    if not transforms_path(root, "train").is_file():
-        raise SceneError(_unknown_format(folder))
+    if given.is_dir() and _is_pair(given):
+        return _rendered(given, given / START, factor, cache)
+    layout = layout_of(given)
+    if layout.name == RENDERED:
+        return _rendered(layout.root, layout.root, factor, cache)
+    if layout.name in (PHOTOS, VIDEO):
+        layout = with_poses(layout, tell)
+    capture = read_layout(layout, factor)
+    if bare:
+        capture = replace(capture, photos=[replace(one, mask=None) for one in capture.photos])
+    else:
+        photos, notes = with_masks(capture.photos, layout.root)
+        capture = replace(capture, photos=photos, notes=[*capture.notes, *notes])
+    return scene_of(capture, root=layout.root, given=given, factor=factor, cache=cache)
+
+
+def _silent(line: str) -> None:
+    del line
+
+
+def _rendered(folder: Path, root: Path, factor: int, cache: ImageCache) -> Scene:
     views = load_splits(root, factor=factor, cache=cache)
     scene = Scene(
         name=folder.name,
@@ -60,8 +93,7 @@ def load_scene(
         factor=factor,
     )
     scene.split("train")  # Read now: without training views there is no scene.
-    chosen = masks_beside(scene) if masks is None else masks
-    return scene if chosen is None or chosen == "none" else with_masks(scene, Path(chosen))
+    return scene
 
 
 def find_states(path: str | Path) -> tuple[str, ...]:
@@ -148,30 +180,18 @@ def camera_notes(path: str | Path) -> tuple[str, ...]:
     return read_transforms(Path(path)).notes
 
 
-def _folder(path: str | Path) -> Path:
-    folder = Path(path)
-    if not folder.exists():
-        raise SceneError(f"scene {folder}: no such folder; check the path")
-    if not folder.is_dir():
-        raise SceneError(
-            f"scene {folder}: expected a folder, got a file; give the folder it lies in"
-        )
+def _path(path: str | Path) -> Path:
+    given = Path(path)
+    if not given.exists():
+        raise SceneError(f"scene {given}: no such folder; check the path")
     # Resolved, so that a scene given as "." has a name.
-    return folder.resolve()
+    return given.resolve()
+
+
+def _folder(path: str | Path) -> Path:
+    given = _path(path)
+    return given if given.is_dir() else given.parent
 
 
 def _is_pair(folder: Path) -> bool:
     return all(transforms_path(folder / side, "train").is_file() for side in (START, END))
-
-
-def _unknown_format(folder: Path) -> str:
-    pair = [
-        f"{side}/transforms_train.json"
-        for side in (START, END)
-        if not transforms_path(folder / side, "train").is_file()
-    ]
-    return (
-        f"scene {folder}: unknown format. Tried: NeRF-Synthetic (missing transforms_train.json); "
-        f"PAPR in Motion (missing {', '.join(pair)}). Convert the scene to one of them or give "
-        "the folder that holds these files"
-    )

@@ -7,7 +7,6 @@ the same thing.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,14 +16,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from pcore.data.image_paths import ENDINGS
+from pcore.capture.photos import READ, natural_key
 from pcore.data.images import AlphaOfSplit
 from pcore.data.pictures import write_mask
 from pcore.data.scene import Scene, Split, SplitsOnDemand, View
 from pcore.errors import SceneError
 
-_BESIDE = ("masks", "mask")
-"""Folders beside the photos that tools keep masks in."""
 _NAMED = 5
 
 
@@ -41,7 +38,7 @@ class MatchedMasks:
     note: str
 
 
-def with_masks(scene: Scene, folder: Path) -> Scene:
+def scene_with_masks(scene: Scene, folder: Path) -> Scene:
     """Return a scene whose photos have the masks of a folder, in all its splits.
 
     Masks are taken by name (`0001.png` of `0001.jpg`, also `0001.jpg.png`, also in the same
@@ -69,18 +66,8 @@ def with_masks(scene: Scene, folder: Path) -> Scene:
     return known
 
 
-def masks_beside(scene: Scene) -> Path | None:
-    """Folder of masks beside the photos of a scene that have no alpha; None where there is none."""
-    views = scene.split("train")
-    if any(view.image.header.has_alpha for view in views):
-        return None
-    photos = views[0].image.path.parent
-    places = [home / name for home in (photos.parent, scene.root, photos) for name in _BESIDE]
-    return next((place for place in places if place.is_dir() and _images(place)), None)
-
-
 def match_masks(photos: Sequence[Path], folder: Path) -> MatchedMasks:
-    """Find the mask of every photo in a folder; as `with_masks`."""
+    """Find the mask of every photo in a folder; as `scene_with_masks`."""
     if not folder.is_dir():
         raise SceneError(f"masks {folder}: no such folder; check the path")
     files = _images(folder)
@@ -95,11 +82,11 @@ def match_masks(photos: Sequence[Path], folder: Path) -> MatchedMasks:
             files=files_of, note=f"masks of {folder.name}: {len(photos)} found by name"
         )
     if not files_of and len(files) == len(photos):
-        ordered = dict(zip(sorted(photos, key=_natural), files, strict=True))
+        ordered = dict(zip(sorted(photos, key=_by_name), files, strict=True))
         return MatchedMasks(
             files=ordered,
             note=f"masks of {folder.name}: no name is that of a photo, so they are taken by order "
-            f"({files[0].name} for {min(photos, key=_natural).name}, ...)",
+            f"({files[0].name} for {min(photos, key=_by_name).name}, ...)",
         )
     missing = [photo.name for photo in photos if photo not in files_of]
     raise SceneError(
@@ -159,17 +146,15 @@ def _masked(view: View, mask: Path, alpha: AlphaOfSplit) -> View:
 
 
 def _images(folder: Path) -> list[Path]:
-    return sorted((path for path in folder.rglob("*") if _is_image(path)), key=_natural)
+    return sorted((path for path in folder.rglob("*") if _is_image(path)), key=_by_name)
 
 
 def _is_image(path: Path) -> bool:
-    return path.suffix.lower() in ENDINGS
+    return path.suffix.lower() in READ
 
 
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    """Key that puts 2 before 10."""
-    parts = re.split(r"(\d+)", path.as_posix())
-    return [(1, int(part), "") if part.isdigit() else (0, 0, part) for part in parts]
+def _by_name(path: Path) -> tuple[tuple[int, int | str], ...]:
+    return natural_key(path.as_posix())
 
 
 def _nearest(photo: Path, masks: Sequence[Path]) -> Path | None:

@@ -224,8 +224,30 @@ def check_pinhole(entry: LensEntry, where: str) -> None:
     Raises:
         SceneError: names the key and its value.
     """
-    values = {name: getattr(entry, name) for name in _DISTORTION}
-    bad = [f"{name} = {value:g}" for name, value in values.items() if value]
+    bad = [f"{name} = {value:g}" for name, value in bend_of(entry).items()]
+    _refuse(entry, where, bad)
+
+
+def check_projection(entry: LensEntry, where: str) -> None:
+    """Refuse what no straightening of the image makes a pinhole's; k1 to k3, p1, p2 are fine.
+
+    Raises:
+        SceneError: names the key and its value.
+    """
+    bad = [f"{name} = {value:g}" for name, value in bend_of(entry).items() if name == "k4"]
+    _refuse(entry, where, bad)
+
+
+def bend_of(*entries: LensEntry) -> dict[str, float]:
+    """Coefficients of distortion that are not zero; later entries go before earlier ones."""
+    found: dict[str, float] = {}
+    for entry in entries:
+        said = {name: getattr(entry, name) for name in _DISTORTION}
+        found.update({name: value for name, value in said.items() if value is not None})
+    return {name: value for name, value in found.items() if value}
+
+
+def _refuse(entry: LensEntry, where: str, bad: list[str]) -> None:
     model = (entry.camera_model or "PINHOLE").strip().upper()
     if entry.is_fisheye:
         bad.append("a fisheye lens (is_fisheye)")

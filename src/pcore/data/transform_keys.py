@@ -18,6 +18,7 @@ from pcore.errors import SceneError
 _USED = """camera_angle_x camera_angle_y x_fov y_fov fl_x fl_y cx cy w h k1 k2 k3 k4 p1 p2
 is_fisheye camera_model mask_path"""
 USED_AT_TOP = frozenset([*_USED.split(), "frames"])
+USED_IN_CAPTURES = frozenset(["train_filenames", "val_filenames", "test_filenames"])
 USED_IN_FRAME = frozenset([*_USED.split(), "file_path", "transform_matrix"])
 
 # The world of other programs: cameras and images mean the same without it.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -14,9 +14,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from pcore.data.foreign import foreign_json, foreign_matrix, foreign_text
-from pcore.data.lens import Lens, LensEntry, check_pinhole, lens_of
+from pcore.data.lens import Lens, LensEntry, bend_of, check_pinhole, check_projection, lens_of
 from pcore.data.transform_keys import (
     USED_AT_TOP,
+    USED_IN_CAPTURES,
     USED_IN_FRAME,
     check_keys,
     note_of_unknown,
@@ -56,6 +57,7 @@ class PosedFrame:
         mask_path: as written in the file, or None.
         world_from_camera: (4, 4) float64, as in the file.
         lens: the file's, with what the frame says itself.
+        bend: coefficients of distortion that are not zero, by name.
     """
 
     where: str
@@ -64,6 +66,7 @@ class PosedFrame:
     mask_path: str | None
     world_from_camera: Tensor
     lens: Lens
+    bend: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,11 +77,13 @@ class Transforms:
         path: the file.
         frames: at least one.
         notes: what is odd about it and was not refused, a sentence each.
+        content: the file as it is written, for the keys that only some readers use.
     """
 
     path: Path
     frames: tuple[PosedFrame, ...]
     notes: tuple[str, ...] = ()
+    content: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def camera(
         self, frame: PosedFrame, size: tuple[int, int], full: tuple[int, int] | None = None
@@ -106,8 +111,13 @@ class Transforms:
             raise SceneError(f"{frame.where}: {problem}") from problem
 
 
-def read_transforms(path: Path) -> Transforms:
+def read_transforms(path: Path, *, capture: bool = False) -> Transforms:
     """Read and check a transforms file; images are not looked at.
+
+    Args:
+        path: the file.
+        capture: it is of real photos. Lenses may bend lines, matrices may lack their last row and
+            hold NaN, for whoever skips such frames.
 
     Raises:
         SceneError: missing, damaged or inconsistent, a file of another program, a projection or a
@@ -117,13 +127,16 @@ def read_transforms(path: Path) -> Transforms:
     raw = _read(path, where)
     frames = parse(_TransformsFile, raw, where=where, error=SceneError).frames
     top = parse(LensEntry, raw, where=where, error=SceneError)
-    unknown = check_keys(raw, USED_AT_TOP, where)
-    check_pinhole(top, where)
+    used = USED_AT_TOP | USED_IN_CAPTURES if capture else USED_AT_TOP
+    unknown = check_keys(raw, used, where)
+    check_lens = check_projection if capture else check_pinhole
+    check_lens(top, where)
     lens = lens_of(top, where)
     entries: list[tuple[str, _FrameEntry]] = []
     in_frames: list[str] = []
     for index, item in enumerate(frames):
-        place, entry = _entry(path, index, item)
+        place, entry = _entry(path, index, _with_last_row(item) if capture else item)
+        check_lens(entry, place)
         in_frames += check_keys(item, USED_IN_FRAME, place)
         entries.append((place, entry))
     names = _names([entry.file_path for _, entry in entries])
@@ -133,14 +146,15 @@ def read_transforms(path: Path) -> Transforms:
             name=name,
             file_path=entry.file_path,
             mask_path=entry.mask_path or top.mask_path,
-            world_from_camera=_pose(place, entry),
+            world_from_camera=_pose(place, entry, finite=not capture),
             lens=_lens(lens, entry, place, where),
+            bend=bend_of(top, entry),
         )
         for (place, entry), name in zip(entries, names, strict=True)
     )
     note = note_of_unknown(unknown, in_frames, len(frames))
     said = () if note is None else (f"{path.name}: {note}",)
-    return Transforms(path=path, frames=posed, notes=said)
+    return Transforms(path=path, frames=posed, notes=said, content=raw)
 
 
 def _read(path: Path, where: str) -> Mapping[str, Any]:
@@ -170,8 +184,16 @@ def _entry(path: Path, index: int, item: Any) -> tuple[str, _FrameEntry]:
     if odd is not None:
         raise SceneError(f"{where}: {odd}")
     entry = parse(_FrameEntry, item, where=where, error=SceneError)
-    check_pinhole(entry, where)
     return where, entry
+
+
+def _with_last_row(item: Any) -> Any:
+    """The frame with 0 0 0 1 below a matrix of 3 rows, which some tools leave out."""
+    frame = cast("dict[str, Any]", item) if isinstance(item, dict) else {}
+    matrix = cast("list[Any]", frame.get("transform_matrix"))
+    if not isinstance(matrix, list) or len(matrix) != 3:  # pyright: ignore[reportUnnecessaryIsInstance]
+        return item
+    return {**frame, "transform_matrix": [*matrix, [0.0, 0.0, 0.0, 1.0]]}
 
 
 def _lens(top: Lens, entry: _FrameEntry, place: str, where: str) -> Lens:
@@ -185,9 +207,9 @@ def _lens(top: Lens, entry: _FrameEntry, place: str, where: str) -> Lens:
     return lens
 
 
-def _pose(where: str, entry: _FrameEntry) -> Tensor:
+def _pose(where: str, entry: _FrameEntry, *, finite: bool) -> Tensor:
     pose = torch.tensor(entry.transform_matrix, dtype=torch.float64)
-    if not bool(torch.isfinite(pose).all()):
+    if finite and not bool(torch.isfinite(pose).all()):
         raise SceneError(
             f"{where}: expected finite numbers in 'transform_matrix', got NaN or infinity; "
             "remove the frame or estimate its pose again"

@@ -1,0 +1,127 @@
+"""One photo opened: its header, its size against that of its camera, its pose, its view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from pcore.capture.photos import Photo
+from pcore.data.image_files import ImageHeader, read_header
+from pcore.data.images import Crop, ImageCache, ImageSource
+from pcore.data.scene import View
+from pcore.errors import InputError, SceneError
+from pcore.geometry.camera import Camera
+from pcore.geometry.lens_distortion import LensDistortion
+
+_RIGID, _MENDED = 1e-3, 2e-2
+"""Rotations off by less are taken as they are; off by less than the second, the nearest one is."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Opened:
+    """A photo that is used: its row in the capture, its view, its lens in pixels of the file."""
+
+    row: int
+    photo: Photo
+    view: View
+    lens: LensDistortion
+    notes: tuple[str, ...]
+
+
+class UnusableError(Exception):
+    """Why a photo is not used."""
+
+
+def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache) -> Opened:
+    """View of one photo; raises UnusableError with the reason where there is none."""
+    if photo.path is None:
+        raise UnusableError("no file in the folder")
+    pose, notes = _rigid(photo.world_from_camera)
+    try:
+        header = read_header(photo.path)
+    except SceneError as problem:
+        raise UnusableError(str(problem)) from problem
+    upright = _is_upright(photo, header)
+    full = header.upright_size if upright else (header.width, header.height)
+    if header.orientation != 1:
+        how = "are turned by it, as" if upright else "are read as they are stored, as"
+        notes += (f"with an EXIF orientation {how} their cameras ask",)
+    said = photo.size or full
+    lens = photo.lens.scaled(full[0] / said[0], full[1] / said[1])
+    crop = _whole_blocks(full, factor)
+    try:
+        camera = Camera(
+            world_from_camera=pose.float(),
+            width=(crop[2] if crop else full[0]) // factor,
+            height=(crop[3] if crop else full[1]) // factor,
+            fx=lens.fx / factor,
+            fy=lens.fy / factor,
+            cx=lens.cx / factor,
+            cy=lens.cy / factor,
+        )
+    except InputError as problem:
+        raise UnusableError(str(problem)) from problem
+    image = ImageSource(
+        path=photo.path,
+        header=header if photo.mask is None else replace(header, has_alpha=True),
+        factor=factor,
+        cache=cache,
+        mask=photo.mask,
+        upright=upright,
+        lens=None if lens.is_straight else lens,
+        crop=crop,
+    )
+    view = View(name=photo.name, camera=camera, image=image)
+    return Opened(
+        row=row,
+        photo=replace(photo, world_from_camera=pose),
+        view=view,
+        lens=lens,
+        notes=notes,
+    )
+
+
+def _rigid(pose: Tensor) -> tuple[Tensor, tuple[str, ...]]:
+    """The pose with a rotation that is one; a note where it was mended."""
+    if not bool(torch.isfinite(pose).all()):
+        raise UnusableError("a pose with NaN or infinity")
+    rotation = pose[:3, :3]
+    off = float((rotation @ rotation.T - torch.eye(3, dtype=pose.dtype)).abs().max())
+    if off <= _RIGID or off > _MENDED:
+        return pose, ()  # The camera refuses what is too far off.
+    left, _, right = torch.linalg.svd(rotation)
+    mended = pose.clone()
+    mended[:3, :3] = left @ right
+    return mended, ("whose rotations were off by up to 2 % are turned by the nearest rotation",)
+
+
+def _is_upright(photo: Photo, header: ImageHeader) -> bool:
+    """Whether the pixels are turned by the EXIF tag: only where the model's size asks for it.
+
+    COLMAP and what is built on it take pixels as they are stored.
+    """
+    stored, upright = (header.width, header.height), header.upright_size
+    if photo.size is None or _same_shape(stored, photo.size):
+        return False
+    if _same_shape(upright, photo.size):
+        return True
+    raise UnusableError(
+        f"{stored[0]} x {stored[1]} pixels, and its camera is for {photo.size[0]} x "
+        f"{photo.size[1]}, which is another shape"
+    )
+
+
+def _same_shape(size: tuple[int, int], said: tuple[int, int]) -> bool:
+    """Whether a picture is a scaled copy, with sides that were rounded to whole pixels."""
+    ratio = size[0] * said[1] / (size[1] * said[0])
+    return abs(ratio - 1) <= 0.002 + 1.5 / min(*size, *said)
+
+
+def _whole_blocks(full: tuple[int, int], factor: int) -> Crop | None:
+    """The part of a picture that a factor divides; None: all of it."""
+    width, height = full[0] // factor * factor, full[1] // factor * factor
+    if 0 in (width, height):
+        raise UnusableError(f"{full[0]} x {full[1]} pixels, smaller than the factor {factor}")
+    return None if (width, height) == full else (0, 0, width, height)

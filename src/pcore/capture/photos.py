@@ -1,0 +1,124 @@
+"""Posed photos as every layout hands them over, before any picture is opened."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from torch import Tensor
+
+from pcore.data.image_paths import ENDINGS
+from pcore.data.scene import Skipped
+from pcore.errors import SceneError
+from pcore.geometry.lens_distortion import LensDistortion
+from pcore.geometry.object_region import Region
+
+VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm")
+READ = (*ENDINGS, ".heic", ".heif", ".avif")
+"""Endings of pictures that are looked for in a folder, in lower case."""
+HELD_OUT = 8
+"""Every so many views, by name, are for tests where a layout has no splits (Mip-NeRF 360)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Photo:
+    """One photo with its pose and lens.
+
+    Attributes:
+        name: as the capture's files write it, unique among them.
+        path: the file, or None where there is none.
+        world_from_camera: (4, 4) float64, OpenGL axes.
+        lens: intrinsics and distortion in pixels of `size`, pixel centres at .5.
+        size: (width, height) that `lens` belongs to; None: that of the file.
+        mask: file of its mask; None where none is named.
+    """
+
+    name: str
+    path: Path | None
+    world_from_camera: Tensor
+    lens: LensDistortion
+    size: tuple[int, int] | None = None
+    mask: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RawPoints:
+    """Sparse points with places in the photos as a reconstruction writes them.
+
+    Attributes:
+        positions: (N, 3) float64 world units.
+        colors: (N, 3) float32 in [0, 1], or None.
+        errors: (N,) float32 pixels, or None.
+        points: (M,) int64 row of the point of each sighting; None where there are no sightings.
+        photos: (M,) int64 which photo sees it, by the order of `Capture.photos`.
+        places: (M, 2) float64 column and row in pixels of `Photo.size`, distorted.
+    """
+
+    positions: Tensor
+    colors: Tensor | None = None
+    errors: Tensor | None = None
+    points: Tensor | None = None
+    photos: Tensor | None = None
+    places: Tensor | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Capture:
+    """What the files of a layout say.
+
+    Attributes:
+        layout: its name.
+        where: the file of the cameras, the start of messages.
+        photos: in the order of the files; those without a file are skipped later.
+        sparse: points of the reconstruction.
+        region: where the object is said to be.
+        splits: names of photos by split; None: every eighth is for tests.
+        notes: what is odd, a sentence each.
+        skipped: photos that could not even be listed.
+        shrunk: whole number by which the files are smaller than the originals already.
+    """
+
+    layout: str
+    where: str
+    photos: Sequence[Photo]
+    sparse: RawPoints | None = None
+    region: Region | None = None
+    splits: Mapping[str, Sequence[str]] | None = None
+    notes: Sequence[str] = field(default_factory=tuple[str, ...])
+    skipped: Sequence[Skipped] = field(default_factory=tuple[Skipped, ...])
+    shrunk: int = 1
+
+
+def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
+    """Key that sorts numbers inside of names by value: img_2 before img_10."""
+    parts = re.split(r"(\d+)", name.casefold())
+    return tuple((0, int(one)) if one.isdecimal() else (1, one) for one in parts if one)
+
+
+def pictures_in(folder: Path) -> list[Path]:
+    """Pictures right in a folder, in natural order; hidden files are none."""
+    if not folder.is_dir():
+        return []
+    found = [
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in READ and not path.name.startswith(".") and path.is_file()
+    ]
+    return sorted(found, key=lambda path: natural_key(path.name))
+
+
+def inside(root: Path, path: Path) -> Path:
+    """Return a file resolved, if it lies in a folder; symbolic links may lead out of it.
+
+    Raises:
+        SceneError: it lies elsewhere.
+    """
+    resolved = path.resolve()
+    if not resolved.is_relative_to(root.resolve()):
+        raise SceneError(
+            f"{path}: leads out of the scene's folder {root} (to {resolved}); scenes may only read "
+            "their own files: copy it into the folder"
+        )
+    return resolved

@@ -1,0 +1,63 @@
+"""The child process of `structure`: runs pycolmap, and nothing that loads Pillow beside it.
+
+Called with one argument, JSON: folder `images`, file `names` in it, folder `output` for models,
+file `database`, and whether the photos are `ordered` as those of a video. Lines for the user begin
+with "pcore: ".
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+_PAIRS = 150
+"""Photos up to which every pair is matched."""
+_SIDE = 1600
+"""Pixels of the longer side in which features are looked for."""
+
+
+def main(wish: dict[str, Any]) -> None:
+    """Find features, match them, map; write every model that has images."""
+    import pycolmap
+
+    names: list[str] = wish["names"]
+    output, database = Path(wish["output"]), str(wish["database"])
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.max_image_size = _SIDE
+    _say(f"looking for features in {len(names)} photos")
+    pycolmap.extract_features(
+        database,
+        wish["images"],
+        names,
+        camera_mode=pycolmap.CameraMode.SINGLE if wish["ordered"] else pycolmap.CameraMode.AUTO,
+        extraction_options=extraction,
+    )
+    ordered = wish["ordered"] and len(names) > _PAIRS
+    _say("matching " + ("neighbours" if ordered else "all pairs"))
+    (pycolmap.match_sequential if ordered else pycolmap.match_exhaustive)(database)
+    _say("finding poses")
+    output.mkdir(parents=True, exist_ok=True)
+    done = 0
+
+    def next_image() -> None:
+        nonlocal done
+        done += 1
+        if done % 10 == 0:
+            _say(f"finding poses: {done} photos")
+
+    models = pycolmap.incremental_mapping(
+        database, wish["images"], str(output), next_image_callback=next_image
+    )
+    sizes = sorted((model.num_reg_images() for model in models.values()), reverse=True)
+    _say(f"models of {', '.join(map(str, sizes)) or 'no'} photos")
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"pcore: {line}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(json.loads(sys.argv[1]))
