@@ -140,6 +140,7 @@ def hull_silhouettes(
     *,
     vote: float,
     into: Sequence[Photo],
+    voxels: int = _VOXELS,
 ) -> list[Bits]:
     """Outlines (H, W) 0 or 1 of the hull that most masks agree on.
 
@@ -149,8 +150,9 @@ def hull_silhouettes(
         region: where voxels are looked at, with room around it.
         vote: share of the views that see a voxel and must have it in their mask.
         into: pictures that the hull is drawn in.
+        voxels: along the longest side of the region.
     """
-    places, size = _grid(region)
+    places, size = _grid(region, voxels)
     seen, within = torch.zeros(len(places)), torch.zeros(len(places))
     for photo, mask in zip(photos, masks, strict=True):
         visible, pixels = _pixels(photo.camera, places)
@@ -262,12 +264,12 @@ def _shrunken(mask: Bits, reach: int) -> Bits:
     return cv2.erode(mask, kernel, borderType=cv2.BORDER_REPLICATE)
 
 
-def _grid(region: Region) -> tuple[Tensor, float]:
+def _grid(region: Region, count: int) -> tuple[Tensor, float]:
     """Centres (V, 3) of cubic voxels that fill the region with room around it, and their size."""
     lower, upper = region.bounds
     room = 0.25 * (upper - lower).max()
     lower, upper = lower - room, upper + room
-    size = float((upper - lower).max()) / _VOXELS
+    size = float((upper - lower).max()) / count
     axes = [
         float(low) + size * (torch.arange(max(1, round(float(high - low) / size))) + 0.5)
         for low, high in zip(lower, upper, strict=True)
