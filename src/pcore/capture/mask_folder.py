@@ -79,13 +79,14 @@ def match_masks(photos: Sequence[Path], folder: Path) -> MatchedMasks:
     files_of = {photo: mask for photo, mask in found.items() if mask is not None}
     if len(files_of) == len(photos):
         return MatchedMasks(
-            files=files_of, note=f"masks of {folder.name}: {len(photos)} found by name"
+            files=files_of,
+            note=f"masks are taken from {folder.name}: {len(photos)} by name; white is object",
         )
     if not files_of and len(files) == len(photos):
         ordered = dict(zip(sorted(photos, key=_by_name), files, strict=True))
         return MatchedMasks(
             files=ordered,
-            note=f"masks of {folder.name}: no name is that of a photo, so they are taken by order "
+            note=f"masks are taken from {folder.name}: no name is that of a photo, so by order "
             f"({files[0].name} for {min(photos, key=_by_name).name}, ...)",
         )
     missing = [photo.name for photo in photos if photo not in files_of]

@@ -53,6 +53,18 @@ def write_mask(path: Path, mask: Tensor) -> None:
     replace_file(path, stream.getvalue())
 
 
+def write_rgba(path: Path, rgba: Tensor, *, opaque: bool) -> None:
+    """Write a picture (H, W, 4) in [0, 1], straight alpha, as an 8-bit PNG, without alpha if opaque.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    stream = io.BytesIO()
+    pixels = to_bytes(rgba[..., :3] if opaque else rgba).numpy()
+    Image.fromarray(pixels).save(stream, format="PNG")
+    replace_file(path, stream.getvalue())
+
+
 def write_raw(path: Path, **arrays: Tensor) -> None:
     """Write named arrays, such as `rgb`, `alpha`, `depth` and `surface`, as float32 in an `.npz`.
 

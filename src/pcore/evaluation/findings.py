@@ -209,5 +209,6 @@ def _of_region(check: SceneCheck) -> list[Finding]:
 
 def _some(check: SceneCheck, numbers: Sequence[int]) -> str:
     names = ", ".join(check.views[i].name for i in numbers[:_SHOWN])
+    more = ", ..." * (len(numbers) > _SHOWN)
     verb = "is" if len(numbers) == 1 else "are"
-    return f"{len(numbers)} of {len(check.views)} photos ({names}{', ...' * (len(numbers) > _SHOWN)}) {verb}"
+    return f"{len(numbers)} of {len(check.views)} photos ({names}{more}) {verb}"

@@ -133,7 +133,7 @@ def check_scene(
 
 
 def ordered_views(scene: Scene) -> tuple[View, ...]:
-    """Views of a capture in the order of their names; of scenes with true test views those of train.
+    """Views of a capture by name; of scenes whose test views are true ones those of `train`.
 
     Splits of a capture are every eighth photo of one walk around the object.
     """
