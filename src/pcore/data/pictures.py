@@ -54,7 +54,7 @@ def write_mask(path: Path, mask: Tensor) -> None:
 
 
 def write_rgba(path: Path, rgba: Tensor, *, opaque: bool) -> None:
-    """Write a picture (H, W, 4) in [0, 1], straight alpha, as an 8-bit PNG, without alpha if opaque.
+    """Write a picture (H, W, 4), straight alpha in [0, 1], as an 8-bit PNG; no alpha if opaque.
 
     Raises:
         OSError: it cannot be written.

@@ -127,7 +127,7 @@ def _page(check: SceneCheck, commands: Sequence[str]) -> CheckPage:
             odd=odd | {i for i, _ in outliers},
             lines=[(pair.first, pair.second) for pair in near],
         ),
-        pairs=tuple(_pair(check.views, pair) for pair in near[:_MOST_PAIRS]),
+        pairs=tuple(_pair(check.views, pair) for pair in _different(near)),
         photos_title="Masks" if masked else "Photos",
         photos=tuple(_photo(check, i) for i in _chosen(check)),
         outliers=tuple(
@@ -140,6 +140,17 @@ def _page(check: SceneCheck, commands: Sequence[str]) -> CheckPage:
         forecasts=tuple(forecast_row(one) for one in check.forecasts),
         commands=tuple(commands),
     )
+
+
+def _different(near: Sequence[NearPair]) -> list[NearPair]:
+    """The worst pairs that have no view in common."""
+    chosen: list[NearPair] = []
+    known: set[int] = set()
+    for pair in near:
+        if not known & {pair.first, pair.second} and len(chosen) < _MOST_PAIRS:
+            chosen.append(pair)
+            known |= {pair.first, pair.second}
+    return chosen
 
 
 def _chosen(check: SceneCheck) -> list[int]:

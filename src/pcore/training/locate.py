@@ -24,6 +24,8 @@ _WIDE = 0.9
 """Radius in which a hull is searched that the region of the axes cuts off, in distances of the
 cameras."""
 _ROUNDS = 3
+_ROOM = 0.2
+"""Room around the box of the object's points in which its hull may lie, in longest sides."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +70,8 @@ def locate(scene: Scene, box: Tensor | None = None) -> Located:
         inside = None if points is None else points[scene.region.contains(points)]
         return Located(scene=scene, source="files", points=inside)
     if all(view.has_alpha for view in views):
-        return Located(scene=replace(scene, region=_of_hull(scene, views)), source="masks")
+        region = _of_hull(scene, views, points)
+        return Located(scene=replace(scene, region=region), source="masks", points=points)
     if points is not None:
         region = region_of_points(points)
         return Located(scene=replace(scene, region=region), source="points", points=points)
@@ -93,10 +96,11 @@ def _boxed(box: Tensor, views: Sequence[View]) -> Region:
     )
 
 
-def _of_hull(scene: Scene, views: Sequence[View]) -> Region | None:
+def _of_hull(scene: Scene, views: Sequence[View], points: Tensor | None) -> Region | None:
     """The region of the masks' hull; None where that of the axes holds it well, or there is none.
 
-    Then all stays as it is without a region, to the last bit.
+    Then all stays as it is without a region, to the last bit. Sparse points of the object bound
+    the hull where no camera does: views from one side leave it open behind.
     """
     voxels, size = coarse_hull(views, scene.lower, scene.upper)
     if len(voxels) > 0:
@@ -106,6 +110,10 @@ def _of_hull(scene: Scene, views: Sequence[View]) -> Region | None:
             return None
     distances = [float((view.camera.center - scene.center).norm()) for view in views]
     region = Region(center=scene.center, radius=_WIDE * statistics.median(distances))
+    if points is not None:
+        known = region_of_points(points)
+        room = _ROOM * (known.bounds[1] - known.bounds[0]).max()
+        region = region_of_box(known.bounds[0] - room, known.bounds[1] + room)
     for _ in range(_ROUNDS):
         voxels, size = coarse_hull(views, *region.bounds, region)
         if len(voxels) == 0:
