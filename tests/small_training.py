@@ -145,6 +145,9 @@ class FakeView:
     def alpha(self) -> Tensor:
         return self.pixels[..., 3].clone()
 
+    def valid(self) -> None:
+        return None
+
 
 def ctrl_c_at(monkeypatch: pytest.MonkeyPatch, module: ModuleType, step: int) -> None:
     """Press Ctrl-C while a training module draws its patch of that number, from 1."""

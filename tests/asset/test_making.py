@@ -78,7 +78,7 @@ def test_training_and_tuning_make_what_the_commands_make(
     words = ["--device", "cpu", "--threads", "1", "--no-tensorboard"]
     steps = ["--steps", str(STEPS), "--points", str(POINTS)]
     run, tuned = tmp_path / "run", tmp_path / "run-pcore"
-    assert main(["train", str(scene), "-o", str(run), *steps, *words]) == 0
+    assert main(["train", str(scene), "-o", str(run), "--model", "papr", *steps, *words]) == 0
     assert main(["finetune", str(run), "--steps", "2", "--skinning", *words]) == 0
     torch.set_flush_denormal(True)  # As the commands do.
     views = pcore.load_scene(scene)

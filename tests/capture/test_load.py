@@ -72,8 +72,8 @@ def test_unknown_format_says_what_was_tried(tmp_path: Path) -> None:
     with pytest.raises(SceneError) as caught:
         load_scene(tmp_path)
     message = str(caught.value)
-    assert "NeRF-Synthetic (missing transforms_train.json)" in message
-    assert "PAPR in Motion (missing end/transforms_train.json)" in message
+    assert "NeRF-Synthetic (transforms_train.json)" in message
+    assert "PAPR in Motion (start/transforms_train.json and end/transforms_train.json)" in message
 
 
 def test_folder_that_is_not_there(tmp_path: Path) -> None:

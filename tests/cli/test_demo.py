@@ -18,11 +18,13 @@ from pcore.errors import DependencyError, InputError
 from pcore.evaluation import report
 from pcore.sample import sample
 from pcore.training.config import FinetuneConfig, PatchConfig, PretrainConfig, Rates
+from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.schedule import Schedule
 
 RATE = Schedule(base=1e-3)
 RATES = Rates(points=RATE, attention=RATE, features=RATE, influence=RATE, unet=RATE)
 SETTINGS = DemoSettings(
+    gaussians=GaussianConfig(steps=3, points=40, hold_out=3),
     pretrain=PretrainConfig(
         model=tiny_scene.CONFIG,
         steps=3,
@@ -39,7 +41,10 @@ SETTINGS = DemoSettings(
     frames=3,
     shown=(1,),
 )
-FILES = ("canonical.mp4", "deformed.mp4", "eval/summary.json", "papr/model.safetensors")
+FILES = (
+    *("canonical.mp4", "deformed.mp4", "eval/summary.json", "papr/model.safetensors"),
+    "gaussians/gaussians.safetensors",
+)
 
 
 @pytest.fixture(autouse=True)
@@ -59,11 +64,12 @@ def test_the_whole_story(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert main(["demo", "-o", str(folder)]) == 0
     out = capsys.readouterr().out
     assert f"Report: {folder / 'report.html'}" in out
-    assert "6/6" in out or "5/6 videos" in out
+    assert "6/7 videos" in out
+    assert "dB on the edited object by Gaussians affine. Mean PSNR" in out
     page = (folder / "report.html").read_text()
     assert page.count("data:video/mp4;base64,") == 2
-    assert page.count("data:image/png;base64,") == 5 * 11  # states, panels
-    for text in ("Twist, 60°", "Bend, 60°", "Stretch", "Canonical", "pcore finetune my-run"):
+    assert page.count("data:image/png;base64,") == 5 * 13  # states, panels
+    for text in ("Twist, 60°", "Bend, 60°", "Stretch", "Canonical", "pcore train MY_SCENE"):
         assert text in page
     for name in FILES:
         assert (folder / name).stat().st_size > 0
@@ -71,6 +77,7 @@ def test_the_whole_story(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert record["peak_memory"] > 1e7
     assert set(record["stages"]) == {
         "sample",
+        "Gaussians",
         "pre-training",
         "fine-tuning",
         "evaluation",

@@ -39,7 +39,19 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def train(*args: object) -> int:
-    words = ["train", "ball", "-o", "new", "--steps", 1, "--device", "cpu", "--no-tensorboard"]
+    words = [
+        "train",
+        "ball",
+        "-o",
+        "new",
+        "--model",
+        "papr",
+        "--steps",
+        1,
+        "--device",
+        "cpu",
+        "--no-tensorboard",
+    ]
     words += [] if "--init" in args else ["--points", 40]
     return main([*map(str, words), *map(str, args)])
 

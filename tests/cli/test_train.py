@@ -27,7 +27,8 @@ def scene(tmp_path: Path) -> Path:
 def call(scene: Path, run: Path, *args: object, steps: int = 3) -> int:
     given = ["--steps", steps, "--device", "cpu", "--threads", 1]
     given += [] if "--init" in args else ["--points", 60]
-    return main(["train", str(scene), "-o", str(run), *map(str, given), *map(str, args)])
+    words = ["train", str(scene), "-o", str(run), "--model", "papr"]
+    return main([*words, *map(str, given), *map(str, args)])
 
 
 def logged(run: Path, kind: str) -> list[int]:

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from PIL import Image, features
 from torch import Tensor
 
 from pcore.data.image_files import read_header, read_rgba
@@ -112,10 +112,47 @@ def test_wrong_size(tmp_path: Path) -> None:
         read_rgba(tmp_path / "a.png", size=(5, 3))
 
 
-def test_sixteen_bits_are_refused_rather_than_clipped(tmp_path: Path) -> None:
+def test_sixteen_bits_are_grey(tmp_path: Path) -> None:
     Image.fromarray(np.full((4, 4), 40000, dtype=np.uint16)).save(tmp_path / "deep.png")
-    with pytest.raises(SceneError, match="expected 8 bits per channel"):
-        read_header(tmp_path / "deep.png")
+    found = read_rgba(tmp_path / "deep.png")
+    assert found[0, 0].tolist() == pytest.approx([40000 / 65535] * 3 + [1.0])
+
+
+def test_numbers_that_are_no_picture_are_refused(tmp_path: Path) -> None:
+    Image.fromarray(np.full((4, 4), 0.5, dtype=np.float32)).save(tmp_path / "depth.tif")
+    with pytest.raises(SceneError, match=r"expected 8 bits per channel, or grey of 16.*'F'"):
+        read_header(tmp_path / "depth.tif")
+    Image.fromarray(np.full((4, 4), 70000, dtype=np.int32)).save(tmp_path / "deep.tif")
+    with pytest.raises(SceneError, match="expected grey of 16 bits, got values between 70000"):
+        read_rgba(tmp_path / "deep.tif")
+
+
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [
+        ("a.png", "P"),
+        ("a.png", "L"),
+        ("a.png", "LA"),
+        ("a.jpg", "CMYK"),
+        ("a.jpg", "L"),
+        ("a.webp", "RGB"),
+        ("a.tif", "CMYK"),
+        ("a.tif", "LAB"),
+        ("a.avif", "RGB"),
+    ],
+)
+def test_kinds_of_pixels(name: str, mode: str, tmp_path: Path) -> None:
+    if name.endswith("avif") and not features.check("avif"):
+        pytest.skip("this Pillow has no AVIF")
+    grey = Image.new("L", (16, 16), 128)
+    picture = grey.convert("RGB") if mode != "LAB" else Image.new("LAB", (16, 16), (137, 128, 128))
+    picture = picture.quantize(4) if mode == "P" else picture
+    picture = picture if mode in ("LAB", "P") else picture.convert(mode)
+    picture.save(tmp_path / name)
+    found = read_rgba(tmp_path / name)
+    assert found.shape == (16, 16, 4)
+    assert float((found[..., :3] - 128 / 255).abs().max()) < 0.03
+    assert float(found[..., 3].min()) == 1.0
 
 
 def _decoder(log: list[int], number: int, size: int = 25) -> Tensor:

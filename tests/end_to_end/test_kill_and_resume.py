@@ -90,7 +90,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def train(scene: Path, run: Path, *more: str) -> list[str]:
     sizes = ["--steps", str(STEPS), "--points", "80"]
-    return ["train", str(scene), "-o", str(run), *sizes, *ONE_THREAD, *more]
+    return ["train", str(scene), "-o", str(run), "--model", "papr", *sizes, *ONE_THREAD, *more]
 
 
 @pytest.mark.timeout(900)
@@ -115,7 +115,7 @@ def test_training_killed_three_times(scene: Path, tmp_path: Path) -> None:
 def test_fine_tuning_killed(scene: Path, tmp_path: Path) -> None:
     base, whole, broken = tmp_path / "base", tmp_path / "whole", tmp_path / "broken"
     settings = ["--steps", "10", "--points", "80", *ONE_THREAD]
-    assert main(["train", str(scene), "-o", str(base), *settings]) == 0
+    assert main(["train", str(scene), "-o", str(base), "--model", "papr", *settings]) == 0
 
     def tune(run: Path, *more: str) -> list[str]:
         steps = ["--steps", str(TUNING_STEPS)]

@@ -18,7 +18,12 @@ def test_tiny_learns_real_images(
     """Mean over the 50 test views, 100 x 100 pixels; docs/research/quality.md has the figures."""
     run = tmp_path / scene
     source = str(shared_data / "nerf_synthetic" / scene)
-    assert main(["train", source, "-o", str(run), "--factor", "4", "--device", "cpu"]) == 0
+    assert (
+        main(
+            ["train", source, "-o", str(run), "--model", "papr", "--factor", "4", "--device", "cpu"]
+        )
+        == 0
+    )
     assert main(["eval", str(run), "--device", "cpu"]) == 0
     means = json.loads((run / "eval" / "summary.json").read_text())["means"]
     (found,) = (m for m in means if (m["method"], m["state"]) == ("PAPR", "canonical"))

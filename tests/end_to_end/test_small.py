@@ -79,7 +79,8 @@ def learned_pictures(folder: Path, seed: int = 0) -> Path:
     edit.write_text(json.dumps({"version": 2, "edits": [{"type": "scale", "factor": FACTOR}]}))
     write_cameras(near, cameras(2, 0.45, DISTANCE / FACTOR), "near")
     cpu = ["--device", "cpu"]
-    train = ["train", str(scene), "-o", str(run), "--steps", "300", "--points", "300", *cpu]
+    train = ["train", str(scene), "-o", str(run), "--model", "papr", "--steps", "300", *cpu]
+    train += ["--points", "300"]
     assert main([*train, "--seed", str(seed)]) == 0
     assert main(["finetune", str(run), "--steps", "5", *cpu]) == 0
     tuned, views = folder / "run-pcore", ["--split", "test"]

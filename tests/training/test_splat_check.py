@@ -24,6 +24,9 @@ class Photo:
     def rgba(self) -> torch.Tensor:
         return self.image
 
+    def valid(self) -> None:
+        return None
+
 
 def camera(distance: float) -> Camera:
     pose = torch.eye(4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
@@ -59,7 +59,7 @@ class RunOptions:
 
 def train(
     scene: Scene,
-    settings: PretrainConfig | PretrainName | GaussianConfig = "tiny",
+    settings: PretrainConfig | PretrainName | GaussianConfig | Literal["gaussians"] = "gaussians",
     *,
     folder: Path | str | None = None,
     listener: Listener = silent,
@@ -68,12 +68,12 @@ def train(
 ) -> Asset:
     """Learn an object and its light from the training views of a scene, as `pcore train` does.
 
-        asset = pcore.train(pcore.load_scene("photos"), "tiny", folder="runs/toy")
+        asset = pcore.train(pcore.load_scene("photos"), folder="runs/toy")
 
     Args:
         scene: its `train` split is used, nothing else; every `hold_out`-th view only validates.
-        settings: architecture and schedule, or the name of a preset; a `GaussianConfig` makes an
-            object of Gaussians.
+        settings: "gaussians" or a `GaussianConfig`: an object of Gaussians; settings of PAPR, or
+            the name of a preset of it: one of neural points.
         folder: new or empty folder for the run; None keeps everything in memory.
         listener: told of steps, validations, saves.
         device: where to train, and then to draw: "cpu", "cuda", ...
@@ -87,6 +87,8 @@ def train(
     """
     chosen = options or RunOptions()
     scene = scene if scene.region is not None else locate(scene).scene
+    if settings == "gaussians":
+        settings = presets.gaussian_preset("tiny")
     if isinstance(settings, GaussianConfig):
         plan = gaussian_plan(
             scene,

@@ -74,8 +74,9 @@ def read_llff(root: Path, path: Path, factor: int) -> Capture:
         SceneError: a damaged file or a pickle, another shape, other numbers of photos than of rows.
     """
     try:
-        rows = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
-    except (OSError, ValueError, EOFError) as problem:
+        with path.open("rb") as file:
+            rows = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
+    except Exception as problem:  # Damaged headers make NumPy raise anything.
         raise SceneError(_not_numpy(path, problem)) from problem
     if rows.ndim != 2 or rows.shape[1] != 17:
         raise SceneError(
@@ -181,7 +182,7 @@ def _sorted(folder: Path) -> list[Path]:
 
 def _archive(path: Path) -> Mapping[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return {
                 name: archive[name]
                 for name in archive.files

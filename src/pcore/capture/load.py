@@ -75,7 +75,9 @@ def _open(path: str | Path, factor: int, cache: ImageCache, bare: bool, tell: Te
     else:
         photos, notes = with_masks(capture.photos, layout.root)
         capture = replace(capture, photos=photos, notes=[*capture.notes, *notes])
-    return scene_of(capture, root=layout.root, given=given, factor=factor, cache=cache)
+    scene = scene_of(capture, root=layout.root, given=given, factor=factor, cache=cache)
+    scene.split("train")  # So that its notes are known.
+    return scene
 
 
 def _silent(line: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.console import Console
 from rich.text import Text
@@ -18,13 +18,18 @@ if TYPE_CHECKING:
     from pcore.asset.training import RunOptions
     from pcore.demo.demo_folder import DemoFolder
     from pcore.demo.demo_settings import DemoSettings
+    from pcore.training.config import PretrainConfig
+    from pcore.training.gaussian_config import GaussianConfig
 
-STAGES = ("sample", "pre-training", "fine-tuning", "evaluation", "videos", "report")
+STAGES = (
+    *("sample", "Gaussians", "pre-training", "fine-tuning"),
+    *("evaluation", "videos", "report"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DemoCommand:
-    """Make the sample, pre-train PAPR, fine-tune it with P-CORE, compare both, write a report.
+    """Make the sample, learn it as Gaussians and by the paper's method, compare, write a report.
 
     Takes minutes on two cores and needs no download. The same command in the same folder goes on
     where an interrupted one stopped.
@@ -74,15 +79,17 @@ def make_demo(path: Path, settings: DemoSettings, console: Console, *, device: s
     folder = DemoFolder.open(path)
     _say(console, 1, "a small textured object and true pictures of its deformed states")
     _sample(folder, settings, console)
-    _say(console, 2, f"PAPR learns the object from {settings.train_views} pictures")
-    _pretrain(folder, settings, console, device)
-    _say(console, 3, "P-CORE learns to keep the surface closed; no deformed picture is used")
+    _say(console, 2, f"3D Gaussians learn the object from {settings.train_views} pictures")
+    _train(folder, "Gaussians", settings.gaussians, console, device)
+    _say(console, 3, "PAPR learns it from the same pictures")
+    _train(folder, "pre-training", settings.pretrain, console, device)
+    _say(console, 4, "P-CORE learns to keep the surface closed; no deformed picture is used")
     _finetune(folder, settings, console, device)
     models = models_of(folder, device)
-    _say(console, 4, "both on test views, canonical and deformed")
+    _say(console, 5, "all on test views, canonical and deformed")
     with counting(console, "pictures") as tell:
         evaluate_demo(folder, settings, models, tell)
-    _say(console, 5, "once around the object")
+    _say(console, 6, "once around the object")
     with counting(console, "frames") as tell:
         film_demo(folder, settings, models, tell)
     return _report(folder, settings, console)
@@ -110,21 +117,29 @@ def _sample(folder: DemoFolder, settings: DemoSettings, console: Console) -> Non
         make_sample(folder.path / "sample", **size, progress=tell)
 
 
-def _pretrain(folder: DemoFolder, settings: DemoSettings, console: Console, device: str) -> None:
+def _train(
+    folder: DemoFolder,
+    stage: Literal["Gaussians", "pre-training"],
+    config: GaussianConfig | PretrainConfig,
+    console: Console,
+    device: str,
+) -> None:
     from pcore.asset.training import train
     from pcore.capture.load import load_scene
     from pcore.cli.sessions import shown_training
     from pcore.demo.demo_folder import stamp_of
+    from pcore.demo.demo_story import BASELINE, CARRIED, RUNS
     from pcore.files.records import to_dict
 
-    stamp, path = stamp_of(to_dict(settings.pretrain)), folder.path / "papr"
-    if folder.done("pre-training", stamp) and path.is_dir():
+    path = folder.path / RUNS[CARRIED if stage == "Gaussians" else BASELINE]
+    stamp = stamp_of(to_dict(config))
+    if folder.done(stage, stamp) and path.is_dir():
         return
     scene = load_scene(folder.path / "sample")
-    with folder.timed("pre-training", stamp), shown_training(console) as (listener, note):
+    with folder.timed(stage, stamp), shown_training(console) as (listener, note):
         train(
             scene,
-            settings.pretrain,
+            config,
             folder=path,
             listener=listener,
             device=device,

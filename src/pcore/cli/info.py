@@ -1,4 +1,4 @@
-"""`pcore info RUN`: what a run folder or a model file is."""
+"""`pcore info RUN`: what a run folder, a model file or a scene is."""
 
 from __future__ import annotations
 
@@ -27,17 +27,24 @@ _SETTINGS = ("papr.", "config.", "skinning.")
 
 @dataclass(frozen=True, kw_only=True)
 class InfoCommand:
-    """Say what a run is: stage, steps, points, scores; its settings on demand."""
+    """Say what a run is: stage, steps, points, scores; its settings on demand.
+
+    Of a scene: its layout, its photos, and which of them are not used and why.
+    """
 
     run_or_file: Annotated[Positional[Path], arg(metavar="RUN")]
-    """Folder of a run, or a model.safetensors."""
+    """Folder of a run, a model.safetensors, or folder of a scene."""
 
     settings: bool = False
     """Also print every setting of the network and of the training."""
 
     def run(self) -> None:
-        """Print the table; raises CheckpointError when it is neither."""
-        rows, console = describe(self.run_or_file), Console()
+        """Print the table; raises CheckpointError when it is neither, SceneError for bad scenes."""
+        from pcore.cli.scene_rows import is_scene, scene_rows
+
+        console = Console()
+        scene = is_scene(self.run_or_file)
+        rows = scene_rows(self.run_or_file) if scene else describe(self.run_or_file)
         if not self.settings:
             short = [row for row in rows if not row[0].startswith(_SETTINGS)]
             if len(short) < len(rows):

@@ -47,12 +47,12 @@ def located_scene(
 
     corners = corners_of(box)
     if masks == "none":
-        return locate(load_scene(path, factor=factor, masks="none"), corners)
+        return locate(load_scene(path, factor=factor, masks="none", tell=console.print), corners)
     if masks != "auto":
         folder = None if masks is None else Path(masks)
-        return locate(load_scene(path, factor=factor, masks=folder), corners)
+        return locate(load_scene(path, factor=factor, masks=folder, tell=console.print), corners)
     if not made.is_dir():
-        bare = locate(load_scene(path, factor=factor, masks="none"), corners)
+        bare = locate(load_scene(path, factor=factor, masks="none", tell=console.print), corners)
         _make_masks(bare, made, console)
     masked = load_scene(path, factor=factor, masks=made)
     return locate(masked, corners)

@@ -1,7 +1,8 @@
-"""`pcore train SCENE -o RUN`: learn the points and networks of PAPR, or Gaussians, from photos."""
+"""`pcore train SCENE -o RUN`: learn Gaussians, or the points and networks of PAPR, from photos."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 _LOOKS, _LOOK_SIDE, _LEAST_SIDE, _FAINT = 3, 64, 4, 0.02
 """Views that are looked at in the end, sizes of these pictures, and what opacity is nothing."""
-_EARLY = 50
+EARLY = 50
 """Pictures of a training of fewer steps may still be empty."""
 _HAZE = 0.5
 """More faint pixels than that per solid one are no rims (clean masks: `faint_share`)."""
@@ -37,13 +38,14 @@ class TrainCommand:
     """
 
     scene: Annotated[Positional[Path], arg(metavar="SCENE")]
-    """Folder of the scene, in the NeRF-Synthetic or PAPR-in-Motion layout."""
+    """Folder of the scene, in any layout that is known (NeRF-Synthetic, COLMAP, transforms.json,
+    IDR, LLFF, NSVF), or of photos; see the guide "Own photos"."""
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="RUN")]
     """Folder to make; new or empty, unless --resume."""
 
-    model: Literal["papr", "gaussians"] = "papr"
-    """papr: points and networks, the paper's object; gaussians: 3D Gaussians, minutes."""
+    model: Literal["gaussians", "papr"] = "gaussians"
+    """gaussians: 3D Gaussians, minutes; papr: points and networks, the paper's object."""
 
     preset: Literal["tiny", "fast", "paper", "paper-lego"] = "tiny"
     """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours;
@@ -131,7 +133,7 @@ def train(command: TrainCommand, console: Console) -> None:
     check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{command.preset}, {config.steps:,} steps on {device}")
     asset = trained(command, scene, config, device, console)
-    if config.steps >= _EARLY:
+    if config.steps >= EARLY:
         check_shows(asset, scene)
     show_result(console, asset)
 
@@ -233,12 +235,18 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
         console.print("images without alpha have no visual hull: points start on a grid")
         changes["start"] = "grid"
     config = replace(preset(command.preset), **changes)
-    _check_start(scene, config.start, console)
+    warn_of_start(scene, config.start, console, otherwise="grid")
     return config
 
 
-def _check_start(scene: Scene, start: str, console: Console) -> None:
+def warn_of_start(scene: Scene, start: str, console: Console, *, otherwise: str) -> None:
     """Warn where masks or a file would start points beside the object.
+
+    Args:
+        scene: to be trained on.
+        start: where points begin.
+        console: told of it.
+        otherwise: the start that needs no masks.
 
     Raises:
         SceneError: no mask holds anything.
@@ -256,9 +264,9 @@ def _check_start(scene: Scene, start: str, console: Console) -> None:
         notes.append(
             f"the masks are hazy: for 100 pixels that show the object, {100 * share:.0f} are 5 to "
             "50 % opaque, and points will start in all of that; clean the alpha channels, or start "
-            "without them: --init grid"
+            f"without them: --init {otherwise}"
         )
-    if start not in ("hull", "grid"):
+    if start not in ("hull", otherwise):
         notes += check_start(start_from_file(Path(start)), views, start)
     note(console, notes)
 
@@ -269,11 +277,13 @@ def announce(console: Console, scene: Scene, plan: str) -> None:
 
     views = scene.split("train")
     note(console, scene.notes)
-    camera = views[0].camera
+    sizes = Counter((view.camera.width, view.camera.height) for view in views)
+    width, height = sizes.most_common(1)[0][0]
+    others = f" (and {len(sizes) - 1} other sizes)" if len(sizes) > 1 else ""
     console.print(
         Text(
-            f"{scene.name}: {len(views)} training views of {camera.width} x {camera.height} "
-            f"pixels; {plan}"
+            f"{scene.name}: {len(views)} training views of {width} x {height} pixels{others}; "
+            f"{plan}"
         ),
         soft_wrap=True,
     )

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from pcore.cli.train import TrainCommand, announce, opened, trained
+from pcore.cli.train import (
+    EARLY,
+    TrainCommand,
+    announce,
+    check_shows,
+    opened,
+    trained,
+    warn_of_start,
+)
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,13 +38,19 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     device = pick_device(command.device)
     config = _config(command)
     scene = opened(command, console)
+    masked = all(view.has_alpha for view in scene.split("train"))
+    start = config.start if config.start != "auto" else "hull" if masked else "views"
+    warn_of_start(scene, start, console, otherwise="views")
     announce(console, scene, f"Gaussians, {command.preset}, {config.steps:,} steps on {device}")
-    if not all(view.has_alpha for view in scene.split("train")):
+    if start == "views":
         console.print(
             Text("images without alpha have no visual hull: Gaussians start before the cameras"),
             soft_wrap=True,
         )
-    show_result(console, trained(command, scene, config, device, console))
+    asset = trained(command, scene, config, device, console)
+    if config.steps >= EARLY:
+        check_shows(asset, scene)
+    show_result(console, asset)
 
 
 def _config(command: TrainCommand) -> GaussianConfig:

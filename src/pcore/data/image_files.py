@@ -8,12 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
 from pcore.errors import SceneError
 
-_EIGHT_BIT_MODES = {"1", "L", "LA", "P", "PA", "RGB", "RGBA"}
+_EIGHT_BIT_MODES = {"1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr", "LAB", "HSV"}
+_SIXTEEN_BIT_MODES = {"I;16", "I;16B", "I;16L", "I;16N", "I"}
+"""Grey of 16 bits; Pillow gives that of some formats as numbers of 32 bits."""
+_WHITE = 65535
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,10 +73,11 @@ def read_header(path: Path) -> ImageHeader:
 
 
 def read_rgba(path: Path, *, size: tuple[int, int] | None = None, upright: bool = False) -> Tensor:
-    """Decode an 8-bit image file.
+    """Decode an image file: colours of 8 bits (palette, grey, CMYK too) or grey of 16.
 
     Args:
-        path: PNG or any other format that Pillow reads.
+        path: PNG or any other format that Pillow reads (JPEG, WebP, AVIF, TIFF; HEIC with its
+            plug-in).
         size: (width, height) that the stored pixels must have; None takes any.
         upright: turn the pixels as the EXIF tag says.
 
@@ -88,6 +93,10 @@ def read_rgba(path: Path, *, size: tuple[int, int] | None = None, upright: bool 
     try:
         with Image.open(path) as image:
             turned = ImageOps.exif_transpose(image) if upright else image
+            if image.mode in _SIXTEEN_BIT_MODES:
+                return _grey(np.asarray(turned, dtype=np.float32), path)
+            if image.mode in ("LAB", "HSV", "YCbCr", "CMYK"):
+                turned = turned.convert("RGB")
             pixels = np.asarray(turned.convert("RGBA"), dtype=np.float32)
     except (OSError, SyntaxError, ValueError) as problem:
         raise SceneError(
@@ -95,6 +104,17 @@ def read_rgba(path: Path, *, size: tuple[int, int] | None = None, upright: bool 
             f"damaged file ({problem}); copy or export it again"
         ) from problem
     return torch.from_numpy(pixels / 255.0)
+
+
+def _grey(pixels: NDArray[np.float32], path: Path) -> Tensor:
+    """(H, W, 4) of grey (H, W) between 0 and 65535."""
+    if pixels.min() < 0 or pixels.max() > _WHITE:
+        raise SceneError(
+            f"image {path}: expected grey of 16 bits, got values between {pixels.min():g} and "
+            f"{pixels.max():g}; convert it to 8-bit PNG"
+        )
+    grey = torch.from_numpy(pixels / _WHITE).unsqueeze(-1)
+    return torch.cat([grey, grey, grey, torch.ones_like(grey)], dim=-1)
 
 
 def read_mask(path: Path, *, size: tuple[int, int]) -> Tensor:
@@ -141,8 +161,8 @@ def _orientation(image: Image.Image) -> int:
 
 
 def _check_mode(path: Path, mode: str) -> None:
-    if mode not in _EIGHT_BIT_MODES:
+    if mode not in _EIGHT_BIT_MODES | _SIXTEEN_BIT_MODES:
         raise SceneError(
-            f"image {path}: expected 8 bits per channel (RGB or RGBA), got pixels of kind "
+            f"image {path}: expected 8 bits per channel, or grey of 16, got pixels of kind "
             f"{mode!r}; convert it to 8-bit PNG"
         )

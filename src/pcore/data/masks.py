@@ -26,7 +26,7 @@ def check_masks(views: Sequence[View]) -> tuple[str, ...]:
     whole: list[str] = []
     masked = [view for view in views if view.image.header.has_alpha]
     for view in masked:
-        alpha = view.image.rgba()[..., 3]
+        alpha = view.image.rgba()[..., 3][view.image.shown().expand(*_size(view))]
         if float(alpha.max()) <= _TRACE:
             empty.append(view.name)
         elif float(alpha.min()) > _SOLID:
@@ -54,6 +54,10 @@ def check_masks(views: Sequence[View]) -> tuple[str, ...]:
             "picture, mend them, or remove these frames"
         )
     return tuple(notes)
+
+
+def _size(view: View) -> tuple[int, int]:
+    return view.camera.height, view.camera.width
 
 
 def _some(names: Sequence[str], count: int) -> str:

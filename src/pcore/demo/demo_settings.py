@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pcore.training.config import FinetuneConfig, PretrainConfig
-from pcore.training.presets import demo_finetune, demo_pretrain
+from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.presets import demo_finetune, demo_pretrain, gaussian_preset
 
 
 @dataclass(frozen=True, kw_only=True)
 class DemoSettings:
     """How large a demo is."""
 
+    gaussians: GaussianConfig
     pretrain: PretrainConfig
     finetune: FinetuneConfig
     resolution: int = 100
@@ -26,4 +28,6 @@ class DemoSettings:
 
 def default_settings() -> DemoSettings:
     """Settings of `pcore demo`."""
-    return DemoSettings(pretrain=demo_pretrain(), finetune=demo_finetune())
+    return DemoSettings(
+        gaussians=gaussian_preset("tiny"), pretrain=demo_pretrain(), finetune=demo_finetune()
+    )

@@ -1,4 +1,4 @@
-"""The demo's comparison: figures, pictures and videos of PAPR and P-CORE on the sample."""
+"""The demo's comparison: figures, pictures and videos of all methods on the sample."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from pcore.evaluation.states import SceneStates, State, open_states
 from pcore.evaluation.summary import gains, state_means
 from pcore.evaluation.tables import SUMMARY_FILE, read_summary, summary_record, write_tables
 from pcore.files.atomic import write_atomically
+from pcore.files.gaussian_file import GAUSSIANS_FILE
 from pcore.files.model_file import MODEL_FILE
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_like
@@ -30,26 +31,25 @@ from pcore.geometry.orbit import orbit_like
 Tell = Callable[[int, int], None]
 """Told (done, total)."""
 
-BASELINE, METHOD, AWARE = "PAPR", "P-CORE", "aware + P-CORE"
-METHODS = (BASELINE, METHOD, "aware", AWARE)
+BASELINE, METHOD, AWARE, CARRIED = "PAPR", "P-CORE", "aware + P-CORE", "Gaussians affine"
+METHODS = (BASELINE, METHOD, "aware", AWARE, CARRIED)
+RUNS = {BASELINE: "papr", METHOD: "pcore", CARRIED: "gaussians"}
+"""Run folders of the demo by the method that they are named by."""
 STATES = ("twist60", "bend60", "stretch", "scale2x")
-FILMED = (BASELINE, METHOD, AWARE)
+FILMED = (BASELINE, METHOD, AWARE, CARRIED)
 CANONICAL_VIDEO, DEFORMED_VIDEO = "canonical.mp4", "deformed.mp4"
 _FPS = 16
 
 
 def models_of(folder: DemoFolder, device: str) -> dict[str, Asset]:
-    """Open both runs: before and after fine-tuning."""
-    return {
-        BASELINE: open_subject(folder.path / "papr", device=device),
-        METHOD: open_subject(folder.path / "pcore", device=device),
-    }
+    """Open the runs: PAPR before and after fine-tuning, and Gaussians."""
+    return {name: open_subject(folder.path / run, device=device) for name, run in RUNS.items()}
 
 
 def evaluate_demo(
     folder: DemoFolder, settings: DemoSettings, models: dict[str, Asset], tell: Tell
 ) -> None:
-    """Score both models on all states and keep the pictures that the report shows."""
+    """Score the models on all states and keep the pictures that the report shows."""
     stamp = _stamp(folder, list(settings.shown), "strain")
     output = folder.path / "eval"
     if folder.done("evaluation", stamp) and (output / SUMMARY_FILE).is_file():
@@ -72,14 +72,14 @@ def evaluate_demo(
 
 
 def panel(output: Path, state: str, view: int, number: int) -> Path:
-    """File of a picture: truth and METHODS (0 to 4), their depth maps, strain of METHOD (10)."""
+    """File of a picture: truth and METHODS (0 to 5), their depth maps, strain of METHOD (12)."""
     return output / f"{state}-{view}-{number}.png"
 
 
 def film_demo(
     folder: DemoFolder, settings: DemoSettings, models: dict[str, Asset], tell: Tell
 ) -> None:
-    """Write two videos: P-CORE canonical; PAPR, P-CORE and aware in the state that differs most."""
+    """Write two videos: the object at rest; FILMED in the state that differs most."""
     stamp = _stamp(folder, settings.frames)
     videos = [folder.path / name for name in (CANONICAL_VIDEO, DEFORMED_VIDEO)]
     if folder.done("videos", stamp) and all(video.is_file() for video in videos):
@@ -88,7 +88,7 @@ def film_demo(
     canonical, deformed = states.select([filmed_state(folder.path / "eval")])
     methods = _methods(models, states)
     filmed = [one for one in methods if one.name in FILMED]
-    stories = [(canonical, methods[1:2]), (deformed, filmed)]
+    stories = [(canonical, methods[-1:]), (deformed, filmed)]
     total = len(stories) * settings.frames
     with folder.timed("videos", stamp):
         for number, (video, (state, shown)) in enumerate(zip(videos, stories, strict=True)):
@@ -107,14 +107,18 @@ def filmed_state(output: Path) -> str:
 
 
 def _methods(models: dict[str, Asset], states: SceneStates) -> list[Method]:
-    """Both runs with plain rays, then both with rays that know of the deformation."""
+    """PAPR before and after fine-tuning with plain rays, both with aware ones, then Gaussians."""
     unseen = {name: never_seen(one.points, states.scene) for name, one in models.items()}
-    ways: tuple[RaysName, ...] = ("plain", "aware")
-    titles = iter(METHODS)
+    drawn: list[tuple[str, RaysName]] = [
+        (BASELINE, "plain"),
+        (METHOD, "plain"),
+        (BASELINE, "aware"),
+        (METHOD, "aware"),
+        (CARRIED, "aware"),
+    ]
     return [
-        Method(name=next(titles), asset=asset, rays=rays, unseen=unseen[name])
-        for rays in ways
-        for name, asset in models.items()
+        Method(name=title, asset=models[run], rays=rays, unseen=unseen[run])
+        for title, (run, rays) in zip(METHODS, drawn, strict=True)
     ]
 
 
@@ -123,8 +127,8 @@ def _states(folder: DemoFolder) -> SceneStates:
 
 
 def _stamp(folder: DemoFolder, *settings: object) -> str:
-    models = [folder.path / name / MODEL_FILE for name in ("papr", "pcore")]
-    return stamp_of(*models, *settings)
+    models = [folder.path / RUNS[name] / MODEL_FILE for name in (BASELINE, METHOD)]
+    return stamp_of(*models, folder.path / RUNS[CARRIED] / GAUSSIANS_FILE, *settings)
 
 
 def _keep(taken: Taken, shown: tuple[int, ...], output: Path) -> None:

@@ -125,6 +125,7 @@ def measure(
     prediction: Array,
     target_rgba: Array,
     perceptual: Perceptual | None = None,
+    valid: Mask | None = None,
 ) -> ImageScores:
     """Score one picture.
 
@@ -134,6 +135,8 @@ def measure(
         target_rgba: (H, W, 4) straight alpha in [0, 1], already at the resolution of the
             prediction; composited on white here, after any resizing.
         perceptual: LPIPS networks; None leaves LPIPS out.
+        valid: (H, W) pixels that the photo shows; None: all. The others count nowhere: means leave
+            them out, and networks see the photo there.
 
     Raises:
         InputError: wrong shapes, sizes that differ, NaN, images under 11 x 11 pixels.
@@ -142,6 +145,8 @@ def measure(
     rgba = as_array("target", target_rgba, 4)
     drawn = as_array("prediction", prediction, 3)
     require_same_size(prediction=drawn, target=rgba)
+    if valid is not None:
+        drawn = np.where(valid[..., None], drawn, on_white(rgba))
     first, second = protocol.encode(drawn), protocol.encode(on_white(rgba))
     mask: Mask = rgba[..., 3] > FOREGROUND_ALPHA
     ssim_map = protocol.ssim_map(first, second)
@@ -151,8 +156,8 @@ def measure(
         for trunk, network in perceptual.loaded.items():
             lpips[trunk] = lpips_distance(network, first, second, protocol.lpips_input)
     return ImageScores(
-        psnr=psnr(first, second),
-        ssim=mean_ssim(ssim_map),
+        psnr=psnr(first, second, valid),
+        ssim=mean_ssim(ssim_map, valid),
         foreground_psnr=_or_none(psnr(first, second, mask)),
         foreground_ssim=_or_none(mean_ssim(ssim_map, mask)),
         lpips=lpips,

@@ -87,6 +87,7 @@ class Taken:
         health: method -> what the state does to its points.
         unseen: method -> pixels (H, W) bool that show points which no training view saw; None
             where that is not known.
+        valid: (H, W) pixels that the truth shows; None: all.
     """
 
     state: str
@@ -98,6 +99,7 @@ class Taken:
     camera: Camera
     health: Mapping[str, Health]
     unseen: Mapping[str, Tensor | None]
+    valid: Tensor | None = None
 
 
 def evaluate(
@@ -171,6 +173,7 @@ def _take(
         camera=shot.camera,
         health=health,
         unseen={n: health[n].shows_unseen(shot.camera, p.alpha) for n, p in photos.items()},
+        valid=shot.view.valid() if state.has_truth else None,
     )
 
 
@@ -189,7 +192,8 @@ def _score(
         for protocol in protocols:
             images: Mapping[str, Value] = {}
             if taken.rgba is not None:
-                images = measure(protocol, photo.rgb, taken.rgba, perceptual).row()
+                valid = None if taken.valid is None else taken.valid.numpy()
+                images = measure(protocol, photo.rgb, taken.rgba, perceptual, valid).row()
             row = ImageRow(
                 method=name,
                 state=taken.state,

@@ -79,14 +79,14 @@ class RunRecord:
 
     @property
     def scene_folder(self) -> Path | None:
-        """Folder of the scene that it was trained on; None when it is not on this machine."""
+        """Folder (or file) of the scene that it was trained on; None when it is not here."""
         if not self.scene or self.stage == "import":
             return None  # An import records a name, and a folder of that name may be anything.
         # Our own runs record it as seen from the run, so that both can move together.
         beside = () if self.path is None else (self.path / self.scene,)
         candidates = (*beside, Path(self.scene))
         # Names that are too long are an error to pathlib, and here a folder that is not there.
-        return next((one for one in candidates if os.path.isdir(one)), None)  # noqa: PTH112
+        return next((one for one in candidates if os.path.exists(one)), None)  # noqa: PTH110
 
     def scene_or(self, given: Path | None) -> Path:
         """Folder of the scene to work on: the one given, else the one it was trained on.

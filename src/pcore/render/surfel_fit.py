@@ -247,9 +247,9 @@ def told(image: Image, camera: Camera, rgba: Tensor, *, masked: bool) -> tuple[T
         rgba: (H, W, 4) the photo.
         masked: whether the photo knows what is solid.
     """
-    normal, solid = normals(image, camera), image.alpha > _SOLID
-    if masked:
-        solid &= rgba[..., 3] > _SOLID
+    normal = normals(image, camera)
+    # Photos without masks are transparent where they show nothing at all.
+    solid = (image.alpha > _SOLID) & (rgba[..., 3] > (_SOLID if masked else 0.0))
     used = ~normal.isnan().any(dim=-1) & solid
     one = torch.ones(*solid.shape, 1)
     seen = torch.cat([normal, rgba[..., :3], one], dim=-1).where(used.unsqueeze(-1), 0.0)

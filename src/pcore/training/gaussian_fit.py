@@ -83,7 +83,13 @@ def fit_gaussians(
         if _grows(work.step, config):
             found.means2d.retain_grad()
         shown[:] = [found]
-        return _photometric(found.rgb, photo_on(views[index], color, where), config.ssim_weight)
+        photo = photo_on(views[index], color, where)
+        valid = views[index].valid()
+        if valid is None:
+            return _photometric(found.rgb, photo, config.ssim_weight)
+        # Where the photo shows nothing, rendering is neither right nor wrong.
+        rgb = torch.where(valid.to(where)[..., None], found.rgb, photo)
+        return _photometric(rgb, photo, config.ssim_weight)
 
     def after_step(tell: Listener) -> None:
         _observe(work, shown.pop())

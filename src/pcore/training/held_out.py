@@ -36,7 +36,8 @@ def mean_scores(
     for view in views:
         rgba = view.rgba()
         error = (draw(view).clamp(0, 1) - composite(rgba, color)).square().mean(dim=-1)
-        found["psnr"].append(_decibels(error.mean()))
+        valid = view.valid()
+        found["psnr"].append(_decibels(error.mean() if valid is None else error[valid].mean()))
         solid = rgba[..., 3] > 0.5
         if view.has_alpha and bool(solid.any()):
             found["foreground_psnr"].append(_decibels(error[solid].mean()))

@@ -84,13 +84,15 @@ def photometric(
     distance from it, weighted by the opacity. Colours alone leave PAPR free to blend the back of
     the object into its front, and then its surface points lie between the two.
     """
-    error = (image.rgb - patch.rgb).square().mean()
+    rgb = patch.told(image.rgb, patch.rgb)
+    error = (rgb - patch.rgb).square().mean()
     terms = {"rgb": error}
     if perceptual is not None:
-        images = [_as_lpips(one) for one in (image.rgb, patch.rgb)]
+        images = [_as_lpips(one) for one in (rgb, patch.rgb)]
         terms["lpips"] = lpips_weight * perceptual(*images).mean()
     if opacity_weight > 0 and patch.alpha is not None:
-        terms["opacity"] = opacity_weight * (image.alpha - patch.alpha).square().mean()
+        alpha = patch.told(image.alpha, patch.alpha)
+        terms["opacity"] = opacity_weight * (alpha - patch.alpha).square().mean()
     if front_weight > 0:
         terms["front"] = front_weight * (image.alpha.detach() * image.spread).mean()
     return Losses(terms=terms, squared_error=error.detach())

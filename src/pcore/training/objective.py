@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import torch
+
 from pcore.deform.base import Deformation
 from pcore.deform.sampler import sample_deformation
 from pcore.geometry.posed import PosedCloud
@@ -51,7 +53,11 @@ class Objective:
             perceptual=self._perceptual,
             front_weight=config.front_weight / work.papr.config.unit**2,
         )
-        rgb = patch.rgb if config.texture_target == "photo" else image.rgb
+        rgb = image.rgb
+        if config.texture_target == "photo" and patch.valid is not None:
+            rgb = torch.where(patch.valid[..., None], patch.rgb, rgb)
+        elif config.texture_target == "photo":
+            rgb = patch.rgb
         canonical = canonical_of(image, work.cloud, patch.rays, rgb, config.foreground_alpha)
         deformation = sample_deformation(
             work.generator, self._lower, self._upper, self._points, config.ranges

@@ -27,12 +27,24 @@ class Patch:
         rgb: (H, W, 3) photo over the background.
         alpha: (H, W) coverage, None for photos without an alpha channel.
         background: (3,) colour behind the object.
+        valid: (H, W) pixels that the photo shows; None: all of them.
     """
 
     rays: RayBundle
     rgb: Tensor
     alpha: Tensor | None
     background: Tensor
+    valid: Tensor | None = None
+
+    def told(self, rendered: Tensor, photo: Tensor) -> Tensor:
+        """The rendered values (H, W, ...), and the photo's where it shows nothing.
+
+        There, rendering is neither right nor wrong: the difference and its gradient are zero.
+        """
+        if self.valid is None:
+            return rendered
+        valid = self.valid.reshape(self.valid.shape + (1,) * (rendered.ndim - 2))
+        return torch.where(valid, rendered, photo)
 
 
 def draw_patch(
@@ -59,6 +71,9 @@ def draw_patch(
         if not view.has_alpha or float(coverage) > _LEAST_COVERAGE:
             break
     crop = rgba[top : top + height, left : left + width]
+    valid = view.valid()
+    if valid is not None:
+        valid = _sent(valid[top : top + height, left : left + width], device)
     color = background_color(background, generator)
     places = None
     if config.samples > 1:
@@ -69,6 +84,7 @@ def draw_patch(
         rgb=_sent(composite(crop, color), device),
         alpha=_sent(crop[..., 3], device) if view.has_alpha else None,
         background=_sent(color, device),
+        valid=valid,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -24,7 +24,6 @@ _TRACE = 0.05
 _SEEN, _SEEN_IN_REGION = 0.5, 0.15
 """Share of the views that must see a part of the hull: in a region that every view sees whole, and
 in one that is known, parts of which only few views may see."""
-_Masks = Sequence[tuple[Camera, Tensor]]
 
 
 class MaskedView(Protocol):
@@ -38,6 +37,16 @@ class MaskedView(Protocol):
     def alpha(self) -> Tensor:
         """(H, W) coverage."""
         ...
+
+    def valid(self) -> Tensor | None:
+        """(H, W) pixels that it shows; None: all. The others carve nothing."""
+        ...
+
+
+class _Mask(NamedTuple):
+    camera: Camera
+    inside: Tensor
+    valid: Tensor | None
 
 
 def grid_points(count: int, lower: Tensor, upper: Tensor) -> Tensor:
@@ -89,8 +98,8 @@ def hull_points(
     Raises:
         TrainingError: when the silhouettes have no common inside.
     """
-    solid = [(view.camera, view.alpha() > _SOLID) for view in views]
-    trace = [(view.camera, view.alpha() > _TRACE) for view in views]
+    solid = [_Mask(view.camera, view.alpha() > _SOLID, view.valid()) for view in views]
+    trace = [_Mask(view.camera, view.alpha() > _TRACE, view.valid()) for view in views]
     coarse, size = _voxels(lower, upper, 64)
     inside = _inside_all(coarse, trace, region)
     if not bool(inside.any()):
@@ -153,19 +162,19 @@ def coarse_hull(
         region: as for `hull_points`.
     """
     voxels, size = _voxels(lower, upper, 64)
-    trace = [(view.camera, view.alpha() > _TRACE) for view in views]
+    trace = [_Mask(view.camera, view.alpha() > _TRACE, view.valid()) for view in views]
     return voxels[_inside_all(voxels, trace, region)], size
 
 
-def _inside_all(voxels: Tensor, masks: _Masks, region: Region | None) -> Tensor:
+def _inside_all(voxels: Tensor, masks: Sequence[_Mask], region: Region | None) -> Tensor:
     """Which voxel centres (..., 3) enough views see and no view sees outside its mask."""
     flat = voxels.reshape(-1, 3)
     alive = torch.arange(len(flat))
     if region is not None:
         alive = alive[region.contains(flat)]
     seen = torch.zeros(len(flat), dtype=torch.int64)
-    for camera, mask in masks:
-        in_view, in_mask = _look_up(flat[alive], camera, mask)
+    for mask in masks:
+        in_view, in_mask = _look_up(flat[alive], mask)
         seen[alive[in_view]] += 1
         # What a view does not see, it cannot carve.
         alive = alive[in_mask | ~in_view]
@@ -187,14 +196,17 @@ def _widened(voxels: Tensor, reach: int) -> Tensor:
     return wide[0] > 0
 
 
-def _look_up(points: Tensor, camera: Camera, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Which points (P, 3) lie in the picture, and which of them in its mask."""
+def _look_up(points: Tensor, mask: _Mask) -> tuple[Tensor, Tensor]:
+    """Which points (P, 3) the picture shows, and which of them lie in its mask."""
+    camera = mask.camera
     across, down, depth = camera.project(points)
     column, row = across.floor().long(), down.floor().long()
     in_view = (depth > 0) & (column >= 0) & (column < camera.width)
     in_view &= (row >= 0) & (row < camera.height)
-    value = mask[row.clamp(0, camera.height - 1), column.clamp(0, camera.width - 1)]
-    return in_view, value & in_view
+    row, column = row.clamp(0, camera.height - 1), column.clamp(0, camera.width - 1)
+    if mask.valid is not None:
+        in_view &= mask.valid[row, column]
+    return in_view, mask.inside[row, column] & in_view
 
 
 def _surface_voxels(voxels: Tensor, inside: Tensor, size: float) -> Tensor:

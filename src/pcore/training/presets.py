@@ -155,7 +155,8 @@ def gaussian_preset(name: PretrainName) -> GaussianConfig:
     """
     if name not in _GAUSSIANS:
         raise InputError(
-            f"preset of Gaussians: expected one of {', '.join(_GAUSSIANS)}, got {name!r}"
+            f"preset of Gaussians: expected one of {', '.join(_GAUSSIANS)}, got {name!r}; "
+            "the others are PAPR's (--model papr)"
         )
     return _GAUSSIANS[name]
 

@@ -46,14 +46,16 @@ def agreement_with(gaussians: Gaussians, footprint: Footprint, views: Sequence[V
     overlaps: list[float] = []
     for view in chosen:
         rgba = view.rgba()
+        valid = view.valid()
+        told = torch.ones(rgba.shape[:2], dtype=torch.bool) if valid is None else valid
         found = render(posed, [view.camera], footprint=footprint, background=torch.zeros(3))
         for name in errors:
             color = background_color(name)
             shown = found.rgb[0] + (1 - found.alpha[0])[..., None] * color
-            error = (shown.clamp(0, 1) - composite(rgba, color)).square().mean()
+            error = (shown.clamp(0, 1) - composite(rgba, color)).square()[told].mean()
             errors[name] += float(-10 * torch.log10(error.clamp_min(1e-12))) / len(chosen)
         if view.has_alpha:
-            drawn, true = found.alpha[0] > 0.5, rgba[..., 3] > 0.5
+            drawn, true = told & (found.alpha[0] > 0.5), rgba[..., 3] > 0.5
             overlaps.append(float((drawn & true).sum() / (drawn | true).sum().clamp_min(1)))
     best = max(errors, key=lambda name: errors[name])
     red, green, blue = background_color(best).tolist()

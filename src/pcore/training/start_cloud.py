@@ -137,6 +137,9 @@ def report_start(points: Tensor, views: Sequence[View]) -> StartReport:
         column, row, depth = camera.project(points)
         in_view = (depth > 0) & (column >= 0) & (column < camera.width)
         in_view &= (row >= 0) & (row < camera.height)
+        valid = view.valid()
+        if valid is not None:
+            in_view[in_view.clone()] = valid[row[in_view].long(), column[in_view].long()]
         if center is not None:
             in_view &= depth < _FARTHEST * float((camera.center - center).norm())
         seen += in_view

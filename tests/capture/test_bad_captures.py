@@ -1,0 +1,284 @@
+"""Captures that cannot be read whole: a clear error, or a listed skip."""
+
+import json
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from capture_files import (
+    HEIGHT,
+    WIDTH,
+    shots,
+    write_camera_list,
+    write_colmap,
+    write_idr,
+    write_llff,
+    write_model,
+    write_ngp,
+    write_nsvf,
+    write_photos,
+)
+from pcore.capture.load import load_scene
+from pcore.errors import SceneError
+
+
+def reason(path: Path) -> str:
+    """Why the one photo that is skipped is not used."""
+    scene = load_scene(path)
+    assert len(scene.skipped) == 1
+    return f"{scene.skipped[0].name}: {scene.skipped[0].reason}"
+
+
+def test_no_images(tmp_path: Path) -> None:
+    write_model(tmp_path / "sparse" / "0", shots())
+    with pytest.raises(SceneError, match=r"names 10 photos, of which none is in .*img_0\.png"):
+        load_scene(tmp_path)
+
+
+def test_one_image(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    for path in sorted((tmp_path / "images").iterdir())[1:]:
+        path.unlink()
+    with pytest.raises(SceneError, match=r"at least 2 photos with poses, got 1.*9 of 10 .*no file"):
+        load_scene(tmp_path)
+
+
+def test_a_name_twice(tmp_path: Path) -> None:
+    photos = shots()
+    photos[4].name = photos[2].name
+    write_photos(tmp_path / "images", [shot.name for shot in photos])
+    write_model(tmp_path / "sparse" / "0", photos)
+    assert reason(tmp_path) == "img_2.png: named twice; the first is used"
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_lenses_that_are_not_read(text: bool, tmp_path: Path) -> None:
+    camera = ("FOV", WIDTH, HEIGHT, [30.0, 30.0, 12.0, 8.0, 0.9])
+    photos = shots()
+    write_photos(tmp_path / "images", [shot.name for shot in photos])
+    write_model(tmp_path / "sparse" / "0", [], {1: camera}, text=text)
+    with pytest.raises(SceneError, match=r"camera model FOV is not read; read are SIMPLE_PINHOLE"):
+        load_scene(tmp_path)
+
+
+def test_fisheyes_of_transforms(tmp_path: Path) -> None:
+    write_ngp(tmp_path, camera_model="OPENCV_FISHEYE", k1=0.1)
+    with pytest.raises(SceneError, match="fisheye lens"):
+        load_scene(tmp_path)
+
+
+def test_photos_of_another_shape(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    write_photos(tmp_path / "images", ["img_5.png"], size=(16, 24))
+    assert reason(tmp_path).startswith("img_5.png: 16 x 24 pixels, and its camera is for 24 x 16")
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.97])
+def test_truncated_models(name: str, share: float, tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    path = tmp_path / "sparse" / "0" / name
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(SceneError, match=f"{name}: expected a whole model"):
+        load_scene(tmp_path)
+
+
+def test_models_with_absurd_counts(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    path = tmp_path / "sparse" / "0" / "images.bin"
+    path.write_bytes(struct.pack("<Q", 2**60) + path.read_bytes()[8:])
+    with pytest.raises(SceneError, match="truncated or damaged"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
+def test_damaged_text_models(name: str, tmp_path: Path) -> None:
+    write_colmap(tmp_path, text=True)
+    (tmp_path / "sparse" / "0" / f"{name}.txt").write_text("1 2 three\n")
+    with pytest.raises(
+        SceneError, match="expected a text model of COLMAP, got the line '1 2 three'"
+    ):
+        load_scene(tmp_path)
+
+
+def test_empty_models(tmp_path: Path) -> None:
+    write_photos(tmp_path / "images", ["a.png"])
+    write_model(tmp_path / "sparse" / "0", [])
+    with pytest.raises(SceneError, match=r"images\.bin: expected registered images"):
+        load_scene(tmp_path)
+
+
+def test_poses_that_are_none(tmp_path: Path) -> None:
+    write_colmap(tmp_path, text=True)
+    path = tmp_path / "sparse" / "0" / "images.txt"
+    lines = path.read_text().splitlines()
+    lines[7] = "16 nan 0 0 0 0 0 4 1 img_3.png"
+    path.write_text("\n".join(lines))
+    assert reason(tmp_path) == "img_3.png: a pose with NaN or infinity"
+
+
+def test_masks_of_another_size(tmp_path: Path) -> None:
+    write_idr(tmp_path)
+    write_photos(tmp_path / "mask", ["002.png"], size=(8, 8), mode="L")
+    view = load_scene(tmp_path).split("train")[1]
+    with pytest.raises(SceneError, match=r"mask .*002\.png: expected 24 x 16 pixels"):
+        view.rgba()
+
+
+def test_masks_that_are_missing(tmp_path: Path) -> None:
+    write_idr(tmp_path)
+    (tmp_path / "mask" / "004.png").unlink()
+    with pytest.raises(SceneError, match="expected a mask for each of 9 photos, got 8"):
+        load_scene(tmp_path)
+    write_ngp(tmp_path / "ngp", frames={"mask_path": "masks/none.png"})
+    with pytest.raises(SceneError, match=r"no mask at masks/none\.png"):
+        load_scene(tmp_path / "ngp")
+
+
+def test_pages_that_were_saved_as_photos(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    (tmp_path / "images" / "img_2.png").write_text("<!DOCTYPE html><html>404</html>")
+    assert "img_2.png: image" in reason(tmp_path)
+    assert "file of another kind" in reason(tmp_path)
+
+
+def test_picture_bombs(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    Image.new("1", (14_000, 14_000)).save(tmp_path / "images" / "img_2.png")
+    assert "more pixels than any camera takes" in reason(tmp_path)
+
+
+def test_links_that_lead_out(tmp_path: Path) -> None:
+    write_colmap(tmp_path / "scene")
+    secret = tmp_path / "secret.png"
+    (tmp_path / "scene" / "images" / "img_2.png").rename(secret)
+    (tmp_path / "scene" / "images" / "img_2.png").symlink_to(secret)
+    with pytest.raises(SceneError, match="leaves the scene's folder"):
+        load_scene(tmp_path / "scene")
+
+
+def test_masks_that_lead_out(tmp_path: Path) -> None:
+    write_idr(tmp_path / "scene")
+    secret = tmp_path / "secret.png"
+    (tmp_path / "scene" / "mask" / "002.png").rename(secret)
+    (tmp_path / "scene" / "mask" / "002.png").symlink_to(secret)
+    with pytest.raises(SceneError, match="leads out of the scene's folder"):
+        load_scene(tmp_path / "scene")
+
+
+def test_names_that_lead_out(tmp_path: Path) -> None:
+    photos = shots()
+    write_photos(tmp_path / "images", [shot.name for shot in photos])
+    photos[3].name = "../../../etc/passwd"
+    write_model(tmp_path / "sparse" / "0", photos)
+    with pytest.raises(SceneError, match="leaves the scene's folder"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions are others there")
+def test_read_only_folders(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    for path in (*tmp_path.rglob("*"), tmp_path):
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    try:
+        assert len(load_scene(tmp_path).split("train")) == 8
+    finally:
+        for path in (tmp_path, *tmp_path.rglob("*")):
+            path.chmod(0o755)
+
+
+class Pickled:
+    """Leaves a trace when it is unpickled."""
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return (os.mkdir, ("unpickled",))
+
+
+@pytest.mark.parametrize("layout", ["idr", "llff"])
+def test_pickles_are_never_read(
+    layout: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    odd = np.array([Pickled()], dtype=object)
+    if layout == "idr":
+        write_idr(tmp_path)
+        np.savez(tmp_path / "cameras_sphere.npz", world_mat_0=odd, allow_pickle=True)
+    else:
+        write_llff(tmp_path)
+        np.save(tmp_path / "poses_bounds.npy", odd, allow_pickle=True)
+    with pytest.raises(SceneError, match="pickles are never read"):
+        load_scene(tmp_path)
+    assert not (tmp_path / "unpickled").exists()
+
+
+def test_other_numbers_of_photos_than_of_poses(tmp_path: Path) -> None:
+    write_llff(tmp_path)
+    (tmp_path / "images" / "IMG_3.JPG").unlink()
+    with pytest.raises(SceneError, match="a photo for each of its 9 poses, got 8"):
+        load_scene(tmp_path)
+    write_idr(tmp_path / "idr")
+    (tmp_path / "idr" / "image" / "000003.png").unlink()
+    with pytest.raises(SceneError, match="a photo for each of its 9 cameras, got 8"):
+        load_scene(tmp_path / "idr")
+
+
+def test_damaged_archives(tmp_path: Path) -> None:
+    write_idr(tmp_path)
+    path = tmp_path / "cameras_sphere.npz"
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(SceneError, match="damaged"):
+        load_scene(tmp_path)
+
+
+def test_text_in_numbers(tmp_path: Path) -> None:
+    write_nsvf(tmp_path)
+    (tmp_path / "bbox.txt").write_text("left right")
+    with pytest.raises(SceneError, match=r"bbox\.txt: expected 6 numbers"):
+        load_scene(tmp_path)
+    (tmp_path / "bbox.txt").unlink()
+    (tmp_path / "intrinsics.txt").write_text("thirty")
+    with pytest.raises(SceneError, match="expected intrinsics as NSVF"):
+        load_scene(tmp_path)
+
+
+def test_camera_lists_of_other_content(tmp_path: Path) -> None:
+    write_camera_list(tmp_path)
+    path = tmp_path / "cameras.json"
+    entries = json.loads(path.read_text())
+    del entries[2]["fx"]
+    path.write_text(json.dumps(entries))
+    with pytest.raises(SceneError, match="expected the cameras of 3D Gaussian splatting"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("box", ["all", [[0, 0, 0]], [[0, 0, 0], [1, 1, -1]], [[0, 0, 0]] * 2])
+def test_boxes_that_are_none(box: object, tmp_path: Path) -> None:
+    write_ngp(tmp_path, aabb=box)
+    with pytest.raises(SceneError, match="two corners of a box in 'aabb'"):
+        load_scene(tmp_path)
+
+
+def test_all_views_from_one_direction(tmp_path: Path) -> None:
+    photos = shots()
+    for index, shot in enumerate(photos):
+        shot.matrix[:3, :3] = np.eye(3)
+        shot.matrix[:3, 3] = index, 0, 0
+    write_photos(tmp_path / "images", [shot.name for shot in photos])
+    write_model(tmp_path / "sparse" / "0", photos)
+    with pytest.raises(SceneError, match=r"viewing axes of its 8 view.* are parallel"):
+        _ = load_scene(tmp_path).center
+
+
+def test_files_that_choose_nothing(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("")
+    with pytest.raises(SceneError, match="expected a folder, got a file"):
+        load_scene(tmp_path / "notes.txt")
+    for name in ("a.mp4", "b.mp4"):
+        (tmp_path / name).write_text("")
+    with pytest.raises(SceneError, match="holds 2 videos; give the path of one"):
+        load_scene(tmp_path)

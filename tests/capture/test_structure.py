@@ -1,0 +1,166 @@
+"""Photos and videos without poses: the child process, its limits and what is kept of it."""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from capture_files import write_photos
+from pcore.capture import structure
+from pcore.capture.layouts import layout_of
+from pcore.capture.load import load_scene
+from pcore.capture.structure import Patience, with_poses
+from pcore.errors import DependencyError, SceneError
+
+BEER = Path("/work/shared/data/captures/beer/images")
+FAKE = """
+import json, sys
+sys.path[:0] = {paths!r}
+from pathlib import Path
+from capture_files import shots, write_model
+wish = json.loads(sys.argv[1])
+print("pcore: looking for features", flush=True)
+all = shots(len(wish["names"]))
+for shot, name in zip(all, wish["names"]):
+    shot.name = name
+write_model(Path(wish["output"]) / "0", all[:2])
+write_model(Path(wish["output"]) / "1", all)
+"""
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def child(monkeypatch: pytest.MonkeyPatch, code: str) -> None:
+    monkeypatch.setattr(structure, "CHILD", (sys.executable, "-c", code))
+    monkeypatch.setattr(structure.importlib.util, "find_spec", lambda _: object())
+
+
+def fake(monkeypatch: pytest.MonkeyPatch) -> None:
+    child(monkeypatch, FAKE.format(paths=[path for path in sys.path if "tests" in path]))
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> Path:
+    folder = tmp_path / "holiday"
+    write_photos(folder, [f"IMG_{i}.jpg" for i in range(10)])
+    return folder
+
+
+def test_the_largest_model_is_taken_and_kept(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake(monkeypatch)
+    heard: list[str] = []
+    before = sorted(photos.rglob("*"))
+    scene = load_scene(photos, tell=heard.append)
+    assert scene.layout == "COLMAP"
+    assert sum(len(split) for split in scene.views.values()) == 10
+    assert heard == ["looking for features"]
+    assert sorted(photos.rglob("*")) == before
+    assert any("1 is the largest model, with 10 images" in note for note in scene.notes)
+    child(monkeypatch, "raise SystemExit('the model is kept')")
+    assert len(load_scene(photos).split("train")) == 8
+    write_photos(photos, ["IMG_11.jpg"])
+    with pytest.raises(SceneError, match="the model is kept"):
+        load_scene(photos)
+
+
+@pytest.mark.parametrize(
+    ("patience", "message"),
+    [
+        (Patience(whole=0.3), r"was ended after 0\.3 s;"),
+        (Patience(silence=0.3), r"was ended after 0\.3 s in which it said nothing"),
+    ],
+)
+def test_a_child_that_hangs_is_ended(
+    patience: Patience, message: str, photos: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = "import signal, time\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\ntime.sleep(60)"
+    child(monkeypatch, code)
+    began = time.monotonic()
+    with pytest.raises(SceneError, match=message):
+        with_poses(layout_of(photos), print, patience)
+    assert time.monotonic() - began < 30
+    assert not list((photos.parent / "cache").rglob("unfinished-*"))
+
+
+def test_a_child_that_crashes_is_told_of(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    child(monkeypatch, "import os\nprint('corrupted size', flush=True)\nos.abort()")
+    with pytest.raises(SceneError, match=r"ended with code -6 .*corrupted size"):
+        load_scene(photos)
+
+
+def test_photos_without_common_structure(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    child(monkeypatch, "pass")
+    with pytest.raises(SceneError, match="no common structure in 10 photos"):
+        load_scene(photos)
+
+
+def test_too_few_photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake(monkeypatch)
+    write_photos(tmp_path / "few", ["a.jpg"])
+    with pytest.raises(SceneError, match="at least 3 photos to find poses for, got 1"):
+        load_scene(tmp_path / "few")
+
+
+def test_without_colmap(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(structure.importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(DependencyError, match=r"pip install 'pcore-edit\[colmap\]'"):
+        load_scene(photos)
+
+
+def video(path: Path, frames: int) -> Path:
+    av = pytest.importorskip("av")
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 24, 16, "yuv420p"
+        for index in range(frames):
+            pixels = np.full((16, 24, 3), 10 * index, dtype=np.uint8)
+            pixels[::2, ::2] = 255
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
+def test_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake(monkeypatch)
+    folder = tmp_path / "clip"
+    folder.mkdir()
+    video(folder / "walk.mp4", 12)
+    for given in (folder, folder / "walk.mp4"):
+        scene = load_scene(given)
+        assert sum(len(split) for split in scene.views.values()) == 12
+    assert list(folder.iterdir()) == [folder / "walk.mp4"]
+
+
+def test_videos_without_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake(monkeypatch)
+    path = video(tmp_path / "short.mp4", 1)
+    with pytest.raises(SceneError, match="expected at least 3 frames, got 1"):
+        load_scene(path)
+    (tmp_path / "none.mp4").write_bytes(b"no video at all")
+    with pytest.raises(SceneError, match="cannot be decoded"):
+        load_scene(tmp_path / "none.mp4")
+
+
+@pytest.mark.slow
+def test_twenty_real_photos(tmp_path: Path) -> None:
+    pytest.importorskip("PIL")
+    if structure.importlib.util.find_spec("pycolmap") is None or not BEER.is_dir():
+        pytest.skip("needs pycolmap and the capture 'beer'")
+    from PIL import Image
+
+    for path in sorted(BEER.iterdir())[:60:3]:
+        (tmp_path / "can").mkdir(exist_ok=True)
+        with Image.open(path) as photo:
+            photo.resize((360, 640)).save(tmp_path / "can" / path.name)
+    heard: list[str] = []
+    scene = load_scene(tmp_path / "can", tell=heard.append)
+    assert sum(len(split) for split in scene.views.values()) >= 14, json.dumps(heard)
+    assert scene.sparse is not None
+    assert scene.sparse.errors is not None
+    assert float(scene.sparse.errors.mean()) < 1.0
