@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from pcore.data.images import background_color, composite
+from pcore.data.images import background_color
 from pcore.data.scene import View
 from pcore.errors import CheckpointError
 from pcore.files.gaussian_file import SavedGaussians, save_gaussians
@@ -62,6 +62,7 @@ class TrainableGaussians:
         stage: "pretrain": in a run folder this is what stands in the place of pre-training.
         step: steps done.
         best: figures of the best validation.
+        fits_exposure: whether figures are also given under a fitted map of colours.
     """
 
     raw: dict[str, nn.Parameter]
@@ -75,6 +76,7 @@ class TrainableGaussians:
     stage: str = "pretrain"
     step: int = 0
     best: dict[str, Any] = field(default_factory=dict[str, Any])
+    fits_exposure: bool = False
 
     @property
     def points(self) -> int:
@@ -99,7 +101,7 @@ class TrainableGaussians:
         """All parameters by name, sharing memory with the training."""
         return {name: parameter.detach() for name, parameter in self.raw.items()}
 
-    def set_rates(self, rates: Mapping[str, Schedule], steps: int) -> None:
+    def set_rates(self, rates: Mapping[str, Schedule], steps: float) -> None:
         """Set the learning rate of every group, by its name, for the coming step."""
         for group in self.optimizer.param_groups:
             group["lr"] = rates[group["name"]].at(self.step, steps)
@@ -144,7 +146,7 @@ class TrainableGaussians:
             )
             return found.rgb[0].cpu()
 
-        return mean_scores(views, color, draw)
+        return mean_scores(views, color, draw, fitted=self.fits_exposure)
 
     def save(self, folder: RunFolder, scene: str) -> list[str]:
         """Write what users load; return the paths."""
@@ -202,6 +204,7 @@ def trainable_gaussians(
     footprint: Footprint,
     backdrop: Background,
     seed: int,
+    fits_exposure: bool = False,
 ) -> TrainableGaussians:
     """Return Gaussians made ready to train, with Adam, on the device where they are."""
     rows = {
@@ -225,6 +228,7 @@ def trainable_gaussians(
         backdrop=backdrop,
         slopes=slopes,
         seen=seen,
+        fits_exposure=fits_exposure,
     )
 
 
@@ -239,11 +243,6 @@ def provenance_of_gaussians(found: TrainedGaussians, scene: str) -> Provenance:
         extent=(_vector(means.amin(dim=0)), _vector(means.amax(dim=0))),
         pcore=pcore_version(),
     )
-
-
-def photo_on(view: View, color: Tensor, device: torch.device) -> Tensor:
-    """(1, H, W, 3) the photo over a background colour (3,)."""
-    return composite(view.rgba(), color).to(device).unsqueeze(0)
 
 
 def _vector(tensor: Tensor) -> tuple[float, float, float]:
