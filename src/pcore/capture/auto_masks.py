@@ -8,6 +8,7 @@ outline of that hull: a view whose cut went wrong is corrected by the others.
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,15 +30,16 @@ _MARGIN = 0.12
 """Room around an outline in which the cut may still find object, as a share of its size."""
 _ROUNDS, _ITERATIONS = 3, 2
 _VOXELS = 80
-_VOTE, _SURE_VOTE = 0.6, 0.75
-"""Share of the views that see a voxel and must have it in their mask: while the object is looked
-for, and where masks are judged."""
+_LOOSE, _JUDGED, _SURE = 0.6, 0.75, 0.85
+"""Share of the views that see a voxel and must have it in their mask: where the object is looked
+for, where masks are judged, and where there is object for certain."""
 _SEEN = 0.15
 """Share of all views that must see a voxel."""
 _FEW = 8
 """Fewer points than that have no outline to go by."""
-_DOUBTFUL = 0.8
-"""Overlap (intersection over union) of a mask with the hull below which it is told of."""
+_DOUBTFUL, _BAD = 0.12, 0.6
+"""A mask is doubtful whose overlap with the hull is so much less than that of most, or less than
+the second in any case."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +71,7 @@ class FoundMasks:
 
     def doubtful(self) -> tuple[int, ...]:
         """Numbers of the photos whose mask contradicts the others'."""
-        return tuple(i for i, share in enumerate(self.agreement) if share < _DOUBTFUL)
+        return doubtful(self.agreement)
 
 
 def find_masks(
@@ -108,17 +110,20 @@ def find_masks(
             "automatic masks: none of the photos shows the object's region; give its --box"
         )
     masks: list[Bits] = []
+    cores: list[Bits] | None = None
     total, done = (_ROUNDS - 1) * len(small) + len(everyone), 0
     for turn in range(_ROUNDS):
         last = turn == _ROUNDS - 1
         masks = []
-        for photo, seed, room in zip(everyone if last else small, seeds, rooms, strict=False):
-            masks.append(_cut(photo.rgb, seed, room, sure=turn > 0))
+        for number, photo in enumerate(everyone if last else small):
+            core = None if cores is None else cores[number]
+            masks.append(_cut(photo.rgb, seeds[number], rooms[number], core))
             done += 1
             if progress is not None:
                 progress(done, total)
-        vote = _SURE_VOTE if last else _VOTE
-        seeds = hull_silhouettes(small, masks[: len(small)], region, vote=vote, into=everyone)
+        voters, votes = masks[: len(small)], (_JUDGED,) if last else (_LOOSE, _SURE)
+        seeds, *more = hull_silhouettes(small, voters, region, votes=votes, into=everyone)
+        cores = more[0] if more else None
         if not any(one.any() for one in seeds):
             raise InputError(
                 "automatic masks: the cuts of the photos have no common object inside of the "
@@ -138,17 +143,17 @@ def hull_silhouettes(
     masks: Sequence[Bits],
     region: Region,
     *,
-    vote: float,
+    votes: Sequence[float],
     into: Sequence[Photo],
     voxels: int = _VOXELS,
-) -> list[Bits]:
-    """Outlines (H, W) 0 or 1 of the hull that most masks agree on.
+) -> list[list[Bits]]:
+    """Outlines (H, W) 0 or 1 of the hulls that most masks agree on, for each share of votes.
 
     Args:
         photos: of the masks.
         masks: (H, W) 0 or 1.
         region: where voxels are looked at, with room around it.
-        vote: share of the views that see a voxel and must have it in their mask.
+        votes: shares of the views that see a voxel and must have it in their mask.
         into: pictures that the hull is drawn in.
         voxels: along the longest side of the region.
     """
@@ -159,8 +164,14 @@ def hull_silhouettes(
         seen += visible
         within[visible] += torch.from_numpy(mask)[pixels].float()
     least = max(2.0, _SEEN * len(photos))
-    kept = places[(seen >= least) & (within >= vote * seen)]
-    return [_splat(photo.camera, kept, size) for photo in into]
+    hulls = [places[(seen >= least) & (within >= vote * seen)] for vote in votes]
+    return [[_splat(photo.camera, hull, size) for photo in into] for hull in hulls]
+
+
+def doubtful(agreement: Sequence[float]) -> tuple[int, ...]:
+    """Numbers of the masks that contradict the others, by their overlap with the hull of all."""
+    limit = max(_BAD, statistics.median(agreement) - _DOUBTFUL)
+    return tuple(i for i, share in enumerate(agreement) if share < limit)
 
 
 def overlap(mask: Bits, other: Bits) -> float:
@@ -211,8 +222,8 @@ def _outline(camera: Camera, points: Tensor) -> Bits:
     return cv2.fillConvexPoly(picture, hull, 1)
 
 
-def _cut(rgb: Tensor, seed: Bits, room: Bits, *, sure: bool) -> Bits:
-    """GrabCut (H, W) 0 or 1 from an outline; with `sure` its core is object for certain.
+def _cut(rgb: Tensor, seed: Bits, room: Bits, core: Bits | None) -> Bits:
+    """GrabCut (H, W) 0 or 1 from an outline; the inner part of a core is object for certain.
 
     What lies outside of both the room and the outline's surroundings is background for certain.
     """
@@ -226,8 +237,8 @@ def _cut(rgb: Tensor, seed: Bits, room: Bits, *, sure: bool) -> Bits:
     trimap = np.full(seed.shape, cv2.GC_BGD, dtype=np.uint8)
     trimap[near > 0] = cv2.GC_PR_BGD
     trimap[seed > 0] = cv2.GC_PR_FGD
-    if sure:
-        trimap[_shrunken(seed, reach) > 0] = cv2.GC_FGD
+    if core is not None:
+        trimap[_shrunken(core, reach) > 0] = cv2.GC_FGD
     pixels = (255 * rgb.clamp(0, 1)).round().byte().numpy()
     models = np.zeros((1, 65)), np.zeros((1, 65))
     # OpenCV draws its clusters from a generator of its own, which is shared by the process.

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pcore.capture.auto_masks import Photo, find_masks, hull_silhouettes, overlap
+from pcore.capture.auto_masks import Photo, doubtful, find_masks, hull_silhouettes, overlap
 from pcore.capture.coverage import Coverage, coverage
 from pcore.capture.photo_quality import PhotoQuality, photo_quality
 from pcore.capture.photos import natural_key
@@ -24,7 +24,7 @@ from pcore.geometry.object_region import Region
 from pcore.training.forecast import Forecast, forecasts
 from pcore.training.locate import Located, Source, locate
 
-_DOUBTFUL, _VOTE, _VOXELS = 0.8, 0.75, 48
+_VOTE, _VOXELS = 0.75, 48
 _SIDE = 160
 """Longer side of the masks that are held against one another, pixels."""
 
@@ -45,7 +45,7 @@ class CheckedMasks:
 
     def doubtful(self) -> tuple[int, ...]:
         """Numbers of the views whose mask contradicts the others'."""
-        return tuple(i for i, share in enumerate(self.agreement) if share < _DOUBTFUL)
+        return doubtful(self.agreement)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,7 +186,9 @@ def _agreed(views: Sequence[View], region: Region) -> CheckedMasks:
     small = [_small(view) for view in views]
     photos = [one[0] for one in small]
     masks = [one[1] for one in small]
-    hulls = hull_silhouettes(photos, masks, region, vote=_VOTE, into=photos, voxels=_VOXELS)
+    hulls = hull_silhouettes(
+        photos, masks, region, votes=(_VOTE,), into=photos, voxels=_VOXELS
+    )[0]
     return CheckedMasks(
         masks=tuple(view.alpha() for view in views),
         agreement=tuple(overlap(a, b) for a, b in zip(masks, hulls, strict=True)),
