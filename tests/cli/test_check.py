@@ -7,9 +7,10 @@ import torch
 
 from pcore.capture.load import load_scene
 from pcore.cli.main import main
+from pcore.data.pictures import write_mask
 from pcore.evaluation.check_page import check_page
 from pcore.evaluation.scene_check import SceneCheck, check_scene
-from room_scene import write_room
+from room_scene import cameras, picture, write_room
 
 pytest.importorskip("cv2", reason="automatic masks need OpenCV")
 BOX = ["--box", "-0.9", "-0.9", "-0.9", "0.9", "0.9", "0.9"]
@@ -118,3 +119,17 @@ def test_a_scene_without_masks_is_told_to_have_none(
     said = " ".join(capsys.readouterr().out.split())
     assert "the photos have no masks" in said
     assert "9 photos are few" in said
+
+
+def test_a_wrong_mask_among_given_ones_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = write_room(tmp_path / "room", 24)
+    folder = tmp_path / "cut"
+    folder.mkdir()
+    for number, camera in enumerate(cameras(24)):
+        mask = picture(camera)[1]
+        write_mask(folder / f"{number:04d}.png", mask.roll(14, dims=1) if number == 5 else mask)
+    assert main(["check", str(room), *BOX, "--masks", str(folder)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 of 24 photos (0005) is doubtful" in said

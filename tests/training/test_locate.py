@@ -98,7 +98,7 @@ def test_masks_of_a_small_object_tell_where_it_is(room: Scene) -> None:
 
 def test_an_object_that_the_axes_hold_well_keeps_their_region(room: Scene) -> None:
     found = locate(_masked(room, _true_masks(9)))
-    assert found.source == "masks"
+    assert found.source == "axes"
     assert found.scene.region is None
 
 

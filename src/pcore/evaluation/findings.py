@@ -190,7 +190,7 @@ _SOURCES = {
     "files": "the scene's files",
     "masks": "the masks' hull",
     "points": "the dense part of the sparse points",
-    "axes": "the viewing axes alone",
+    "axes": "the viewing axes",
 }
 
 

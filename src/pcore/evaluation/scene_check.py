@@ -24,7 +24,7 @@ from pcore.geometry.object_region import Region
 from pcore.training.forecast import Forecast, forecasts
 from pcore.training.locate import Located, Source, locate
 
-_VOTE, _VOXELS = 0.75, 48
+_VOTE, _VOXELS = 0.95, 64
 _SIDE = 160
 """Longer side of the masks that are held against one another, pixels."""
 
@@ -186,9 +186,7 @@ def _agreed(views: Sequence[View], region: Region) -> CheckedMasks:
     small = [_small(view) for view in views]
     photos = [one[0] for one in small]
     masks = [one[1] for one in small]
-    hulls = hull_silhouettes(
-        photos, masks, region, votes=(_VOTE,), into=photos, voxels=_VOXELS
-    )[0]
+    hulls = hull_silhouettes(photos, masks, region, votes=(_VOTE,), into=photos, voxels=_VOXELS)[0]
     return CheckedMasks(
         masks=tuple(view.alpha() for view in views),
         agreement=tuple(overlap(a, b) for a, b in zip(masks, hulls, strict=True)),

@@ -71,7 +71,8 @@ def locate(scene: Scene, box: Tensor | None = None) -> Located:
         return Located(scene=scene, source="files", points=inside)
     if all(view.has_alpha for view in views):
         region = _of_hull(scene, views, points)
-        return Located(scene=replace(scene, region=region), source="masks", points=points)
+        found: Source = "axes" if region is None else "masks"
+        return Located(scene=replace(scene, region=region), source=found, points=points)
     if points is not None:
         region = region_of_points(points)
         return Located(scene=replace(scene, region=region), source="points", points=points)
