@@ -99,6 +99,7 @@ class Primitive(_Part):
     attributes: dict[str, Index]
     indices: Index | None = None
     mode: int = 4
+    material: int | None = None
     targets: list[dict[str, Index]] = []
     extensions: Extensions = {}
 
@@ -163,12 +164,14 @@ class Glb:
     """A binary glTF file.
 
     Attributes:
-        document: its JSON.
+        document: its JSON, as far as shapes need it.
+        data: its JSON as it is.
         binary: its binary chunk, empty where it has none.
         where: its name, for messages.
     """
 
     document: Document
+    data: dict[str, Any]
     binary: bytes
     where: str
 
@@ -200,7 +203,7 @@ def read_glb(content: bytes, where: str) -> Glb:
         )
     for name in document.extensionsRequired:
         _check_extension(name, where)
-    return Glb(document=document, binary=chunks.get(_BIN, b""), where=where)
+    return Glb(document=document, data=data, binary=chunks.get(_BIN, b""), where=where)
 
 
 def refuse_extension(name: str, where: str) -> InputError:

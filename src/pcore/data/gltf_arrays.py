@@ -64,6 +64,23 @@ def read_accessor(glb: Glb, index: int, kind: str) -> NDArray[Any]:
     return _normalised(values) if accessor.normalized else values
 
 
+def read_bytes(glb: Glb, index: int) -> bytes:
+    """Bytes of a buffer view, as of an image.
+
+    Raises:
+        InputError: data beyond the file's.
+    """
+    view = item(glb.document.bufferViews, index, "buffer views", glb.where)
+    content = _buffer(glb, view.buffer)
+    end = view.byteOffset + view.byteLength
+    if end > len(content):
+        raise InputError(
+            f"{glb.where}: expected {view.byteLength:,} bytes in buffer view {index}, got fewer; "
+            "the file is damaged or cut short: export or download it again"
+        )
+    return content[view.byteOffset : end]
+
+
 def _with_sparse(glb: Glb, accessor: Accessor, values: NDArray[Any]) -> NDArray[Any]:
     sparse = accessor.sparse
     assert sparse is not None

@@ -6,6 +6,7 @@ the joints have in the file, as viewers show it before they play anything.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,27 @@ def _joined(glb: Glb) -> tuple[FloatArray, Faces]:
     vertices: list[FloatArray] = []
     faces: list[Faces] = []
     count = 0
+    for number, mesh, primitive in shown_primitives(glb):
+        node = glb.document.nodes[number]
+        weights = mesh.weights if node.weights is None else node.weights
+        places = _places(glb, primitive, weights)
+        faces.append(primitive_faces(glb, primitive, len(places)) + count)
+        vertices.append(_posed(glb, node, primitive, places, world, number))
+        count += len(places)
+    if not vertices:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def shown_primitives(glb: Glb) -> Iterator[tuple[int, Mesh, Primitive]]:
+    """What is made of triangles in the scene that is shown, in the order of `read_shape`.
+
+    Yields:
+        Number of the node, its mesh, and one of the mesh's primitives.
+
+    Raises:
+        InputError: nodes that form no tree, or instances.
+    """
     for number in _shown(glb):
         node = glb.document.nodes[number]
         if _INSTANCES in node.extensions:
@@ -48,17 +70,9 @@ def _joined(glb: Glb) -> tuple[FloatArray, Faces]:
         if node.mesh is None:
             continue
         mesh = item(glb.document.meshes, node.mesh, "meshes", glb.where)
-        weights = mesh.weights if node.weights is None else node.weights
         for primitive in mesh.primitives:
-            if primitive.mode not in _TRIANGLES:
-                continue
-            places = _places(glb, mesh, primitive, weights)
-            faces.append(_faces(glb, primitive, len(places)) + count)
-            vertices.append(_posed(glb, node, primitive, places, world, number))
-            count += len(places)
-    if not vertices:
-        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    return np.concatenate(vertices), np.concatenate(faces)
+            if primitive.mode in _TRIANGLES:
+                yield number, mesh, primitive
 
 
 def _shown(glb: Glb) -> list[int]:
@@ -133,7 +147,7 @@ def _matrix(node: Node, where: str) -> FloatArray:
     return matrix
 
 
-def _places(glb: Glb, mesh: Mesh, primitive: Primitive, weights: list[float]) -> FloatArray:
+def _places(glb: Glb, primitive: Primitive, weights: list[float]) -> FloatArray:
     """Vertices (V, 3) in the frame of their node, morph targets added."""
     _check_draco(glb, primitive)
     if "POSITION" not in primitive.attributes:
@@ -238,7 +252,7 @@ def _rows(glb: Glb, primitive: Primitive, name: str, count: int) -> NDArray[Any]
     return values
 
 
-def _faces(glb: Glb, primitive: Primitive, count: int) -> Faces:
+def primitive_faces(glb: Glb, primitive: Primitive, count: int) -> Faces:
     """Triangles (F, 3) of a list, a strip or a fan of vertices."""
     if primitive.indices is None:
         order = np.arange(count)

@@ -46,7 +46,7 @@ class MeshCaster:
         """Nearest hits of rays from one point.
 
         Args:
-            origin: (3,).
+            origin: (3,), or (R, 3) where rays begin at different places.
             directions: (R, 3), any length.
 
         Returns:
@@ -55,7 +55,7 @@ class MeshCaster:
         origins = np.broadcast_to(origin, directions.shape)
         face = np.asarray(self._embree.intersects_first(origins, directions))
         ray = np.flatnonzero(face >= 0)
-        corners = self.vertices[self.faces[face[ray]]] - origin
+        corners = self.vertices[self.faces[face[ray]]] - origins[ray][:, None]
         # Areas of the three triangles that the ray and two corners span (Moeller-Trumbore).
         spans = np.cross(corners[:, [1, 2, 0]], corners[:, [2, 0, 1]])
         weights = np.einsum("mij,mj->mi", spans, directions[ray])
@@ -64,7 +64,11 @@ class MeshCaster:
 
     def blocked(self, origins: Array, target: Array) -> Array:
         """Whether anything lies between points (R, 3) and a target (3,) outside: (R,) bool."""
-        return np.asarray(self._embree.intersects_any(origins, target - origins))
+        return self.blocked_along(origins, target - origins)
+
+    def blocked_along(self, origins: Array, directions: Array) -> Array:
+        """Whether rays from points (R, 3) along directions (R, 3) hit anything: (R,) bool."""
+        return np.asarray(self._embree.intersects_any(origins, directions))
 
 
 def camera_poses(count: int, *, radius: float, highest: float, phase: float) -> Array:

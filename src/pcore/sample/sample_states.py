@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -34,28 +34,36 @@ class DeformedState:
     description: dict[str, Any]
 
 
-def deformed_states(vertices: Array) -> dict[str, DeformedState]:
-    """States by name; the extents of the maps are those of `vertices` (V, 3)."""
-    lo, hi = float(vertices[:, 0].min()), float(vertices[:, 0].max())
+def deformed_states(vertices: Array, *, axis: Literal["x", "z"] = "x") -> dict[str, DeformedState]:
+    """States by name.
+
+    Args:
+        vertices: (V, 3), whose extents are those of the maps.
+        axis: along which the object is twisted, bent and stretched.
+    """
+    driver = "xz".index(axis) * 2
+    lo, hi = float(vertices[:, driver].min()), float(vertices[:, driver].max())
     angle, factor, scale = math.pi / 3, 0.6, 2.0
     origin, extent = torch.zeros(3, dtype=torch.float64), (lo, hi)
-    along_x, about_z = axis_frame("x"), bend_frame("z")
+    # In Blender a bend about z is driven by x, and one about y by z.
+    about: Literal["z", "y"] = "z" if axis == "x" else "y"
+    along, around, big = axis_frame(axis), bend_frame(about), axis.upper()
     wide = 2.0 * math.atan(scale * math.tan(0.5 * ANGLE_X))
     return {
         "twist60": DeformedState(
-            deformation=Twist(rotation=along_x, origin=origin, extent=extent, value=angle),
+            deformation=Twist(rotation=along, origin=origin, extent=extent, value=angle),
             angle_x=ANGLE_X,
-            description=_simple_deform("twist60", ("TWIST", "X"), angle, extent),
+            description=_simple_deform("twist60", ("TWIST", big), angle, extent, big),
         ),
         "bend60": DeformedState(
-            deformation=Bend(rotation=about_z, origin=origin, extent=extent, value=angle),
+            deformation=Bend(rotation=around, origin=origin, extent=extent, value=angle),
             angle_x=ANGLE_X,
-            description=_simple_deform("bend60", ("BEND", "Z"), angle, extent),
+            description=_simple_deform("bend60", ("BEND", about.upper()), angle, extent, big),
         ),
         "stretch": DeformedState(
-            deformation=Stretch(rotation=along_x, origin=origin, extent=extent, value=factor),
+            deformation=Stretch(rotation=along, origin=origin, extent=extent, value=factor),
             angle_x=ANGLE_X,
-            description=_simple_deform("stretch", ("STRETCH", "X"), factor, extent),
+            description=_simple_deform("stretch", ("STRETCH", big), factor, extent, big),
         ),
         "scale2x": DeformedState(
             deformation=uniform_scale(scale),
@@ -73,9 +81,13 @@ def deformed_states(vertices: Array) -> dict[str, DeformedState]:
 
 
 def _simple_deform(
-    name: str, method_axis: tuple[str, str], value: float, extent: tuple[float, float]
+    name: str,
+    method_axis: tuple[str, str],
+    value: float,
+    extent: tuple[float, float],
+    driver: str,
 ) -> dict[str, Any]:
-    """Describe a Simple Deform about the origin that is driven by x over `extent`."""
+    """Describe a Simple Deform about the origin that is driven by an axis over `extent`."""
     method, axis = method_axis
     return {
         "name": name,
@@ -88,7 +100,7 @@ def _simple_deform(
         "limits": [0.0, 1.0],
         "origin": [0.0, 0.0, 0.0],
         "lock": [0, 0, 0],
-        "driver_axis": "X",
+        "driver_axis": driver,
         "driver_lo": extent[0],
         "driver_hi": extent[1],
         "k_per_unit": value / (extent[1] - extent[0]),

@@ -1,0 +1,1 @@
+"""Benchmarks of one's own: true pictures and true maps of the deformed states of any model."""

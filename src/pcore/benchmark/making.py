@@ -1,0 +1,204 @@
+"""Make a benchmark of a model: canonical views, and for every state true pictures and the true map.
+
+The layout is that of the evaluation sets and of the embedded sample: a NeRF-Synthetic scene with a
+folder for each state, `deformation.json` in it, and all meshes in one vertex order in
+`meshes.npz`. Depth and normals lie beside the pictures, in `SPLIT_geometry`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from pcore.benchmark.look import FloatArray
+from pcore.benchmark.model import Model
+from pcore.benchmark.model_states import BenchmarkPlan, State, canonical_shape, plan_states
+from pcore.benchmark.picture import Shape, take
+from pcore.errors import InputError
+from pcore.sample.sample_render import camera_poses, sample_surface, seen_samples
+from pcore.sample.sample_states import ANGLE_X
+
+Progress = Callable[[int, int], None]
+_RADIUS = 4.0
+_SAMPLES = 50_000
+
+
+def make_benchmark(
+    folder: Path, model: Model, plan: BenchmarkPlan, *, progress: Progress | None = None
+) -> tuple[str, ...]:
+    """Write the benchmark; the folder appears whole or not at all.
+
+    Args:
+        folder: to make; must not exist, or be empty.
+        model: what to show.
+        plan: how much of it.
+        progress: told (pictures done, pictures in all).
+
+    Returns:
+        What was left out, in sentences.
+
+    Raises:
+        DependencyError: the extra `sample` (embreex) is not installed.
+        EditError: an edit that does not fit or folds space.
+        InputError: a clip that is not there or does not move, a shape without extent, no states.
+        OSError: the folder cannot be written.
+    """
+    vertices, center, scale = canonical_shape(model, plan)
+    states, notes = plan_states(model, plan, vertices, center, scale)
+    if not states:
+        raise InputError(
+            f"{model.name}: expected at least one state, got none: the file has no clip that "
+            "moves; leave out --no-analytic, or give --edits"
+        )
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        made = scratch / "scene"
+        _write(made, model, plan, vertices, states, progress)
+        _write_manifest(made / "scene.json", model, plan, (center, scale), states)
+        made.replace(folder)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    return tuple(notes)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Job:
+    """One picture: where it goes, of which shape, from where."""
+
+    path: Path
+    shape: Shape
+    pose: FloatArray
+    angle_x: float
+
+
+def _write(
+    folder: Path,
+    model: Model,
+    plan: BenchmarkPlan,
+    vertices: FloatArray,
+    states: dict[str, State],
+    progress: Progress | None,
+) -> None:
+    train = camera_poses(plan.train_views, radius=_RADIUS, highest=0.97, phase=0.0)
+    test = camera_poses(plan.test_views, radius=_RADIUS, highest=0.93, phase=1.234)
+    canonical = Shape.of(vertices, model.faces, model.look)
+    jobs: list[_Job] = []
+    for split, poses in (("train", train), ("test", test)):
+        jobs += _views(folder, split, poses, ANGLE_X, canonical)
+    for name, state in states.items():
+        shape = Shape.of(state.vertices, model.faces, model.look)
+        jobs += _views(folder / name, "test", test, state.angle_x, shape)
+        _write_json(folder / name / "deformation.json", state.description)
+    _take_all(jobs, model, plan, canonical, progress)
+    _write_meshes(folder / "meshes.npz", model, plan, canonical, states, train)
+
+
+def _take_all(
+    jobs: Sequence[_Job],
+    model: Model,
+    plan: BenchmarkPlan,
+    canonical: Shape,
+    progress: Progress | None,
+) -> None:
+    def one(job: _Job) -> None:
+        lit = canonical if plan.light == "baked" else job.shape
+        shot = take(
+            job.shape,
+            model.look,
+            lit,
+            job.pose,
+            angle_x=job.angle_x,
+            resolution=plan.resolution,
+        )
+        Image.fromarray(shot.rgba).save(job.path)
+        geometry = job.path.parent.with_name(f"{job.path.parent.name}_geometry")
+        np.savez_compressed(geometry / f"{job.path.stem}.npz", depth=shot.depth, normal=shot.normal)
+
+    for folder in dict.fromkeys(job.path.parent for job in jobs):
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.with_name(f"{folder.name}_geometry").mkdir(exist_ok=True)
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        for done, _ in enumerate(pool.map(one, jobs), start=1):
+            if progress is not None:
+                progress(done, len(jobs))
+
+
+def _views(folder: Path, split: str, poses: FloatArray, angle_x: float, shape: Shape) -> list[_Job]:
+    frames = [
+        {"file_path": f"./{split}/r_{i}", "transform_matrix": pose.tolist()}
+        for i, pose in enumerate(poses)
+    ]
+    content = {"camera_angle_x": angle_x, "frames": frames}
+    _write_json(folder / f"transforms_{split}.json", content)
+    return [
+        _Job(path=folder / split / f"r_{i}.png", shape=shape, pose=pose, angle_x=angle_x)
+        for i, pose in enumerate(poses)
+    ]
+
+
+def _write_meshes(
+    path: Path,
+    model: Model,
+    plan: BenchmarkPlan,
+    canonical: Shape,
+    states: dict[str, State],
+    poses: FloatArray,
+) -> None:
+    face, weights = sample_surface(canonical.caster, _SAMPLES, plan.seed)
+    arrays: dict[str, NDArray[Any]] = {
+        # Doubles: the maps are exact to the last digits of the model.
+        "canonical": canonical.caster.vertices,
+        "faces": model.faces.astype(np.int32),
+        "sample_face": face,
+        "sample_barycentric": weights,
+        "sample_visible": seen_samples(canonical.caster, face, weights, poses, angle_x=ANGLE_X),
+        **{name: state.vertices for name, state in states.items()},
+    }
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def _write_manifest(
+    path: Path,
+    model: Model,
+    plan: BenchmarkPlan,
+    frame: tuple[FloatArray, float],
+    states: dict[str, State],
+) -> None:
+    content = {
+        "generator": "pcore benchmark make",
+        "version": 1,
+        "name": model.name,
+        "vertices": len(model.vertices),
+        "triangles": len(model.faces),
+        "resolution": plan.resolution,
+        "light": plan.light,
+        "normalisation": {
+            "centre": frame[0].tolist(),
+            "scale": frame[1],
+            "rule": "p -> (p - centre) * scale of the model with z up; centre: of the canonical "
+            "bounding box; largest vertex norm 1",
+        },
+        "camera_radius": _RADIUS,
+        "camera_angle_x": ANGLE_X,
+        "canonical_pose": None if plan.canonical is None else list(plan.canonical),
+        "states": {name: state.description for name, state in states.items()},
+    }
+    _write_json(path, content)
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

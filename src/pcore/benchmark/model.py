@@ -1,0 +1,143 @@
+"""A model of somebody else: its shape, its paint and its clips, in one frame, z up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from pcore.benchmark.gltf_look import read_look
+from pcore.benchmark.look import (
+    FloatArray,
+    Look,
+    Material,
+    Texture,
+    linear_rgba,
+    smooth_patches,
+)
+from pcore.data.gltf import Glb, read_glb
+from pcore.data.gltf_animation import Clip, at_time, read_clips
+from pcore.data.gltf_mesh import read_shape
+from pcore.data.meshes import read_mesh
+from pcore.errors import InputError
+
+Up = Literal["y", "z"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Model:
+    """A painted mesh that may move.
+
+    Attributes:
+        name: of its file.
+        vertices: (V, 3) as the file shows them, units of the file, z up.
+        faces: (F, 3).
+        look: what is painted on it.
+        clips: its animations.
+        glb: the file where it is a glTF; None for others, which have no clips.
+        up: the axis that points up in the file.
+    """
+
+    name: str
+    vertices: FloatArray
+    faces: NDArray[np.int64]
+    look: Look
+    clips: tuple[Clip, ...] = ()
+    glb: Glb | None = None
+    up: Up = "y"
+
+    def clip(self, name: str) -> Clip:
+        """Return the clip of a name.
+
+        Raises:
+            InputError: there is none; the message lists those there are.
+        """
+        for one in self.clips:
+            if one.name == name:
+                return one
+        known = ", ".join(repr(one.name) for one in self.clips) or "none"
+        raise InputError(f"{self.name}: expected one of its clips ({known}), got {name!r}")
+
+    def at(self, clip: Clip, time: float) -> FloatArray:
+        """Vertices (V, 3) at a time of a clip, seconds."""
+        assert self.glb is not None
+        vertices, _ = read_shape(at_time(self.glb, clip, time))
+        return _z_up(vertices, self.up)
+
+
+def read_model(path: Path, *, up: Up | None = None) -> Model:
+    """Read a model with its paint and clips.
+
+    Args:
+        path: a .glb (textures, skins, morph targets, clips), .obj (with its .mtl) or .ply (colours
+            of vertices).
+        up: the axis that points up in the file; None: y, but z for .ply.
+
+    Raises:
+        InputError: missing, damaged, without triangles, NaN, or something that is not read.
+    """
+    shape = read_mesh(path)  # All that can be wrong with the shape is said there.
+    if path.suffix.lower() != ".glb":
+        return _static(path, up or ("z" if path.suffix.lower() == ".ply" else "y"))
+    axis = up or "y"
+    glb = read_glb(path.read_bytes(), str(path))
+    vertices = shape.vertices.numpy()
+    return Model(
+        name=path.stem,
+        vertices=_z_up(vertices, axis),
+        faces=shape.faces.numpy(),
+        look=read_look(glb, vertices),
+        clips=read_clips(glb),
+        glb=glb,
+        up=axis,
+    )
+
+
+def _z_up(vertices: FloatArray, up: Up) -> FloatArray:
+    if up == "z":
+        return vertices
+    return np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
+
+
+def _static(path: Path, up: Up) -> Model:
+    """An OBJ or PLY through trimesh, which reads their paint."""
+    try:
+        mesh: Any = trimesh.load(path, process=False, force="mesh", maintain_order=True)
+    except Exception as error:
+        raise InputError(f"{path}: expected a mesh with its paint, got: {error}") from None
+    faces = np.asarray(mesh.faces, dtype=np.int64)
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    look = _painted(mesh, len(faces))
+    return Model(
+        name=path.stem,
+        vertices=_z_up(vertices, up),
+        faces=faces,
+        look=replace(look, smooth=smooth_patches(vertices, None)),
+        up=up,
+    )
+
+
+def _painted(mesh: Any, faces: int) -> Look:
+    visual, one = mesh.visual, np.zeros(faces, dtype=np.int64)
+    image = getattr(getattr(visual, "material", None), "image", None)
+    if visual.kind == "texture" and image is not None and visual.uv is not None:
+        pixels = np.asarray(image.convert("RGBA"))
+        uv = np.asarray(visual.uv, dtype=np.float64)
+        # v points up in OBJ and trimesh.
+        uv = np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
+        material = Material(color=(1.0, 1.0, 1.0, 1.0), texture=Texture(pixels=pixels))
+        return Look(materials=(material,), material_of_face=one, uv=(uv,))
+    if visual.kind == "vertex":
+        colors = linear_rgba(np.asarray(visual.vertex_colors, dtype=np.uint8))
+        white = Material(color=(1.0, 1.0, 1.0, 1.0))
+        return Look(materials=(white,), material_of_face=one, colors=colors)
+    plain = getattr(getattr(visual, "material", None), "main_color", None)
+    if plain is not None:
+        red, green, blue, alpha = linear_rgba(np.asarray(plain, dtype=np.uint8)[None])[0]
+        material = Material(color=(float(red), float(green), float(blue), float(alpha)))
+        return Look(materials=(material,), material_of_face=one)
+    return Look(materials=(Material(),), material_of_face=one)

@@ -1,0 +1,182 @@
+"""What states a benchmark shows of a model: formulas, edit files, and times of its clips."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from pcore.benchmark.look import FloatArray
+from pcore.benchmark.model import Model
+from pcore.editing.script import EditScript
+from pcore.errors import InputError
+from pcore.sample.sample_states import ANGLE_X, deformed_states, describe_state
+
+Light = Literal["fixed", "baked"]
+
+_LOOKS = 24
+"""Times of a clip among which that is taken whose shape differs most from the canonical one."""
+_STILL = 1e-4
+"""Mean displacement, in radii of the object, under which a clip does not move."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkPlan:
+    """What to make of a model.
+
+    Attributes:
+        resolution: pixels along each side.
+        train_views: canonical training views.
+        test_views: test views, canonical and of every state.
+        light: "fixed": it stands still while the object moves; "baked": it sticks to the surface.
+        analytic: make twist60, bend60, stretch and scale2x.
+        edits: name -> edit file, each a state.
+        clips: (clip, time) of states; a time of None is that which differs most.
+        every_clip: make a state of each clip.
+        canonical: (clip, time) of the canonical shape; None: as the file stands.
+        seed: of the samples of the surface.
+    """
+
+    resolution: int = 200
+    train_views: int = 100
+    test_views: int = 20
+    light: Light = "fixed"
+    analytic: bool = True
+    edits: tuple[tuple[str, EditScript], ...] = ()
+    clips: tuple[tuple[str, float | None], ...] = ()
+    every_clip: bool = True
+    canonical: tuple[str, float] | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class State:
+    """A state to make.
+
+    Attributes:
+        vertices: (V, 3) of its mesh.
+        angle_x: horizontal field of view, radians, in which it fits.
+        description: content of `deformation.json`.
+    """
+
+    vertices: FloatArray
+    angle_x: float
+    description: dict[str, Any]
+
+
+def canonical_shape(model: Model, plan: BenchmarkPlan) -> tuple[FloatArray, FloatArray, float]:
+    """Canonical vertices of largest norm 1 about the middle of their box.
+
+    Returns:
+        Vertices (V, 3), the middle (3,) and the factor: (model - middle) * factor.
+
+    Raises:
+        InputError: a clip that is not there, or a shape without extent.
+    """
+    raw = model.vertices
+    if plan.canonical is not None:
+        raw = model.at(model.clip(plan.canonical[0]), plan.canonical[1])
+    used = raw[np.unique(model.faces)]
+    center = 0.5 * (used.min(axis=0) + used.max(axis=0))
+    radius = float(np.linalg.norm(used - center, axis=1).max())
+    if not 0 < radius < math.inf:
+        raise InputError(
+            f"{model.name}: expected a shape of some extent, got one of radius {radius:g}"
+        )
+    return (raw - center) / radius, center, 1.0 / radius
+
+
+def plan_states(
+    model: Model, plan: BenchmarkPlan, vertices: FloatArray, center: FloatArray, scale: float
+) -> tuple[dict[str, State], list[str]]:
+    """Move the canonical vertices (V, 3) into every state; say what was left out.
+
+    Raises:
+        EditError: an edit that does not fit or folds space.
+        InputError: a clip that is not there, or two states of one name.
+    """
+    states: dict[str, State] = {}
+    notes: list[str] = []
+    if plan.analytic:
+        extents = np.ptp(vertices, axis=0)
+        axis: Literal["x", "z"] = "z" if extents[2] >= extents[0] else "x"
+        for name, one in deformed_states(vertices, axis=axis).items():
+            moved = one.deformation(torch.from_numpy(vertices)).numpy()
+            description = describe_state(one, vertices, moved)
+            states[name] = State(vertices=moved, angle_x=one.angle_x, description=description)
+    for name, script in plan.edits:
+        moved = script.bound(torch.from_numpy(vertices)).setting.points.numpy()
+        text = json.loads(script.to_json())
+        _add(states, name, vertices, moved, {"type": "edit", "edit": text})
+    chosen = list(plan.clips)
+    if plan.every_clip:
+        chosen += [(one.name, None) for one in model.clips if one.name not in dict(chosen)]
+    for name, time in chosen:
+        moved, found = _of_clip(model, name, time, vertices, (center, scale))
+        displaced = float(np.linalg.norm(moved - vertices, axis=1).mean())
+        if displaced < _STILL and time is None:
+            notes.append(f"left out: the clip {name!r} does not move the shape")
+            continue
+        about = {"type": "animation", "clip": name, "time": found}
+        _add(states, _slug(name), vertices, moved, about)
+    return states, notes
+
+
+def _of_clip(
+    model: Model,
+    name: str,
+    time: float | None,
+    vertices: FloatArray,
+    frame: tuple[FloatArray, float],
+) -> tuple[FloatArray, float]:
+    """Vertices at a time of a clip, or at that of the greatest mean displacement; the time."""
+    clip = model.clip(name)
+    first, last = clip.span
+    times = np.linspace(first, last, _LOOKS) if time is None else np.array([time])
+    best: tuple[float, FloatArray, float] | None = None
+    for one in times:
+        moved = (model.at(clip, float(one)) - frame[0]) * frame[1]
+        away = float(np.linalg.norm(moved - vertices, axis=1).mean())
+        if best is None or away > best[0]:
+            best = away, moved, float(one)
+    assert best is not None
+    return best[1], best[2]
+
+
+def _add(
+    states: dict[str, State],
+    name: str,
+    before: FloatArray,
+    after: FloatArray,
+    about: dict[str, Any],
+) -> None:
+    if name in states or name in ("train", "test"):
+        raise InputError(f"benchmark: expected states of different names, got {name!r} twice")
+    if not np.isfinite(after).all():
+        raise InputError(f"benchmark: expected finite places in the state {name!r}, got NaN")
+    grown = float(np.linalg.norm(after, axis=1).max() / np.linalg.norm(before, axis=1).max())
+    angle = 2.0 * math.atan(max(1.0, grown) * math.tan(0.5 * ANGLE_X))
+    away = np.linalg.norm(after - before, axis=1)
+    states[name] = State(
+        vertices=after,
+        angle_x=angle,
+        description={
+            "name": name,
+            **about,
+            "camera_angle_x": angle,
+            "vertex_displacement_mean": float(away.mean()),
+            "vertex_displacement_max": float(away.max()),
+            "bbox_min": after.min(axis=0).tolist(),
+            "bbox_max": after.max(axis=0).tolist(),
+        },
+    )
+
+
+def _slug(name: str) -> str:
+    """A clip's name as that of a folder."""
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "clip"

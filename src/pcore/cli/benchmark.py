@@ -1,0 +1,125 @@
+"""`pcore benchmark make`: true pictures and maps of the deformed states of any model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from rich.console import Console
+from tyro.conf import Positional, arg
+
+from pcore.cli.layout import print_lines
+from pcore.cli.options import optional
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.benchmark.model_states import BenchmarkPlan
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkMakeCommand:
+    """Make a scene with true deformed states of a model, for train, eval and compare."""
+
+    models: Annotated[Positional[tuple[Path, ...]], arg(metavar="MODEL")]
+    """.glb with textures, skins, morph targets and clips; .obj with its .mtl; .ply with colours."""
+
+    output: Annotated[Path, arg(aliases=["-o"], metavar="FOLDER")]
+    """Folder to make; with several models, each gets one of its name in it."""
+
+    size: Annotated[int, arg(metavar="N")] = 200
+    """Pixels along each side of the pictures."""
+
+    train_views: Annotated[int, arg(metavar="N")] = 100
+    """Canonical training views."""
+
+    test_views: Annotated[int, arg(metavar="N")] = 20
+    """Test views, canonical and of every state."""
+
+    light: Literal["fixed", "baked"] = "fixed"
+    """fixed: light stands still while the object moves; baked: it sticks to the surface."""
+
+    edits: Annotated[tuple[Path, ...], arg(metavar="FILE")] = ()
+    """Edit files, each a state of the file's name; they see an object of radius 1, z up."""
+
+    clips: Annotated[tuple[str, ...], arg(metavar="CLIP[@T]")] = ()
+    """Clips of the model that are states, at T seconds or where they differ most from the
+    canonical shape; default: all."""
+
+    canonical: Annotated[str | None, optional("CLIP@T")] = None
+    """Canonical shape; default: as the file stands."""
+
+    no_analytic: bool = False
+    """Leave out twist60, bend60, stretch and scale2x."""
+
+    up: Annotated[Literal["y", "z"] | None, optional("{y,z}")] = None
+    """Axis that points up in the model; default: y, z for .ply."""
+
+    def run(self) -> None:
+        """Do it; raises PcoreError subclasses for what the user can mend."""
+        from pcore.benchmark.making import make_benchmark
+        from pcore.benchmark.model import read_model
+        from pcore.cli.results import counting
+        from pcore.sample.sample_render import ray_caster_class
+
+        ray_caster_class()
+        plan, console = self._plan(), Console()
+        folders = self._folders()
+        for path, folder in zip(self.models, folders, strict=True):
+            model = read_model(path, up=self.up)
+            with counting(console, "pictures") as tell:
+                notes = make_benchmark(folder, model, plan, progress=tell)
+            lines = [f"{folder}: {len(model.vertices):,} vertices, {len(model.faces):,} triangles"]
+            lines += [f"  note: {note}" for note in notes]
+            lines.append(f"next: pcore train {folder} -o RUN && pcore eval RUN")
+            print_lines(console, lines)
+
+    def _folders(self) -> list[Path]:
+        """Where each model goes; InputError before any work when a place is taken."""
+        if not self.models:
+            raise InputError("benchmark make: expected at least one model, got none")
+        names = [path.stem for path in self.models]
+        if len(set(names)) < len(names):
+            raise InputError(
+                f"benchmark make: expected models of different names, got {', '.join(names)}"
+            )
+        one = len(names) == 1
+        folders = [self.output if one else self.output / name for name in names]
+        for folder in folders:
+            if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+                raise InputError(
+                    f"{folder}: expected a new or empty folder, got one with files; use another -o"
+                )
+        return folders
+
+    def _plan(self) -> BenchmarkPlan:
+        from pcore.asset.posing import script_of
+        from pcore.benchmark.model_states import BenchmarkPlan
+        from pcore.validation import check_count
+
+        canonical = None
+        if self.canonical is not None:
+            name, time = _clip(self.canonical)
+            canonical = (name, 0.0 if time is None else time)
+        return BenchmarkPlan(
+            resolution=check_count("--size", self.size, minimum=8),
+            train_views=check_count("--train-views", self.train_views, minimum=2),
+            test_views=check_count("--test-views", self.test_views),
+            light=self.light,
+            analytic=not self.no_analytic,
+            edits=tuple((path.stem, script_of(path)) for path in self.edits),
+            clips=tuple(_clip(one) for one in self.clips),
+            every_clip=not self.clips,
+            canonical=canonical,
+        )
+
+
+def _clip(text: str) -> tuple[str, float | None]:
+    """Name and time of `CLIP@T`."""
+    name, at, time = text.rpartition("@")
+    if not at:
+        return text, None
+    try:
+        return name, float(time)
+    except ValueError:
+        raise InputError(f"clip {text!r}: expected NAME@SECONDS, got {time!r}") from None

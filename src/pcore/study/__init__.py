@@ -1,0 +1,1 @@
+"""User studies: blind choices between pictures of two methods, and what the answers say."""

@@ -1,0 +1,188 @@
+"""Answers that people sent back: read strictly, counted once, catch trials looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from pcore.errors import InputError
+from pcore.study.page import ANSWERS_FORMAT, KEY_FORMAT, VERSION
+from pcore.study.trials import Trial
+from pcore.validation import read_json
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Answer(_Strict):
+    """One choice of one person."""
+
+    trial: int
+    left: str
+    right: str
+    chosen: str
+    seconds: float
+
+
+class Answers(_Strict):
+    """All choices of one person, as the page writes them."""
+
+    format: str
+    version: int
+    study: str
+    person: str
+    started: str
+    asked: int
+    answers: tuple[Answer, ...]
+
+
+class _Trial(_Strict):
+    item: str
+    group: str
+    first: str
+    second: str
+    keys: tuple[str, str]
+    catch: bool
+
+
+class Key(_Strict):
+    """What the page does not say: which picture is whose."""
+
+    format: str
+    version: int
+    study: str
+    question: str
+    trials: tuple[_Trial, ...]
+
+    def trial(self, number: int) -> Trial:
+        """Return a trial by its number."""
+        return Trial(**dict(self.trials[number]))
+
+
+class Sheets(BaseModel):
+    """The answers that count, and what was odd about the others."""
+
+    model_config = ConfigDict(frozen=True)
+
+    people: tuple[Answers, ...]
+    notes: tuple[str, ...]
+
+
+def read_key(path: Path) -> Key:
+    """Read the key that `pcore study make` wrote.
+
+    Raises:
+        InputError: it is none.
+    """
+    record = read_json(path, what="key of a study", error=InputError)
+    try:
+        key = Key.model_validate(record)
+    except ValidationError as error:
+        raise InputError(f"key of a study {path}: {_first(error)}; give the key.json") from None
+    if (key.format, key.version) != (KEY_FORMAT, VERSION):
+        raise InputError(
+            f"key of a study {path}: expected format {KEY_FORMAT!r}, version {VERSION}, got "
+            f"{key.format!r}, version {key.version}"
+        )
+    return key
+
+
+def read_answers(paths: Sequence[Path], key: Key, *, caught: float) -> Sheets:
+    """Read one file per person.
+
+    Args:
+        paths: the files; copies of one file count once.
+        key: of the study.
+        caught: share of the catch trials that a person must get right to count.
+
+    Raises:
+        InputError: damaged files, those of another study, two different ones of one person, trials
+            that the study does not have, or nobody left.
+    """
+    people: dict[str, Answers] = {}
+    notes: list[str] = []
+    for path in paths:
+        found = _read(path, key)
+        before = people.get(found.person)
+        if before is not None and before != found:
+            raise InputError(
+                f"{path}: expected one file per person, got a second one of person {found.person} "
+                "with other answers; keep the one that counts"
+            )
+        if before is not None:
+            notes.append(f"{path.name}: a copy of a file that is counted already")
+            continue
+        people[found.person] = found
+        if len(found.answers) < found.asked:
+            notes.append(
+                f"{path.name}: {len(found.answers)} of {found.asked} pairs were answered; these "
+                "count"
+            )
+    counted = [one for one in people.values() if _attentive(one, key, caught, notes)]
+    if not counted:
+        raise InputError(
+            f"study: expected answers of at least one person who got {100 * caught:.0f} % of the "
+            f"catch trials right, got none in {len(paths)} files"
+        )
+    return Sheets(people=tuple(counted), notes=tuple(notes))
+
+
+def _read(path: Path, key: Key) -> Answers:
+    record = read_json(path, what="answers", error=InputError)
+    try:
+        found = Answers.model_validate(record)
+    except ValidationError as error:
+        raise InputError(
+            f"answers {path}: {_first(error)}; expected a file that the study's page has saved"
+        ) from None
+    if (found.format, found.version) != (ANSWERS_FORMAT, VERSION):
+        raise InputError(
+            f"answers {path}: expected format {ANSWERS_FORMAT!r}, version {VERSION}, got "
+            f"{found.format!r}, version {found.version}"
+        )
+    if found.study != key.study:
+        raise InputError(
+            f"answers {path}: expected those of study {key.study}, got those of {found.study}; "
+            "give the key.json that was made with its page"
+        )
+    _check_trials(path, found, key)
+    return found
+
+
+def _check_trials(path: Path, found: Answers, key: Key) -> None:
+    numbers = [one.trial for one in found.answers]
+    twice = sorted({n for n in numbers if numbers.count(n) > 1})
+    if twice:
+        raise InputError(
+            f"answers {path}: expected each pair once, got number {twice[0]} more than once; was "
+            "the file changed?"
+        )
+    for one in found.answers:
+        known = 0 <= one.trial < len(key.trials)
+        pair = set(key.trials[one.trial].keys) if known else set[str]()
+        if {one.left, one.right} != pair or one.chosen not in pair:
+            raise InputError(
+                f"answers {path}: expected pictures of the study's pair {one.trial}, got "
+                f"{one.left}, {one.right}, chosen {one.chosen}; was the file changed?"
+            )
+
+
+def _attentive(person: Answers, key: Key, caught: float, notes: list[str]) -> bool:
+    """Whether somebody got enough catch trials right."""
+    known = [one for one in person.answers if key.trials[one.trial].catch]
+    right = sum(one.chosen == key.trials[one.trial].keys[0] for one in known)
+    if right < caught * len(known):
+        notes.append(
+            f"person {person.person}: {right} of {len(known)} catch trials right, not counted"
+        )
+        return False
+    return True
+
+
+def _first(error: ValidationError) -> str:
+    found = error.errors()[0]
+    place = ".".join(str(part) for part in found["loc"]) or "top level"
+    return f"{place}: {found['msg']}"

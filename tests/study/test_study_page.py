@@ -1,0 +1,73 @@
+"""The study's page in a browser: chosen by keys and mouse, reloaded, saved."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pcore.study.answers import read_answers, read_key
+from pcore.study.page import QUESTION, write_study
+from pcore.study.trials import plan_study
+
+CHROMIUM = shutil.which("chromium")
+playwright = pytest.importorskip(
+    "playwright.sync_api", reason="pages are tested with playwright, which is not installed"
+)
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine"),
+]
+
+
+def write_pictures(root: Path) -> dict[str, Path]:
+    folders = {name: root / name for name in ("ours", "papr")}
+    for number, folder in enumerate(folders.values()):
+        folder.mkdir()
+        for item in range(3):
+            pixels = np.full((60, 80, 3), 255, np.uint8)
+            pixels[10:50, 10:70] = 90 * number + 30 * item
+            Image.fromarray(pixels).save(folder / f"{item}.png")
+    return folders
+
+
+def test_a_person_goes_through_it(tmp_path: Path) -> None:
+    study = plan_study(write_pictures(tmp_path), catch=1)
+    write_study(tmp_path, study, question=QUESTION, per_person=2)
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1000, "height": 700}, accept_downloads=True)
+        errors: list[str] = []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto((tmp_path / "study.html").as_uri())
+        assert page.inner_text("#total") == "3"
+        page.click("#start")
+        assert page.inner_text("#count") == "1 of 3"
+        sizes = page.evaluate("[...document.querySelectorAll('.choice img')].map(i => i.width)")
+        assert len(sizes) == 2
+        assert min(sizes) > 300
+        page.keyboard.press("ArrowLeft")
+        page.click("#right")
+        assert page.inner_text("#count") == "3 of 3"
+        page.keyboard.press("Backspace")
+        assert page.inner_text("#count") == "2 of 3"
+        page.reload()
+        assert page.inner_text("#start") == "Go on"
+        page.click("#start")
+        assert page.inner_text("#count") == "2 of 3"
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("ArrowRight")
+        with page.expect_download() as download:
+            page.click("#save")
+        answers = tmp_path / "answers.json"
+        download.value.save_as(answers)
+        assert json.loads(page.input_value("#text")) == json.loads(answers.read_text())
+        browser.close()
+    assert errors == []
+    (person,) = read_answers([answers], read_key(tmp_path / "key.json"), caught=0.0).people
+    assert [one.chosen == one.left for one in person.answers] == [True, False, False]
+    assert person.asked == 3
