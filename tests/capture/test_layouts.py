@@ -323,6 +323,13 @@ class TestColmap:
             assert (found.fy, found.cy) == pytest.approx((810 * 168 / 671, 84.0))
             assert any("images_4" in note for note in scene.notes)
 
+    def test_photos_that_the_model_does_not_pose_are_listed(self, tmp_path: Path) -> None:
+        write_colmap(tmp_path)
+        write_photos(tmp_path / "images", ["more.png"])
+        scene = load_scene(tmp_path)
+        assert [one.name for one in scene.skipped] == ["images/more.png"]
+        assert any("1 of 11 photos are not used: images/more.png" in one for one in scene.notes)
+
     def test_lists_of_names_are_splits(self, tmp_path: Path) -> None:
         write_colmap(tmp_path)
         (tmp_path / "train_list.txt").write_text("img_1.png\nimg_2.png\nimg_4.png\n")

@@ -64,7 +64,7 @@ def test_the_largest_model_is_taken_and_kept(photos: Path, monkeypatch: pytest.M
     assert any("1 is the largest model, with 10 images" in note for note in scene.notes)
     child(monkeypatch, "raise SystemExit('the model is kept')")
     assert len(load_scene(photos).split("train")) == 8
-    write_photos(photos, ["IMG_11.jpg"])
+    write_photos(photos, ["IMG_11.jpg"])  # Other photos: the model is not theirs.
     with pytest.raises(SceneError, match="the model is kept"):
         load_scene(photos)
 

@@ -82,7 +82,7 @@ CASES = [
     Case("train edit.json -o new", "expected a folder, got a file; give the folder it lies in"),
     Case(
         "train empty -o new",
-        "unknown format. Tried: NeRF-Synthetic (missing transforms_train.json)",
+        "unknown format. Looked for: NeRF-Synthetic (transforms_train.json)",
         lambda world: (world / "empty").mkdir(),
     ),
     Case(TRAIN, "transforms_train.json: expected JSON, got text that does not parse", cut(JSON)),
@@ -297,7 +297,11 @@ CASES = [
     Case("import papr model.pth -o new", "--config|required"),
     Case("info nowhere", "no model at nowhere: expected a model.safetensors|check the path"),
     Case("info edit.json", "edit.json is truncated, damaged or not a safetensors file"),
-    Case("info ball", "no run at ball: expected a folder with a run.json"),
+    Case(
+        "info empty",
+        "no run at empty: expected a folder with a run.json",
+        lambda world: (world / "empty").mkdir(),
+    ),
     Case("info run", "model.safetensors is truncated, damaged", cut("run/model.safetensors", 0.3)),
     Case("info run", "run.json does not describe a run of pcore:", text("run/run.json", "[]")),
     Case(

@@ -49,7 +49,7 @@ def scene_of(capture: Capture, *, root: Path, given: Path, factor: int, cache: I
     cameras, names = [view.camera for view in views], [view.name for view in views]
     notes = [*capture.notes, *_counted(taken), check_poses(poses, cameras, names, capture.where)]
     if skipped:
-        notes.append(_say_skipped(skipped, len(capture.photos)))
+        notes.append(_say_skipped(skipped, len(capture.photos) + len(capture.skipped)))
     splits = _splits(capture, taken, tuple(note for note in notes if note))
     return Scene(
         name=root.name,
@@ -175,11 +175,7 @@ def _in_view(places: Tensor, one: Opened) -> Tensor:
 
 def _counted(taken: Sequence[Opened]) -> list[str]:
     counts = Counter(note for one in taken for note in one.notes)
-    notes = [f"{count} of {len(taken)} photos {note}" for note, count in counts.items()]
-    bent = sum(one.view.image.lens is not None for one in taken)
-    if bent:
-        notes.append(f"{bent} of {len(taken)} photos are straightened: their lens bends lines")
-    return notes
+    return [f"{count} of {len(taken)} photos {note}" for note, count in counts.items()]
 
 
 def _say_skipped(skipped: Sequence[Skipped], count: int) -> str:
@@ -197,7 +193,9 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _too_few(capture: Capture, taken: Sequence[Opened], skipped: Sequence[Skipped]) -> str:
-    said = f". {_say_skipped(skipped, len(capture.photos))}" if skipped else ""
+    said = (
+        f". {_say_skipped(skipped, len(capture.photos) + len(capture.skipped))}" if skipped else ""
+    )
     return (
         f"{capture.where}: expected at least {_LEAST} photos with poses, got {len(taken)}; take or "
         f"pose more{said}"

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from pcore.capture.colmap_model import image_count, kind_of, read_model
 from pcore.capture.colmap_records import Model, ModelImage
 from pcore.capture.photo_folders import find_photos
-from pcore.capture.photos import Capture, Photo, RawPoints
+from pcore.capture.photos import Capture, Photo, RawPoints, pictures_in
+from pcore.data.scene import Skipped
 from pcore.errors import SceneError
 
 _PLACES = ("sparse", "colmap_sparse", "colmap/sparse", "distorted/sparse", ".")
@@ -46,19 +47,19 @@ def find_model(root: Path) -> FoundModel | None:
         candidates = [folder for folder in (at, *children) if kind_of(folder) is not None]
         if not candidates:
             continue
+        if len(candidates) == 1:
+            return FoundModel(folder=candidates[0])
         counts = [image_count(folder) for folder in candidates]
         best = int(np.argmax(counts))
-        note = ""
-        if len(candidates) > 1:
-            others = ", ".join(
-                f"{folder.name} ({count})"
-                for folder, count in zip(candidates, counts, strict=True)
-                if folder != candidates[best]
-            )
-            note = (
-                f"{candidates[best].relative_to(root).as_posix()} is the largest model, with "
-                f"{counts[best]} images; left out: {others}"
-            )
+        others = ", ".join(
+            f"{folder.name} ({count})"
+            for folder, count in zip(candidates, counts, strict=True)
+            if folder != candidates[best]
+        )
+        note = (
+            f"{candidates[best].relative_to(root).as_posix()} is the largest model, with "
+            f"{counts[best]} images; left out: {others}"
+        )
         return FoundModel(folder=candidates[best], note=note)
     return None
 
@@ -89,6 +90,7 @@ def read_colmap(root: Path, found: FoundModel, factor: int) -> Capture:
         sparse=_points(model),
         splits=_listed(root, model.images),
         notes=[note for note in (found.note, *photos.notes) if note],
+        skipped=_without_pose(root, photos.paths),
         shrunk=photos.shrunk,
     )
 
@@ -96,15 +98,25 @@ def read_colmap(root: Path, found: FoundModel, factor: int) -> Capture:
 def opengl_pose(rotation: np.ndarray, translation: np.ndarray) -> torch.Tensor:
     """(4, 4) float64 world_from_camera, OpenGL axes, of camera_from_world with OpenCV axes."""
     pose = np.eye(4)
-    pose[:3, :3] = rotation.T @ _OPENGL
-    pose[:3, 3] = -rotation.T @ translation
+    with np.errstate(invalid="ignore", over="ignore"):  # Who has NaN is skipped later.
+        pose[:3, :3] = rotation.T @ _OPENGL
+        pose[:3, 3] = -rotation.T @ translation
     return torch.from_numpy(pose)
+
+
+def _without_pose(root: Path, paths: Sequence[Path | None]) -> list[Skipped]:
+    """Pictures beside those of the model that it has no pose for."""
+    used = {path for path in paths if path is not None}
+    beside = {one for folder in {path.parent for path in used} for one in pictures_in(folder)}
+    names = sorted(one.relative_to(root.resolve()).as_posix() for one in beside - used)
+    return [Skipped(name=name, reason="no pose in the model") for name in names]
 
 
 def _photo(model: Model, image: ModelImage, path: Path | None) -> Photo:
     camera = model.cameras[image.camera]
     w, x, y, z = image.quaternion
-    length = float(np.linalg.norm(image.quaternion))
+    with np.errstate(over="ignore"):
+        length = float(np.linalg.norm(image.quaternion))
     sound = np.isfinite(length) and length > 0
     # A pose that is none becomes NaN, and the photo is skipped with that reason.
     rotation = Rotation.from_quat([x, y, z, w]).as_matrix() if sound else np.full((3, 3), np.nan)

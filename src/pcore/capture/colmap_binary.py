@@ -118,6 +118,6 @@ def points(path: Path) -> ModelPoints:
     file = _Bytes(path)
     rows: list[tuple[int | float, ...]] = []
     for _ in range(file.count(51)):
-        rows.append(file.take("Q3d3Bd"))
+        rows.append(file.take("q3d3Bd"))
         file.bytes(file.count(8) * 8)
     return model_points(rows)

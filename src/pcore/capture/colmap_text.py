@@ -16,6 +16,9 @@ from pcore.capture.colmap_records import (
 )
 from pcore.errors import SceneError
 
+_MOST = 2.0**62
+"""Numbers of points that an array of whole numbers holds."""
+
 
 def _lines(path: Path) -> Iterator[str]:
     """Lines that are no comment; empty ones are kept."""
@@ -36,7 +39,7 @@ def cameras(path: Path) -> Iterator[tuple[int, ModelCamera]]:
             number, model, width, height, *numbers = line.split()
             size, values = (int(width), int(height)), [float(one) for one in numbers]
             yield int(number), model_camera(path, model, size, values)
-        except ValueError as problem:
+        except (ValueError, OverflowError) as problem:
             raise _damaged(path, line) from problem
 
 
@@ -50,8 +53,8 @@ def images(path: Path) -> Iterator[ModelImage]:
             _, *pose, camera, name = line.strip().split(maxsplit=9)
             numbers = np.array([float(one) for one in pose])
             seen = np.array([float(one) for one in next(lines, "").split()]).reshape(-1, 3)
-            if len(numbers) != 7:
-                raise ValueError("seven numbers make a pose")
+            if len(numbers) != 7 or not (np.abs(seen) < _MOST).all():
+                raise ValueError("seven numbers make a pose, and features are numbers")
             yield ModelImage(
                 name=name,
                 camera=int(camera),
@@ -60,7 +63,7 @@ def images(path: Path) -> Iterator[ModelImage]:
                 places=seen[:, :2],
                 points=seen[:, 2].astype(np.int64),
             )
-        except ValueError as problem:
+        except (ValueError, OverflowError) as problem:
             raise _damaged(path, line) from problem
 
 
@@ -72,7 +75,7 @@ def points(path: Path) -> ModelPoints:
             number, *numbers = line.split()[:8]
             if len(numbers) != 7:
                 raise ValueError("eight numbers make a point")
-            rows.append((int(number), *(float(one) for one in numbers)))
-        except ValueError as problem:
+            rows.append((int(np.int64(int(number))), *(float(one) for one in numbers)))
+        except (ValueError, OverflowError) as problem:
             raise _damaged(path, line) from problem
     return model_points(rows)

@@ -38,6 +38,8 @@ def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache) -> Opened
     """View of one photo; raises UnusableError with the reason where there is none."""
     if photo.path is None:
         raise UnusableError("no file in the folder")
+    if photo.size is not None and min(photo.size) < 1:
+        raise UnusableError(f"a camera for {photo.size[0]} x {photo.size[1]} pixels")
     pose, notes = _rigid(photo.world_from_camera)
     try:
         header = read_header(photo.path)

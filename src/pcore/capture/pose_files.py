@@ -36,7 +36,7 @@ def read_nsvf(root: Path, path: Path, factor: int) -> Capture:
     images = {one.stem: one for one in pictures_in(root / "rgb")}
     for stem in sorted(poses, key=natural_key):
         pose = _numbers(poses[stem], 16).reshape(4, 4)
-        turned = torch.from_numpy(pose @ np.diag([1.0, -1.0, -1.0, 1.0]))
+        turned = torch.from_numpy(pose * np.array([1.0, -1.0, -1.0, 1.0]))
         image = images.get(stem)
         photos.append(
             Photo(
@@ -70,7 +70,7 @@ def read_camera_list(root: Path, path: Path, factor: int) -> Capture:
         cameras = [_listed_camera(entry) for entry in entries]
         if not cameras:
             raise ValueError("there is no camera in it")
-    except (ValueError, TypeError, KeyError, AttributeError) as problem:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as problem:
         raise SceneError(
             f"{path}: expected the cameras of 3D Gaussian splatting (a list with img_name, "
             f"position, rotation, fx, fy, width, height), got something else ({problem!r:.80})"
@@ -131,7 +131,7 @@ def _nsvf_lens(path: Path) -> tuple[LensDistortion, tuple[int, int] | None]:
         focal, cx, cy = rows[0][:3]
         size = (int(rows[-1][1]), int(rows[-1][0])) if len(rows[-1]) == 2 else None
         return _lens(focal, focal, cx, cy), size
-    except (ValueError, IndexError) as problem:
+    except (ValueError, IndexError, OverflowError) as problem:
         raise SceneError(
             f"{path}: expected intrinsics as NSVF writes them (a 4 x 4 matrix, or focal length and "
             "principal point in the first line), got something else"

@@ -27,8 +27,16 @@ def scene_rows(path: Path) -> list[tuple[str, str]]:
     Raises:
         SceneError: it cannot be read.
     """
+    from pcore.capture.layouts import PHOTOS, VIDEO, layouts_of
     from pcore.capture.load import load_scene
 
+    unposed = [one for one in layouts_of(path) if one.name in (PHOTOS, VIDEO)]
+    if unposed:
+        return [
+            ("scene", str(path)),
+            ("layout", f"{unposed[0].name}, without poses"),
+            ("poses", "found by COLMAP when it is trained (extra `colmap`)"),
+        ]
     scene = load_scene(path)
     views = [view for split in scene.views.values() for view in split]
     rows = [

@@ -144,13 +144,17 @@ class ImageSource:
         """
         if self.lens is None:
             return None
-        key = ("valid", self.size, self.lens, self.crop, self.factor)
-        return self.cache.get(key, self._seen)
+        lens, size = self.lens, self.size
+        return self.cache.get(self._valid_key, lambda: self._shrunk(lens.sources(*size)[1]))
 
     def shown(self) -> Tensor:
         """(H, W) or () bool: `valid`, or one value for all pixels."""
         valid = self.valid()
         return torch.tensor(True) if valid is None else valid
+
+    @property
+    def _valid_key(self) -> Hashable:
+        return ("valid", self.size, self.lens, self.crop, self.factor)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -164,25 +168,30 @@ class ImageSource:
         if self.mask is not None:
             mask = read_mask(self.mask, size=(rgba.shape[1], rgba.shape[0]))
             rgba = torch.cat([rgba[..., :3], rgba[..., 3:] * mask[..., None]], dim=-1)
-        if self.lens is not None:
-            rgba = straight_picture(rgba, self.lens)
-        small = area_downscale(_part(rgba, self.crop), self.factor)
-        return small * self.shown()[..., None]
+        if self.lens is None:
+            return area_downscale(_part(rgba, self.crop), self.factor)
+        places, seen = self.lens.sources(*self.size)
+        rgba = straight_picture(rgba, places)
+        valid = self.cache.get(self._valid_key, lambda: self._shrunk(seen))
+        return area_downscale(_part(rgba, self.crop), self.factor) * valid[..., None]
 
-    def _seen(self) -> Tensor:
-        assert self.lens is not None, "only bent pictures have pixels without content"
-        seen = _part(self.lens.sources(*self.size)[1], self.crop)
+    def _shrunk(self, seen: Tensor) -> Tensor:
+        """Pixels of the down-scaled part that are seen whole."""
+        seen = _part(seen, self.crop)
         height, width = seen.shape[0] // self.factor, seen.shape[1] // self.factor
         return seen.reshape(height, self.factor, width, self.factor).all(dim=3).all(dim=1)
 
 
-def straight_picture(rgba: Tensor, lens: LensDistortion) -> Tensor:
+def straight_picture(rgba: Tensor, places: Tensor) -> Tensor:
     """Undo a lens: (H, W, 4) straight alpha as a pinhole of the same focal lengths would show it.
 
     Sampled bilinearly on premultiplied colour; where the lens saw nothing, the border goes on.
+
+    Args:
+        rgba: (H, W, 4) straight alpha, through the lens.
+        places: (H, W, 2) where each pixel comes from (`LensDistortion.sources`).
     """
     height, width = rgba.shape[:2]
-    places, _ = lens.sources(width, height)
     grid = 2 * places / torch.tensor([width, height]) - 1
     alpha = rgba[..., 3:]
     planes = torch.cat([rgba[..., :3] * alpha, alpha], dim=-1).permute(2, 0, 1)[None]

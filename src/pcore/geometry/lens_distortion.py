@@ -88,8 +88,8 @@ class LensDistortion:
             has something there (H, W).
         """
         rows, columns = torch.meshgrid(
-            torch.arange(height, dtype=torch.float64) + 0.5,
-            torch.arange(width, dtype=torch.float64) + 0.5,
+            torch.arange(height, dtype=torch.float32) + 0.5,
+            torch.arange(width, dtype=torch.float32) + 0.5,
             indexing="ij",
         )
         places = torch.stack([columns, rows], dim=-1)
@@ -97,7 +97,7 @@ class LensDistortion:
         found = self.bent(places)
         valid = (found >= 0).all(dim=-1) & (found[..., 0] <= width) & (found[..., 1] <= height)
         valid &= (x * x + y * y).sqrt() < self.reach
-        return found.float(), valid
+        return found, valid
 
     def _rays(self, places: Tensor) -> tuple[Tensor, Tensor]:
         return (places[..., 0] - self.cx) / self.fx, (places[..., 1] - self.cy) / self.fy
