@@ -90,6 +90,7 @@ def fit_gaussians(
             intrinsics,
             (camera.width, camera.height),
             footprint=config.footprint,
+            depth=False,
             background=color.to(where),
         )
         if progress <= config.density.last:

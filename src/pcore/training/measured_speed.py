@@ -141,6 +141,7 @@ def _step_seconds(
             intrinsics,
             (shown.camera.width, shown.camera.height),
             footprint=config.footprint,
+            depth=False,
             background=color.to(like),
         )
         photo = shown.rgba()[..., :3].to(like).unsqueeze(0)
