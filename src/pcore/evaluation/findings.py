@@ -159,11 +159,15 @@ def _of_photos(check: SceneCheck) -> list[Finding]:
 def _of_masks(check: SceneCheck) -> list[Finding]:
     masks = check.masks
     if masks is None:
+        if check.no_masks:
+            text = check.no_masks
+            action = "Without masks the background is learned too, and edits need a region (a box)."
+            return [Finding(level="note", topic="masks", text=text, action=action)]
         return [
             Finding(
                 level="note",
                 topic="masks",
-                text=check.no_masks or "the photos have no masks",
+                text="the photos have no masks",
                 action="The background is learned too, and edits need a region (a box). For the "
                 "object alone: pcore check SCENE --masks auto, then train with --masks auto.",
             )

@@ -58,7 +58,9 @@ def forecasts(scene: Scene) -> tuple[Forecast, ...]:
     masked = all(view.has_alpha for view in views)
     photos = sum(view.camera.width * view.camera.height for view in views) * _PIXEL
     memory = _BASE_MEMORY + min(photos, DEFAULT_MEMORY_BUDGET)
-    timed = "steps on a few of the photos timed now, in processor seconds"
+    camera = max((v.camera for v in views), key=lambda one: one.width * one.height)
+    size = f"{camera.width} x {camera.height} pixels"
+    timed = f"a few steps on photos of {size} timed now, in processor seconds"
     unknown = "for a GPU; nothing was measured on one"
     return (
         Forecast(
