@@ -16,7 +16,7 @@ from PIL import Image
 import pcore
 from pcore.benchmark.look import Look, Material, Texture, corner_normals, smooth_patches
 from pcore.benchmark.model import read_model
-from pcore.benchmark.picture import Shape, take
+from pcore.benchmark.true_picture import Shape, take
 from pcore.cli.main import main
 from pcore.data.gltf_animation import Track, value_at
 from pcore.errors import InputError

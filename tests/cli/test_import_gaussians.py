@@ -9,7 +9,6 @@ import tyro
 from rich.console import Console
 from tests.data.splat_files import write_ply
 from tests.gaussians.some import some_gaussians
-from toys import write_run
 
 from pcore.cli.deform import DeformCommand, deform
 from pcore.cli.export import ExportCommand, export
@@ -107,7 +106,3 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(folder: Path):
     (run / "gaussians.safetensors").unlink()
     with pytest.raises(CheckpointError, match="no model"):
         exported(run, "out.ply")
-    papr = folder / "papr"
-    write_run(papr, points=20)
-    with pytest.raises(InputError, match="run of Gaussians"):
-        exported(papr, "out.ply")

@@ -24,7 +24,7 @@ from PIL import Image
 from pcore.benchmark.look import FloatArray
 from pcore.benchmark.model import Model
 from pcore.benchmark.model_states import BenchmarkPlan, State, canonical_shape, plan_states
-from pcore.benchmark.picture import Shape, take
+from pcore.benchmark.true_picture import Shape, take
 from pcore.errors import InputError
 from pcore.sample.sample_render import camera_poses, sample_surface, seen_samples
 from pcore.sample.sample_states import ANGLE_X

@@ -82,7 +82,7 @@ VERBS: tuple[Verb, ...] = (
         "ImportGaussiansCommand",
         "make a run of a 3DGS file",
     ),
-    Verb("export", "pcore.cli.export", "ExportCommand", "write a run, also edited, as 3DGS files"),
+    Verb("export", "pcore.cli.export", "ExportCommand", "write a run for other programs"),
     Verb("info", "pcore.cli.info", "InfoCommand", "say what a run or model file is"),
     Verb("doctor", "pcore.cli.doctor", "DoctorCommand", "check this machine"),
 )

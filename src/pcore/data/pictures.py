@@ -35,10 +35,20 @@ def write_png(path: Path, rgb: Tensor) -> None:
         OSError: the file cannot be written; an old one is untouched.
     """
     _check_picture(path, rgb)
+    replace_file(path, png_content(rgb))
+
+
+def png_content(rgb: Tensor) -> bytes:
+    """Content of an 8-bit PNG of colours (H, W, 3 or 4), float in [0, 1] (clamped) or uint8."""
     pixels = rgb.cpu() if rgb.dtype == torch.uint8 else to_bytes(rgb)
     buffer = io.BytesIO()
     Image.fromarray(pixels.numpy()).save(buffer, format="PNG")
-    replace_file(path, buffer.getvalue())
+    return buffer.getvalue()
+
+
+def linear_colors(rgb: Tensor) -> Tensor:
+    """Linear colours of sRGB ones (..., 3) in [0, 1], as glTF and USD want them at vertices."""
+    return torch.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
 def write_mask(path: Path, mask: Tensor) -> None:

@@ -195,6 +195,25 @@ def colors_at(places: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: 
     return torch.where(enough[:, None], colors.nanmedian(dim=0).values, math.nan)
 
 
+def share_that_shows(
+    places: Tensor, normals: Tensor, shown: Sequence[Shown], spacing: float
+) -> Tensor:
+    """Share (N,) of the photos which places on the surface face that show them there.
+
+    Args:
+        places: (N, 3) world units.
+        normals: (N, 3) unit.
+        shown: the photos.
+        spacing: of the points, world units.
+    """
+    seen, faced = torch.zeros(len(places)), torch.zeros(len(places))
+    for one in shown:
+        towards = F.normalize(one.camera.center - places, dim=1)
+        faced += (towards * normals).sum(dim=1) > _FACING
+        seen += ~_colors(places, normals, one, _CLOSEST * spacing)[:, 0].isnan()
+    return seen / faced.clamp_min(1)
+
+
 def _colors(places: Tensor, normals: Tensor, shown: Shown, close: float) -> Tensor:
     """Colours (N, 3) that a photo shows at places (N, 3); NaN where it shows something else."""
     camera = shown.camera

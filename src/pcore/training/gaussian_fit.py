@@ -12,6 +12,7 @@ from pcore.data.images import background_color, composite
 from pcore.data.scene import Scene, check_images, hold_out
 from pcore.errors import TrainingError
 from pcore.files.run_folder import RunFolder
+from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import GaussianPictures, PosedGaussians, render_views, view_matrices
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.exposure import ViewExposure
@@ -36,6 +37,7 @@ def fit_gaussians(
     scene: Scene,
     config: GaussianConfig,
     *,
+    start: Gaussians | None = None,
     folder: RunFolder | None = None,
     listener: Listener = silent,
     device: str = "cpu",
@@ -48,6 +50,7 @@ def fit_gaussians(
     Args:
         scene: its `train` split is used, nothing else; every `hold_out`-th view only validates.
         config: numbers, rates, schedule.
+        start: Gaussians to begin with; None takes those that `config.start` says.
         folder: where to save and what to continue from; None keeps everything in memory.
         listener: told of steps, validations, changes of the population, saves.
         device: "cpu", or "cuda" with gsplat.
@@ -63,7 +66,9 @@ def fit_gaussians(
     check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     masked = all(view.has_alpha for view in views)
-    start = start_gaussians(scene, views, config, torch.Generator().manual_seed(config.seed))
+    if start is None:
+        generator = torch.Generator().manual_seed(config.seed)
+        start = start_gaussians(scene, views, config, generator)
     exposure = ViewExposure(len(views), where) if config.exposure else None
     work = trainable_gaussians(
         start.to(where),

@@ -47,6 +47,7 @@ def _small_model(*, neighbours: int, across: int, width: int, unet: int) -> Papr
         query=MlpConfig(layers=3, width=width, size=width),
         value=MlpConfig(layers=4, width=width, size=32),
         unet_channels=(unet, 2 * unet, 4 * unet),
+        point_colors=True,
         cutoff=0.12,
         samples=4,
     )

@@ -17,11 +17,12 @@ from pcore.files.run_folder import RunFolder
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
-from pcore.model.papr_config import PaprConfig, ReferenceOrigin
+from pcore.model.papr_config import COLOR_CHANNELS, PaprConfig, ReferenceOrigin
 from pcore.training.compiling import compile_networks
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.exposure import ViewExposure
+from pcore.training.gaussian_start import mean_colors
 from pcore.training.loop import Plan, autocast, run_loop
 from pcore.training.losses import (
     Losses,
@@ -163,9 +164,12 @@ def begin(
         generator = torch.Generator().manual_seed(config.seed)
         positions = start_positions(scene, views, config, model.frame, generator)
         features = torch.randn(len(positions), papr.config.feature_size, generator=generator)
+    features = config.feature_spread * features
+    if model.point_colors:
+        features[:, :COLOR_CHANNELS] = mean_colors(positions, views)
     cloud = PointCloud(
         positions=positions.to(device),
-        features=(config.feature_spread * features).to(device),
+        features=features.to(device),
         influence=torch.full((len(positions),), config.influence_start, device=device),
     )
     return trainable("pretrain", papr.to(device), cloud, seed=config.seed + 1)

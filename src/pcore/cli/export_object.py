@@ -1,0 +1,220 @@
+"""`pcore export` of an object itself: its points, its surface, its Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from torch import Tensor
+
+    from pcore.asset.asset import Asset
+    from pcore.asset.meshing import Meshing
+    from pcore.cli.export import ExportCommand
+    from pcore.data.splat_file import SplatFile
+    from pcore.editing.script import EditScript
+    from pcore.geometry.camera import Camera
+
+_ENDINGS = {"glb": (".glb",), "obj": (".obj",), "usd": (".usd", ".usda", ".usdc")}
+_STEPS = 1200
+
+
+def check(command: ExportCommand) -> None:
+    """Raise InputError or DependencyError for what cannot be written, before any work."""
+    from pcore.data.mesh_output import check_mesh_output
+    from pcore.data.mesh_usd import require_usd
+    from pcore.data.splat_formats import check_splat_output
+    from pcore.render.fusion import require_marching_cubes
+
+    path, kind = command.output, command.output.suffix.lower()
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"{path}: expected an existing folder to write to, got {path.parent}")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder: expected the name of a file")
+    if command.to == "splats":
+        check_splat_output(path)
+        return
+    if command.to == "ply":
+        if kind != ".ply":
+            raise InputError(f"{path}: expected a file of points that ends in .ply")
+        return
+    check_mesh_output(path)
+    wanted = _ENDINGS.get(command.to, (kind,))
+    if kind not in wanted:
+        raise InputError(f"{path}: expected a file that ends in {' or '.join(wanted)}")
+    require_marching_cubes()
+    if kind in _ENDINGS["usd"]:
+        require_usd()
+    if command.texture is not None or command.faces is not None:
+        from pcore.asset.mesh_finish import require_finish
+
+        require_finish(texture=command.texture is not None, faces=command.faces is not None)
+
+
+def write_points(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
+    """Write the points with what they look like."""
+    from pcore.asset.painted_points import painted_points, posed_points
+    from pcore.cli.results import counting
+    from pcore.data.mesh_output import numbered
+    from pcore.data.painted_ply import save_painted
+
+    times = _times(command)
+    poses = [asset.pose(command.edit, time=time) for time in times]
+    with counting(console, "pictures") as tell:
+        points = painted_points(asset, _cameras(command, asset), progress=tell)
+    several = command.frames is not None
+    names = numbered(command.output, len(poses)) if several else [command.output]
+    for path, posed in zip(names, poses, strict=True):
+        one = posed_points(points, posed)
+        save_painted(path, one.positions, one.colors, one.normals, one.confidence)
+    notes = {f"  note: {line}" for posed in poses for line in posed.notes}
+    return [_said(names, f"{len(asset):,} points"), *sorted(notes)]
+
+
+def write_mesh(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
+    """Write the surface: made at rest, its vertices moved by the edit."""
+    from pcore.asset.meshing import map_of, mesh_of, moved_mesh
+    from pcore.cli.results import counting
+    from pcore.data.mesh_output import MeshMotion, save_mesh
+
+    # Edits are bound first, so that one that folds costs no waiting.
+    maps = [map_of(asset, command.edit, time=time) for time in _times(command)]
+    with counting(console, "pictures") as tell:
+        meshed = mesh_of(asset, _cameras(command, asset), _meshing(command), progress=tell)
+    mesh = meshed.mesh
+    if command.faces is not None or command.texture is not None:
+        from pcore.asset.mesh_finish import finished
+
+        mesh = finished(meshed, faces=command.faces, texture=command.texture)
+    moved = [moved_mesh(mesh, one) for one in maps]
+    motion = None
+    if command.frames is not None:
+        motion = MeshMotion(frames=tuple(one.vertices for one in moved))
+    files = save_mesh(command.output, moved[0], motion)
+    lines = [_said(files, f"{len(mesh.vertices):,} vertices, {len(mesh):,} triangles")]
+    if meshed.crumbs:
+        lines.append(f"  note: {meshed.crumbs:,} small parts were left out")
+    return lines
+
+
+def write_splats(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
+    """Write Gaussians: those of a run, or ones that are fitted to the pictures of a run of PAPR."""
+    from pcore.asset.gaussian_content import GaussianContent
+    from pcore.data.mesh_output import numbered
+    from pcore.data.splat_file import splats_of
+    from pcore.data.splat_formats import save_splats
+
+    times = _times(command)
+    if isinstance(asset.content, GaussianContent):
+        file = splats_of(asset.content.gaussians, str(command.run_folder))
+        posed, notes = _carried(command, file, times)
+        antialiased = asset.content.footprint.antialiased
+    else:
+        posed, notes = _fitted(command, asset, times, console)
+        antialiased = True
+    several = command.frames is not None
+    names = numbered(command.output, len(times)) if several else [command.output]
+    for path, file in zip(names, posed, strict=True):
+        notes += save_splats(path, file)
+    if antialiased:
+        notes.append(
+            "they were trained antialiased: switch that on in the viewer (SuperSplat) or trainer "
+            "(gsplat: rasterize_mode), or they look a little bolder"
+        )
+    first = posed[0].gaussians
+    head = _said(names, f"{len(first):,} Gaussians of degree {first.degree}")
+    return [head, *(f"  note: {line}" for line in dict.fromkeys(notes))]
+
+
+def _fitted(
+    command: ExportCommand, asset: Asset, times: list[float | None], console: Console
+) -> tuple[list[SplatFile], list[str]]:
+    """Gaussians that look like a run of PAPR at all times, and how near they come."""
+    from pcore.asset.meshing import map_of
+    from pcore.asset.splats_of_points import edited_splats, likeness, splats_of_points
+    from pcore.cli.results import counting
+    from pcore.data.splat_file import splats_of
+
+    edit, steps = command.edit, _STEPS if command.steps is None else command.steps
+    if command.split is not None:
+        raise InputError("--split: expected a run of Gaussians, got one of PAPR's points")
+    for time in times if edit is not None else []:
+        # Before the fit, so that an edit that folds costs no waiting.
+        map_of(asset, edit, time=time)
+    with counting(console, "pictures and steps") as tell:
+        fitted = splats_of_points(asset, _cameras(command, asset), steps=steps, progress=tell)
+    moved = [edited_splats(asset, fitted.gaussians, edit, time=time) for time in times]
+    notes: list[str] = []
+    if fitted.psnr is not None:
+        notes.append(f"{fitted.psnr:.1f} dB to pictures of the run that the fit did not see")
+    if edit is not None:
+        like = likeness(asset, fitted, moved[-1], edit, time=times[-1])
+        notes.append(f"{like:.1f} dB to pictures of the edited run, its light baked in")
+    return [splats_of(one, str(command.run_folder)) for one in moved], notes
+
+
+def _carried(
+    command: ExportCommand, file: SplatFile, times: list[float | None]
+) -> tuple[list[SplatFile], list[str]]:
+    """Gaussians of a run at all times, and what is odd about the edit."""
+    from pcore.asset.posing import script_of
+    from pcore.cli.deform_gaussians import edit_notes
+    from pcore.editing.gaussian_edit import edited_gaussians
+
+    if command.edit is None:
+        return [file], []
+    scripts: list[EditScript] = [script_of(command.edit, time) for time in times]
+    edited = [edited_gaussians(file, script, split=command.split) for script in scripts]
+    notes = [line for one in edited for line in (*edit_notes(one), *one.bound.notes)]
+    return [one.file for one in edited], notes
+
+
+def _times(command: ExportCommand) -> list[float | None]:
+    """Times of all frames that are asked for."""
+    from pcore.editing.animation import load_animation
+
+    if command.frames is None or command.edit is None:
+        return [command.time]
+    return [*load_animation(command.edit).times(command.frames)]
+
+
+def _cameras(command: ExportCommand, asset: Asset) -> list[Camera] | None:
+    """Cameras of the scene's training views; None where there is no scene."""
+    folder = command.scene or asset.record.scene_folder
+    if folder is None:
+        return None
+    scene = asset.scene(folder)
+    split = "train" if "train" in scene.splits else scene.splits[0]
+    return [view.camera for view in scene.split(split)]
+
+
+def _meshing(command: ExportCommand) -> Meshing:
+    from pcore.asset.meshing import Meshing
+
+    how = Meshing(closed=command.watertight, box=_box(command))
+    if command.resolution is not None:
+        how = replace(how, resolution=command.resolution)
+    return how if command.smooth is None else replace(how, smooth=command.smooth)
+
+
+def _box(command: ExportCommand) -> tuple[Tensor, Tensor] | None:
+    import torch
+
+    if command.box is None:
+        return None
+    lower, upper = torch.tensor(command.box, dtype=torch.float64).reshape(2, 3)
+    if not bool((lower < upper).all()):
+        raise InputError(
+            "--box: expected the lower corner x y z and then the upper one, got "
+            f"{' '.join(f'{x:g}' for x in command.box)}"
+        )
+    return lower, upper
+
+
+def _said(files: list[Path], what: str) -> str:
+    more = f" to {files[-1].name}" if len(files) > 1 else ""
+    return f"{files[0]}{more}: {what}"

@@ -1,0 +1,226 @@
+"""`pcore export` of both kinds of object, and what it refuses."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+import tyro
+from rich.console import Console
+from toys import toy_cameras, write_cameras, write_run, write_scene
+
+from pcore.asset import meshing, splats_of_points
+from pcore.asset.gaussian_content import GaussianContent
+from pcore.asset.saving import load
+from pcore.capture.load import load_scene
+from pcore.cli.export import ExportCommand, export
+from pcore.data.splat_formats import read_splats
+from pcore.errors import DependencyError, EditError, InputError
+from pcore.files.gaussian_file import SavedGaussians, save_gaussians
+from pcore.files.provenance import Provenance
+from pcore.files.run_folder import RunFolder
+from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.render import Footprint
+
+pytest.importorskip("skimage", reason="the extra mesh is not installed")
+
+TWIST = {"type": "twist", "axis": "z", "angle_deg": {"keyframes": [[0, 0], [1, 60]]}}
+MOVE = {"type": "rigid", "translation": [0.0, 0.0, 2.0]}
+
+
+def ball_run(path: Path, count: int = 400) -> Path:
+    """A run of flat, opaque Gaussians that cover a ball of radius 0.8."""
+    turn = torch.arange(count) * 2.399963
+    z = 1 - 2 * (torch.arange(count) + 0.5) / count
+    normals = torch.stack([(1 - z**2).sqrt() * turn.cos(), (1 - z**2).sqrt() * turn.sin(), z], 1)
+    half = torch.nn.functional.normalize(normals + torch.tensor([0.0, 0.0, 1.0]), dim=1)
+    quats = torch.cat([torch.zeros(count, 1), half], dim=1)  # Half a turn takes z to the normal.
+    sh = torch.zeros(count, 1, 3)
+    sh[:, 0] = normals * 1.5
+    gaussians = Gaussians(
+        means=0.8 * normals,
+        quats=quats,
+        scales=torch.tensor([0.09, 0.09, 0.004]).expand(count, 3).clone(),
+        opacities=torch.full((count,), 0.95),
+        sh=sh,
+    )
+    came = Provenance(
+        scene="ball",
+        stage="import",
+        step=0,
+        background=(1.0, 1.0, 1.0),
+        extent=((-0.8, -0.8, -0.8), (0.8, 0.8, 0.8)),
+        pcore="0",
+    )
+    saved = SavedGaussians(gaussians=gaussians, footprint=Footprint(), provenance=came)
+    with RunFolder.create(path, stage="import", scene="", config={}) as run:
+        save_gaussians(path / "gaussians.safetensors", saved)
+        run.update(status="finished")
+    return path
+
+
+@pytest.fixture(autouse=True)
+def _few_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(meshing, "_VIEWS", 16)
+    monkeypatch.setattr(splats_of_points, "_VIEWS", 6)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("export")
+    ball_run(root / "ball")
+    (root / "twist.json").write_text(json.dumps({"version": 2, "edits": [TWIST]}))
+    (root / "move.json").write_text(json.dumps({"version": 2, "edits": [MOVE]}))
+    return root
+
+
+def run(folder: Path, to: str, name: str, **options) -> Path:
+    options.setdefault("run_folder", folder / "ball")
+    command = ExportCommand(to=to, output=folder / name, threads=1, device="cpu", **options)
+    export(command, Console(quiet=True))
+    return folder / name
+
+
+def test_parse_as_command_lines():
+    words = ["run", "--to", "glb", "-o", "a.glb", "--frames", "5", "--edit", "e.json"]
+    words += ["--box", "-1", "-1", "-1", "1", "1", "1", "--watertight"]
+    command = tyro.cli(ExportCommand, args=words)
+    assert (command.to, command.frames, command.watertight) == ("glb", 5, True)
+    assert command.box == (-1, -1, -1, 1, 1, 1)
+
+
+def test_points_have_colours_normals_and_confidence(folder: Path):
+    at_rest = trimesh.load(run(folder, "ply", "points.ply"))
+    raw = at_rest.metadata["_ply_raw"]["vertex"]["data"]
+    normals = np.stack([raw[name].reshape(-1) for name in ("nx", "ny", "nz")], axis=1)
+    outward = at_rest.vertices / 0.8
+    assert float((normals * outward).sum(axis=1).mean()) > 0.97
+    assert 0.5 < float(raw["confidence"].mean()) <= 1
+    # Painted by its normal, and harmonics of degree 0 say the same.
+    expected = (0.5 + 0.28209479 * 1.5 * outward).clip(0, 1)
+    assert float(np.abs(at_rest.colors[:, :3] / 255 - expected).mean()) < 0.05
+    moved = trimesh.load(run(folder, "ply", "moved.ply", edit=folder / "move.json"))
+    np.testing.assert_allclose(moved.vertices, at_rest.vertices + np.array([0, 0, 2]), atol=1e-5)
+
+
+def test_meshes_at_rest_edited_and_moving(folder: Path):
+    body = trimesh.load(run(folder, "mesh", "ball.ply", resolution=40, watertight=True))
+    radii = np.linalg.norm(body.vertices, axis=1)
+    assert abs(float(radii.mean()) - 0.8) < 0.04
+    assert body.is_watertight
+    assert body.volume > 0
+    moved = trimesh.load(
+        run(folder, "obj", "moved.obj", resolution=40, edit=folder / "move.json"), process=False
+    )
+    assert float(moved.vertices[:, 2].mean()) == pytest.approx(2.0, abs=0.02)
+    run(folder, "glb", "moving.glb", resolution=24, edit=folder / "twist.json", frames=3)
+    content = (folder / "moving.glb").read_bytes()
+    assert content.count(b'"targets":[{"POSITION"') == 1
+
+
+def test_frames_of_other_files(folder: Path):
+    run(folder, "splats", "s.ply", edit=folder / "twist.json", frames=2)
+    first, last = (read_splats(folder / f"s_00{k}.ply").gaussians for k in (0, 1))
+    own = load(folder / "ball").content
+    assert isinstance(own, GaussianContent)
+    torch.testing.assert_close(first.means.float(), own.gaussians.means)
+    assert float((last.means - first.means).norm(dim=1).max()) > 0.1
+
+
+def test_depth_is_that_of_the_ball(folder: Path):
+    pytest.importorskip("OpenEXR", reason="the extra mesh is not installed")
+    import OpenEXR
+
+    cameras = write_cameras(folder / "cameras.json", toy_cameras(2, size=24), w=24, h=24)
+    out = run(folder, "depth", "depth", cameras=cameras)
+    about = json.loads((out / "depth.json").read_text())
+    from PIL import Image
+
+    whole = np.asarray(Image.open(out / "r_0_depth.png")) * about["step"]
+    assert whole[12, 12] == pytest.approx(3.2, abs=0.1)
+    assert whole[0, 0] == 0
+    with OpenEXR.File(str(out / "r_0_depth.exr")) as file:
+        real = file.channels()["Y"].pixels
+    np.testing.assert_allclose(real[12, 12], whole[12, 12], atol=about["step"])
+    assert np.isinf(real[0, 0])
+    with pytest.raises(InputError, match="holds files already"):
+        run(folder, "depth", "depth", cameras=cameras)
+    run(folder, "depth", "depth", cameras=cameras, overwrite=True, no_exr=True)
+
+
+def test_pictures_train_again(folder: Path):
+    out = run(folder, "nerfstudio", "set", orbit=6, size=(32, 32), edit=folder / "move.json")
+    scene = load_scene(out)
+    views = [view for split in scene.splits for view in scene.split(split)]
+    assert len(views) == 6
+    assert views[0].has_alpha
+    column, row, _ = views[0].camera.project(torch.tensor([[0.0, 0.0, 2.0]]))
+    assert float(views[0].alpha()[int(row), int(column)]) > 0.9
+    assert scene.sparse is not None
+
+
+def test_cameras_for_colmap(folder: Path):
+    out = run(folder, "cameras", "cams", orbit=3)
+    assert len((out / "sparse/0/cameras.txt").read_text().splitlines()) == 1 + 3
+    assert (out / "transforms.json").exists()
+
+
+def test_splats_of_points(folder: Path):
+    papr = folder / "papr"
+    write_run(papr, points=60, surfels=True)
+    scene = write_scene(folder / "photos", train=6)
+    options = {"run_folder": papr, "steps": 3, "edit": folder / "move.json", "scene": scene}
+    moved = read_splats(run(folder, "splats", "papr.ply", **options)).gaussians
+    assert 1.2 < float(moved.means[:, 2].mean()) < 2.8
+    # Flat along the surfels.
+    scales = moved.scales.sort(dim=1).values
+    assert float((scales[:, 0] / scales[:, 1]).median()) < 0.4
+
+
+def test_what_cannot_be_is_refused_before_any_work(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    def refuse(match: str, to: str, name: str, kind=InputError, **options):
+        with pytest.raises(kind, match=match):
+            run(folder, to, name, **options)
+        assert not (folder / name).exists() or (folder / name).is_dir()
+
+    twist = folder / "twist.json"
+    refuse("at least 1", "glb", "x.glb", edit=twist, frames=0)
+    refuse("no --edit", "glb", "x.glb", frames=2)
+    refuse("--time", "glb", "x.glb", frames=2, edit=twist, time=0.5)
+    refuse("has keyframes", "glb", "x.glb", EditError, edit=twist)
+    refuse("ends in .glb", "glb", "x.obj")
+    refuse("ends in .ply", "ply", "x.obj")
+    refuse("existing folder", "obj", "no/x.obj")
+    refuse("is a folder", "obj", "ball")
+    refuse("lower corner", "obj", "x.obj", box=(1, 0, 0, 0, 1, 1))
+    refuse("none in", "obj", "x.obj", box=(50, 50, 50, 51, 51, 51), resolution=20)
+    refuse("got both", "cameras", "x", orbit=3, cameras=twist)
+    refuse("--frames", "nerfstudio", "x", edit=twist, frames=2)
+    (folder / "fold.json").write_text(
+        json.dumps({"version": 2, "edits": [{**TWIST, "type": "bend", "angle_deg": 5000}]})
+    )
+    refuse("fold", "obj", "x.obj", EditError, edit=folder / "fold.json")
+    for package, to, name in (
+        ("skimage.measure", "obj", "x.obj"),
+        ("pxr", "usd", "x.usd"),
+        ("OpenEXR", "depth", "x"),
+        ("xatlas", "obj", "x.obj"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setitem(__import__("sys").modules, package, None)
+            refuse(r"pcore-edit\[mesh\]", to, name, DependencyError, texture=64)
+
+
+def test_a_folder_that_cannot_be_written(folder: Path):
+    if os.geteuid() == 0:
+        (folder / "file").write_text("")
+        with pytest.raises(InputError, match=r"cannot (make|write)"):
+            run(folder, "cameras", "file/inside", orbit=2)
+        return
+    locked = folder / "locked"
+    locked.mkdir(mode=0o555)
+    with pytest.raises(InputError, match="can be written to"):
+        run(folder, "obj", "locked/x.obj", resolution=16)
