@@ -11,30 +11,24 @@ import math
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from pcore.errors import DependencyError, InputError
+from pcore.capture.voted_hull import Bits, hull_silhouettes, require_opencv
+from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.object_region import Region
-
-Bits = NDArray[np.uint8]
 
 _LONGEST = 320
 """Longer side of the pictures that are cut, pixels: finer ones cost more and find no more."""
 _MARGIN = 0.12
 """Room around an outline in which the cut may still find object, as a share of its size."""
 _ROUNDS, _ITERATIONS = 3, 2
-_VOXELS = 80
 _LOOSE, _JUDGED, _SURE = 0.6, 0.75, 0.85
 """Share of the views that see a voxel and must have it in their mask: where the object is looked
 for, where masks are judged, and where there is object for certain."""
-_SEEN = 0.15
-"""Share of all views that must see a voxel."""
 _FEW = 8
 """Fewer points than that have no outline to go by."""
 _DOUBTFUL, _BAD = 0.12, 0.6
@@ -122,7 +116,13 @@ def find_masks(
             if progress is not None:
                 progress(done, total)
         voters, votes = masks[: len(small)], (_JUDGED,) if last else (_LOOSE, _SURE)
-        seeds, *more = hull_silhouettes(small, voters, region, votes=votes, into=everyone)
+        seeds, *more = hull_silhouettes(
+            [one.camera for one in small],
+            voters,
+            region,
+            votes=votes,
+            into=[one.camera for one in everyone],
+        )
         cores = more[0] if more else None
         if not any(one.any() for one in seeds):
             raise InputError(
@@ -138,36 +138,6 @@ def find_masks(
     )
 
 
-def hull_silhouettes(
-    photos: Sequence[Photo],
-    masks: Sequence[Bits],
-    region: Region,
-    *,
-    votes: Sequence[float],
-    into: Sequence[Photo],
-    voxels: int = _VOXELS,
-) -> list[list[Bits]]:
-    """Outlines (H, W) 0 or 1 of the hulls that most masks agree on, for each share of votes.
-
-    Args:
-        photos: of the masks.
-        masks: (H, W) 0 or 1.
-        region: where voxels are looked at, with room around it.
-        votes: shares of the views that see a voxel and must have it in their mask.
-        into: pictures that the hull is drawn in.
-        voxels: along the longest side of the region.
-    """
-    places, size = _grid(region, voxels)
-    seen, within = torch.zeros(len(places)), torch.zeros(len(places))
-    for photo, mask in zip(photos, masks, strict=True):
-        visible, pixels = _pixels(photo.camera, places)
-        seen += visible
-        within[visible] += torch.from_numpy(mask)[pixels].float()
-    least = max(2.0, _SEEN * len(photos))
-    hulls = [places[(seen >= least) & (within >= vote * seen)] for vote in votes]
-    return [[_splat(photo.camera, hull, size) for photo in into] for hull in hulls]
-
-
 def doubtful(agreement: Sequence[float]) -> tuple[int, ...]:
     """Numbers of the masks that contradict the others, by their overlap with the hull of all."""
     limit = max(_BAD, statistics.median(agreement) - _DOUBTFUL)
@@ -178,22 +148,6 @@ def overlap(mask: Bits, other: Bits) -> float:
     """Intersection over union of two masks; 1 where both are empty."""
     union = int((mask | other).sum())
     return 1.0 if union == 0 else int((mask & other).sum()) / union
-
-
-def require_opencv() -> Any:
-    """Return OpenCV.
-
-    Raises:
-        DependencyError: it is not installed.
-    """
-    try:
-        import cv2
-    except ImportError as error:
-        raise DependencyError(
-            "automatic masks need OpenCV, which is not installed: "
-            "`pip install 'pcore-edit[capture]'`"
-        ) from error
-    return cv2
 
 
 def _shrunk(photo: Photo) -> Photo:
@@ -273,40 +227,6 @@ def _shrunken(mask: Bits, reach: int) -> Bits:
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
     # What the border of the picture cuts off goes on behind it.
     return cv2.erode(mask, kernel, borderType=cv2.BORDER_REPLICATE)
-
-
-def _grid(region: Region, count: int) -> tuple[Tensor, float]:
-    """Centres (V, 3) of cubic voxels that fill the region with room around it, and their size."""
-    lower, upper = region.bounds
-    room = 0.25 * (upper - lower).max()
-    lower, upper = lower - room, upper + room
-    size = float((upper - lower).max()) / count
-    axes = [
-        float(low) + size * (torch.arange(max(1, round(float(high - low) / size))) + 0.5)
-        for low, high in zip(lower, upper, strict=True)
-    ]
-    return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, 3), size
-
-
-def _pixels(camera: Camera, places: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
-    """Which places (V, 3) are in the picture (V,), and row and column of those."""
-    column, row, depth = camera.project(places)
-    visible = (depth > 0) & (column >= 0) & (column < camera.width)
-    visible &= (row >= 0) & (row < camera.height)
-    return visible, (row[visible].long(), column[visible].long())
-
-
-def _splat(camera: Camera, places: Tensor, size: float) -> Bits:
-    """Outline (H, W) 0 or 1 of voxels of a size in a picture."""
-    cv2 = require_opencv()
-    picture = np.zeros((camera.height, camera.width), dtype=np.uint8)
-    if len(places) == 0:
-        return picture
-    _, pixels = _pixels(camera, places)
-    picture[pixels[0].numpy(), pixels[1].numpy()] = 1
-    wide = max(1, math.ceil(0.5 * size / camera.pixel_width(places.mean(dim=0))))
-    kernel = np.ones((2 * wide + 1, 2 * wide + 1), np.uint8)
-    return cv2.morphologyEx(picture, cv2.MORPH_CLOSE, kernel)
 
 
 def _resized(mask: Bits, camera: Camera) -> Tensor:

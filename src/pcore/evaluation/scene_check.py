@@ -10,16 +10,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pcore.capture.auto_masks import Photo, doubtful, find_masks, hull_silhouettes, overlap
+from pcore.capture.auto_masks import doubtful, find_masks, overlap
 from pcore.capture.coverage import Coverage, coverage
 from pcore.capture.photo_quality import PhotoQuality, photo_quality
 from pcore.capture.photos import natural_key
 from pcore.capture.pose_contradictions import Contradictions, find_contradictions
 from pcore.capture.reprojection import Reprojection, reprojection
 from pcore.capture.scene_masks import photos_of
+from pcore.capture.voted_hull import hull_silhouettes
 from pcore.data.scene import Scene, View
 from pcore.errors import DependencyError, InputError
 from pcore.evaluation.findings import Finding, findings
+from pcore.geometry.camera import Camera
 from pcore.geometry.object_region import Region
 from pcore.training.forecast import Forecast, forecasts
 from pcore.training.locate import Located, Source, locate
@@ -184,9 +186,11 @@ def _cut_out(view: View, mask: Tensor) -> View:
 def _agreed(views: Sequence[View], region: Region) -> CheckedMasks:
     """How well masks that are there agree with their own hull, looked at small."""
     small = [_small(view) for view in views]
-    photos = [one[0] for one in small]
+    cameras = [one[0] for one in small]
     masks = [one[1] for one in small]
-    hulls = hull_silhouettes(photos, masks, region, votes=(_VOTE,), into=photos, voxels=_VOXELS)[0]
+    hulls = hull_silhouettes(cameras, masks, region, votes=(_VOTE,), into=cameras, voxels=_VOXELS)[
+        0
+    ]
     return CheckedMasks(
         masks=tuple(view.alpha() for view in views),
         agreement=tuple(overlap(a, b) for a, b in zip(masks, hulls, strict=True)),
@@ -194,11 +198,8 @@ def _agreed(views: Sequence[View], region: Region) -> CheckedMasks:
     )
 
 
-def _small(view: View) -> tuple[Photo, np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]:
+def _small(view: View) -> tuple[Camera, np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]:
     scale = min(1.0, _SIDE / max(view.camera.width, view.camera.height))
     size = round(scale * view.camera.height), round(scale * view.camera.width)
     alpha = torch.nn.functional.interpolate(view.alpha()[None, None], size, mode="area")[0, 0]
-    photo = Photo(
-        name=view.name, camera=view.camera.resized(size[1], size[0]), rgb=torch.zeros(*size, 3)
-    )
-    return photo, (alpha > 0.5).numpy().astype(np.uint8)
+    return view.camera.resized(size[1], size[0]), (alpha > 0.5).numpy().astype(np.uint8)
