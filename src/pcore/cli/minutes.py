@@ -114,7 +114,7 @@ def _recorded(
     Raises:
         InputError: the run made no promise, or is of another kind of object.
     """
-    from pcore.capture.load import load_scene
+    from pcore.cli.train import opened
     from pcore.files.records import from_dict
     from pcore.files.run_record import RunRecord, begun
 
@@ -129,13 +129,17 @@ def _recorded(
         )
     config = from_dict(kind, settings, where=f"{command.output}: run.json")
     changed = replace(base, **{name: getattr(config, name) for name in names})
-    return load_scene(command.scene, factor=int(record.get("factor", 1))), changed
+    again = replace(command, factor=int(record.get("factor", 1)))
+    return opened(again, Console(quiet=True)), changed
 
 
 def _divided(command: TrainCommand, scene: Scene, factor: int) -> Scene:
-    from pcore.capture.load import load_scene
+    from pcore.cli.train import opened
 
-    return scene if factor == 1 else load_scene(command.scene, factor=factor)
+    if factor == 1:
+        return scene
+    # Masks that were cut for this run lie in its folder by now.
+    return opened(replace(command, factor=factor), Console(quiet=True))
 
 
 def _left(promise: Promise, reserve: float) -> float:

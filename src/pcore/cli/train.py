@@ -79,6 +79,13 @@ class TrainCommand:
     photos agree, and far away; gaussians), or a PLY or NPY file. Default: hull; for images without
     alpha grid (papr), or sparse where there are such points, else views (gaussians)."""
 
+    masks: Annotated[str | None, optional("auto|none|FOLDER")] = None
+    """Where photos show the object: auto (cut out of them now, needs OpenCV), a folder of masks, or
+    none (learn the background too). Default: alpha, or masks that the scene brings."""
+
+    box: Annotated[tuple[float, ...], arg(metavar="X Y Z X Y Z", help_behavior_hint="")] = ()
+    """Lower and upper corner of the object in world units; default: found (`pcore check`)."""
+
     background: Annotated[
         Literal["white", "black", "random"] | None, optional("{white,black,random}")
     ] = None
@@ -126,14 +133,13 @@ def train(command: TrainCommand, console: Console) -> None:
         TrainingError: training diverged or cannot write, or nothing is to be seen at its end.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
-    from pcore.capture.load import load_scene
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
 
     began = time.monotonic()
     prepare_torch(command.threads)
     device = pick_device(command.device)
-    scene = load_scene(command.scene, factor=command.factor, tell=console.print)
+    scene = opened(command, console)
     config = _config(command, scene, console)
     command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
@@ -148,6 +154,26 @@ def train(command: TrainCommand, console: Console) -> None:
     if config.steps >= EARLY:
         check_shows(asset, scene)
     show_result(console, asset)
+
+
+def opened(command: TrainCommand, console: Console) -> Scene:
+    """Open the scene with the masks that are asked for, and find its object.
+
+    Raises:
+        SceneError: the scene or a mask cannot be read.
+        InputError: a bad box, or masks that cannot be found.
+        DependencyError: automatic masks without OpenCV.
+    """
+    from pcore.cli.scenes import located_scene
+
+    return located_scene(
+        command.scene,
+        factor=command.factor,
+        masks=command.masks,
+        box=command.box,
+        made=command.output / "masks",
+        console=console,
+    ).scene
 
 
 def trained(

@@ -11,7 +11,15 @@ from rich.console import Console
 from rich.text import Text
 
 from pcore.cli.minutes import Promise, promised_gaussians, say_duration
-from pcore.cli.train import EARLY, TrainCommand, announce, check_shows, trained, warn_of_start
+from pcore.cli.train import (
+    EARLY,
+    TrainCommand,
+    announce,
+    check_shows,
+    opened,
+    trained,
+    warn_of_start,
+)
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -30,7 +38,6 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         InputError: an option that Gaussians do not have.
         PcoreError: as `fit_gaussians` and the run folder.
     """
-    from pcore.capture.load import load_scene
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
     from pcore.training.gaussian_start import chosen_start
@@ -39,7 +46,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     prepare_torch(command.threads)
     device = pick_device(command.device)
     config = _config(command)
-    scene = load_scene(command.scene, factor=command.factor, tell=console.print)
+    scene = opened(command, console)
     plan = f"{command.preset}, {config.steps:,} steps"
     if command.minutes is not None:
         promise = Promise(minutes=command.minutes, began=began)

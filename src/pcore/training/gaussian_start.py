@@ -67,7 +67,9 @@ def start_gaussians(
                 f"scene {scene.name}: expected images with an alpha channel for a visual hull, got "
                 'photos without one; start from "views" or from a PLY or NPY file of points'
             )
-        positions = hull_points(config.points, views, scene.lower, scene.upper, generator=generator)
+        positions = hull_points(
+            config.points, views, scene.lower, scene.upper, generator=generator, region=scene.region
+        )
     elif start == "views":
         positions = _consistent_and_far(config.points, views, distance, generator)
     elif start == "sparse":
