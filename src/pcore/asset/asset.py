@@ -270,8 +270,11 @@ class Asset:
             InputError: none is given and that on record is not here.
             SceneError: the scene is damaged.
         """
-        chosen = self.record.factor if factor is None else factor
-        return load_scene(self.record.scene_or(folder), factor=chosen)
+        record = self.record
+        chosen = record.factor if factor is None else factor
+        masks = record.masks if folder is None else None
+        scene = load_scene(record.scene_or(folder), factor=chosen, masks=masks)
+        return scene if record.region is None else replace(scene, region=record.region)
 
     @property
     def path(self) -> Path:

@@ -15,7 +15,7 @@ from pcore.data.scene import Scene
 from pcore.files.provenance import Provenance
 from pcore.files.records import to_dict
 from pcore.files.run_folder import RunFolder, bytes_needed
-from pcore.files.run_record import RunRecord
+from pcore.files.run_record import RunRecord, of_scene
 from pcore.relight.light_file import LIGHT_FILE, save_light
 from pcore.training.events import Listener
 from pcore.training.gaussian_config import GaussianConfig, GaussianFinetuneConfig
@@ -47,7 +47,7 @@ def gaussian_plan(
         config={
             "model": "gaussians",
             "preset": preset,
-            "factor": scene.factor,
+            **of_scene(scene, None if folder is None else Path(folder)),
             "gaussians": to_dict(config),
         },
         resume=resume,

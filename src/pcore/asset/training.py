@@ -21,7 +21,7 @@ from pcore.data.scene import Scene, check_images
 from pcore.errors import InputError
 from pcore.files.records import to_dict
 from pcore.files.run_folder import RunFolder
-from pcore.files.run_record import RunRecord, relative
+from pcore.files.run_record import RunRecord, of_scene, relative
 from pcore.relight.estimate import fit_light
 from pcore.relight.light_file import LIGHT_FILE, save_light
 from pcore.render.surfel_fit import Observed, observe
@@ -31,6 +31,7 @@ from pcore.training.events import Listener, silent
 from pcore.training.finetune import finetune as run_finetuning
 from pcore.training.gaussian_config import GaussianConfig, GaussianFinetuneConfig
 from pcore.training.in_folder import FolderPlan, disk_space, train_in_folder
+from pcore.training.locate import locate
 from pcore.training.presets import PretrainName
 from pcore.training.pretrain import pretrain
 from pcore.training.trained import Trained
@@ -68,6 +69,7 @@ def train(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     chosen = options or RunOptions()
+    scene = scene if scene.region is not None else locate(scene).scene
     if settings == "gaussians":
         settings = presets.gaussian_preset("tiny")
     if isinstance(settings, GaussianConfig):
@@ -93,7 +95,7 @@ def train(
         stage="pretrain",
         config={
             "preset": chosen.preset or name,
-            "factor": scene.factor,
+            **of_scene(scene, None if folder is None else Path(folder)),
             "pretrain": to_dict(config),
         },
     )
@@ -146,7 +148,7 @@ def finetune(
     about = {
         **_base_of(asset, path),
         "preset": chosen.preset or name,
-        "factor": scene.factor,
+        **of_scene(scene, path),
     }
     if isinstance(config, GaussianFinetuneConfig):
         tuned, learned = tune_gaussians(

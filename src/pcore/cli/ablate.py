@@ -98,7 +98,8 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"compared with it; ablate the run that it was tuned from, {record.base}"
         )
     factor = record.factor if command.factor is None else command.factor
-    places = open_states(record.scene_or(command.scene), factor=factor)
+    masks = record.masks if command.scene is None else None
+    places = open_states(record.scene_or(command.scene), factor=factor, masks=masks)
     states = places.select(command.state)
     note(console, places.scene.notes)
     check_images(shot.view for state in states for shot in state.shots)

@@ -190,7 +190,7 @@ def _cameras(
 ) -> list[Camera]:
     import torch
 
-    from pcore.capture.load import camera_notes, load_scene
+    from pcore.capture.load import camera_notes
     from pcore.cli import cameras
     from pcore.cli.diagnosing import note
     from pcore.geometry.camera_path import path_through
@@ -211,7 +211,7 @@ def _cameras(
     if folder is None:
         views = cameras.orbit_of_cloud(torch.cat([one.points for one in moved]), wish)
     else:
-        scene = load_scene(folder, factor=asset.record.factor)
+        scene = asset.scene(folder)
         note(console, scene.notes)
         # One distance for all frames: the farthest that any of them needs.
         reach = max(growth(asset.points, one.points, scene.center) for one in moved)

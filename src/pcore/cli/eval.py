@@ -114,7 +114,8 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     base = baseline_of(run, command.baseline, device=device)
     runs = [run] if base is None else [base, run]
     factor = run.record.factor if command.factor is None else command.factor
-    places = open_states(run.record.scene_or(command.scene), factor=factor)
+    masks = run.record.masks if command.scene is None else None
+    places = open_states(run.record.scene_or(command.scene), factor=factor, masks=masks)
     states = places.select(command.state or (() if command.edit else ("all",)))
     edited, odd = _edited(command, places, runs)
     states += edited

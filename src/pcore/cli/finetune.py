@@ -95,8 +95,9 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     from pcore.asset.saving import load
     from pcore.asset.training import RunOptions, finetune
     from pcore.cli.light import show_light
-    from pcore.cli.runtime import pick_device, prepare_torch, refuse_ranks
+    from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result, shown_training
+    from pcore.cli.torchrun import refuse_ranks
     from pcore.cli.train import announce
     from pcore.files.run_record import finished
     from pcore.training.config import FinetuneConfig

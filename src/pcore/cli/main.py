@@ -45,6 +45,7 @@ class Verb:
 
 VERBS: tuple[Verb, ...] = (
     Verb("demo", "pcore.cli.demo", "DemoCommand", "the whole story on a sample, with a report"),
+    Verb("check", "pcore.cli.check", "CheckCommand", "look at a scene before it is trained"),
     Verb("train", "pcore.cli.train", "TrainCommand", "learn a scene from its photos"),
     Verb(
         "finetune",

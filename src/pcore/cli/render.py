@@ -209,7 +209,7 @@ def _views(command: RenderCommand, asset: Asset, posed: Posed, console: Console)
         if folder is None:
             console.print("no scene at hand: the orbit is fitted to the points")
         return cameras.orbit_of_cloud(posed.points, wish)
-    scene = load_scene(folder, factor=factor)
+    scene = asset.scene(folder, factor=factor)
     note(console, scene.notes)
     # An edit that makes the object larger moves the cameras back.
     reach = growth(asset.points, posed.points, scene.center)

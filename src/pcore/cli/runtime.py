@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Generator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Literal
-
-if TYPE_CHECKING:
-    from pcore.training.ranks import Ranks
+from typing import Literal
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 
@@ -57,51 +51,3 @@ def pick_device(name: DeviceName) -> str:
             f"{why}, or use --device cpu"
         )
     return name
-
-
-@contextmanager
-def joined_ranks(device: str) -> Generator[Ranks]:
-    """Train together with the other processes that torchrun started; alone without it.
-
-    Args:
-        device: "cuda": each process takes the GPU of its number on its machine; or "cpu".
-    """
-    import torch
-    import torch.distributed as dist
-
-    from pcore.training.ranks import Ranks, current_ranks
-
-    if _processes() < 2:
-        yield Ranks()
-        return
-    if device == "cuda":
-        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
-    dist.init_process_group("nccl" if device == "cuda" else "gloo")
-    try:
-        yield current_ranks()
-    finally:
-        dist.destroy_process_group()
-
-
-def is_first() -> bool:
-    """Whether this process speaks for those that torchrun started; it does alone."""
-    return _processes() < 2 or os.environ.get("RANK", "0") == "0"
-
-
-def refuse_ranks(what: str) -> None:
-    """Refuse to do the same work several times.
-
-    Raises:
-        InputError: torchrun started several processes.
-    """
-    from pcore.errors import InputError
-
-    if _processes() > 1:
-        raise InputError(
-            f"{what}: expected one process, got {_processes()} by torchrun; only `pcore train "
-            "--model papr` shares its work, start this one without torchrun"
-        )
-
-
-def _processes() -> int:
-    return int(os.environ.get("WORLD_SIZE", "1"))

@@ -9,8 +9,8 @@ from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
 from pcore.gaussians.render import Footprint
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE
-from pcore.training.config import Background
-from pcore.training.schedule import Schedule
+from pcore.training.config import Background, Exposure
+from pcore.training.schedule import Level, Schedule, check_levels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +84,9 @@ class GaussianConfig:
     points: int = 4000
     """Gaussians at the start."""
     start: str = "auto"
-    """"hull" (visual hull of the training masks), "views" (in front of the cameras, near ones and
-    far ones), a PLY or NPY file of points, or "auto": hull where there are masks, else views."""
+    """"hull" (visual hull of the training masks), "sparse" (points of the reconstruction that posed
+    the photos, and far ones), "views" (where neighbouring photos agree, and far ones), a PLY or NPY
+    file of points, or "auto": the first of these that the scene has."""
     degree: int = 3
     """Of the spherical harmonics."""
     degree_every: float = 1 / 6
@@ -110,6 +111,14 @@ class GaussianConfig:
     """Steps between saves."""
     seed: int = 0
     """Of every random draw."""
+    levels: tuple[Level, ...] | None = None
+    """Coarse to fine; from the end of the last one on the photos are whole. None: always."""
+    exposure: Exposure = None
+    """"per-view" learns an affine map of colours for every photo along; None takes them as they
+    are."""
+    seconds: float | None = None
+    """Promised for all steps, validations and saves; `steps` is then what is foreseen. None makes
+    the steps and promises nothing."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "points", "validate_every", "save_every"):
@@ -131,6 +140,7 @@ class GaussianConfig:
                 "training of Gaussians: expected an opacity between 0 and 1 and a weight of the "
                 f"SSIM from 0 to 1, got {self.opacity_start} and {self.ssim_weight}"
             )
+        check_levels(self.levels)
         if not 0 <= self.seed < 2**63 - 1 or not math.isfinite(self.degree_every):
             raise InputError(
                 f"training of Gaussians: expected a seed from 0 to 2**63 - 2, got {self.seed}"

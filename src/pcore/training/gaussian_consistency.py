@@ -85,7 +85,7 @@ class GaussianObjective:
             background=color,
         )
         photo = photo_on(view, color, device)
-        rgb = valid_only(picture.rgb, photo, view)
+        rgb = valid_only(picture.rgb, photo, view.valid())
         found = picture_losses(rgb, photo, config.ssim_weight)
         terms = dict(found.terms)
         if config.needle_weight > 0:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import torch
@@ -14,6 +13,7 @@ from torch import Tensor
 from pcore.data.scene import View
 from pcore.errors import TrainingError
 from pcore.files.run_folder import RunFolder
+from pcore.files.training_state import TrainingState
 from pcore.training.budget import Budget, largest_part
 from pcore.training.compiling import compiler_errors_explained
 from pcore.training.config import Background
@@ -25,8 +25,10 @@ from pcore.training.events import (
     Stopped,
     ValidationReport,
 )
+from pcore.training.exposure import ViewExposure
 from pcore.training.interrupt import deferred_interrupt
 from pcore.training.losses import Losses
+from pcore.training.pace import Pace
 from pcore.training.ranks import Ranks, current_ranks
 from pcore.training.schedule import Schedule
 from pcore.training.work import Work
@@ -48,6 +50,8 @@ class Plan:
         validation: held-out training views.
         background: behind images with alpha.
         scene: name of the scene, for the model file.
+        pace: of a training that has promised a time; None makes the steps and no promise.
+        exposure: of the photos, where it is learned along.
     """
 
     steps: int
@@ -57,6 +61,8 @@ class Plan:
     validation: Sequence[View]
     background: Background
     scene: str
+    pace: Pace | None = None
+    exposure: ViewExposure | None = None
 
 
 def run_loop(
@@ -93,27 +99,31 @@ def run_loop(
     if budget is not None:
         work.best = {"weights": {k: t.clone() for k, t in budget.before.items()}, "kept_step": 0}
     ranks = current_ranks()
-    _resume(work, folder, ranks)
-    if work.step >= plan.steps:
+    pace = plan.pace or Pace(
+        plan.steps, validate_every=plan.validate_every, save_every=plan.save_every
+    )
+    state = folder.load_state() if folder is not None else None
+    _resume(work, plan, pace, ranks.from_first(state))
+    if pace.done(work.step):
         # Killed between the files of the last save: complete them.
         finish(listener)
-        _save(work, plan, folder, listener, finished=True)
-    clock = _Clock(work.step, plan.steps)
+        _save(work, plan, pace, folder, listener, finished=True)
     with deferred_interrupt() as interrupted:
-        while work.step < plan.steps:
-            found = _step(work, plan, losses, ranks)
+        while not pace.done(work.step):
+            found = _step(work, plan, pace, losses, ranks)
             after_step(listener)
-            if work.step % _REPORT_EVERY == 0 or work.step == plan.steps:
-                listener(_report(work, plan, found, clock))
-            if work.step % plan.validate_every == 0 or work.step == plan.steps:
-                _validate(work, plan, budget, listener)
+            pace.after(work.step)
+            if work.step % _REPORT_EVERY == 0 or pace.done(work.step):
+                listener(_report(work, pace, found))
+            if pace.validates(work.step):
+                _validate(work, plan, budget, listener, last=pace.done(work.step))
             stop = ranks.any(bool(interrupted))
-            last = work.step == plan.steps or stop
+            last = pace.done(work.step) or stop
             if last and not stop:
                 finish(listener)
-            if last or work.step % plan.save_every == 0:
+            if last or pace.saves(work.step):
                 ranks.check_same(work.weights(), work.step)
-                _save(work, plan, folder, listener, finished=last and not stop)
+                _save(work, plan, pace, folder, listener, finished=last and not stop)
             if stop:
                 _stop(work, folder, listener)
     listener(_finished(work))
@@ -131,21 +141,26 @@ def _finished(work: Work[Any]) -> Stopped:
     return Stopped(stage=work.stage, step=work.step, reason="finished", message=message)
 
 
-def _step(work: Work[Any], plan: Plan, losses: Callable[[], Losses], ranks: Ranks) -> Losses:
-    work.set_rates(plan.rates, plan.steps)
+def _step(
+    work: Work[Any], plan: Plan, pace: Pace, losses: Callable[[], Losses], ranks: Ranks
+) -> Losses:
+    work.set_rates(plan.rates, pace.length(work.step))
     work.optimizer.zero_grad(set_to_none=True)
     with compiler_errors_explained():
         found = losses()
         found.total.backward()
-    ranks.add_gradients(work.optimizer)
+    learned = [p for group in work.optimizer.param_groups for p in group["params"]]
+    ranks.add_gradients(learned if plan.exposure is None else [*learned, plan.exposure.change])
     work.optimizer.step()
+    if plan.exposure is not None:
+        plan.exposure.step(pace.progress(work.step))
     work.step += 1
     with torch.no_grad():
         ranks.add([found.squared_error, *found.terms.values()])
     return found
 
 
-def _report(work: Work[Any], plan: Plan, found: Losses, clock: _Clock) -> StepReport:
+def _report(work: Work[Any], pace: Pace, found: Losses) -> StepReport:
     figures = [found.total, found.squared_error, *found.terms.values()]
     # All at once: every transfer from a GPU waits for it.
     loss, error, *terms = torch.stack(figures).detach().tolist()
@@ -157,17 +172,19 @@ def _report(work: Work[Any], plan: Plan, found: Losses, clock: _Clock) -> StepRe
     return StepReport(
         stage=work.stage,
         step=work.step,
-        steps=plan.steps,
+        steps=pace.steps,
         loss=loss,
         losses=dict(zip(found.terms, terms, strict=True)),
         psnr=-10 * math.log10(max(error, 1e-12)),
         points=work.points,
-        seconds_left=clock.seconds_left(work.step),
+        seconds_left=pace.seconds_left(work.step),
         rates={group["name"]: group["lr"] for group in work.optimizer.param_groups},
     )
 
 
-def _validate(work: Work[Any], plan: Plan, budget: Budget | None, listener: Listener) -> None:
+def _validate(
+    work: Work[Any], plan: Plan, budget: Budget | None, listener: Listener, *, last: bool
+) -> None:
     if not plan.validation:
         return
     scores = work.scores(plan.validation, plan.background)
@@ -187,12 +204,13 @@ def _validate(work: Work[Any], plan: Plan, budget: Budget | None, listener: List
         )
     )
     if budget is not None:
-        _keep(work, plan, budget, psnr, listener)
+        _keep(work, plan, budget, psnr, listener, last=last)
 
 
-def _keep(work: Work[Any], plan: Plan, budget: Budget, psnr: float, listener: Listener) -> None:
+def _keep(
+    work: Work[Any], plan: Plan, budget: Budget, psnr: float, listener: Listener, *, last: bool
+) -> None:
     """Keep weights that meet the budget: these or, at the end, a part of the way to them."""
-    last = work.step == plan.steps
     if not (last or budget.met_by(psnr)):
         return
 
@@ -213,19 +231,31 @@ def _result(work: Work[Result]) -> Result:
     return work.result(work.best.get("weights"))
 
 
-def _resume(work: Work[Any], folder: RunFolder | None, ranks: Ranks) -> None:
-    state = ranks.from_first(folder.load_state() if folder is not None else None)
+def _resume(work: Work[Any], plan: Plan, pace: Pace, state: TrainingState | None) -> None:
     if state is not None:
         work.restore(state)
+        pace.restore(state.optimisers.get("pace", {}), work.step)
+        if plan.exposure is not None:
+            plan.exposure.restore(state.optimisers.get("exposure", {}))
 
 
 def _save(
-    work: Work[Any], plan: Plan, folder: RunFolder | None, listener: Listener, *, finished: bool
+    work: Work[Any],
+    plan: Plan,
+    pace: Pace,
+    folder: RunFolder | None,
+    listener: Listener,
+    *,
+    finished: bool,
 ) -> None:
     _check_finite(work)
     if folder is None:
         return
-    folder.save_state(work.state())
+    state = work.state()
+    more = {"pace": pace.state()}
+    if plan.exposure is not None:
+        more["exposure"] = plan.exposure.state()
+    folder.save_state(replace(state, optimisers={**state.optimisers, **more}))
     listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
     for path in work.save(folder, plan.scene):
         listener(Saved(stage=work.stage, step=work.step, path=path))
@@ -255,17 +285,6 @@ def _stop(work: Work[Any], folder: RunFolder | None, listener: Listener) -> None
         f"step {work.step} is saved in {folder.path}; the same command goes on from there "
         "(`pcore train` and `pcore finetune` with --resume)"
     )
-
-
-class _Clock:
-    """Estimates the time that is left from the steps of this process."""
-
-    def __init__(self, first: int, steps: int) -> None:
-        self._first, self._steps, self._start = first, steps, time.monotonic()
-
-    def seconds_left(self, step: int) -> float | None:
-        done = step - self._first
-        return (time.monotonic() - self._start) * (self._steps - step) / done if done else None
 
 
 def autocast(device: torch.device, *, enabled: bool) -> torch.autocast:

@@ -52,16 +52,15 @@ class Ranks:
         for one, part in zip(own, parts, strict=True):
             one.copy_(part.view_as(one))
 
-    def add_gradients(self, optimizer: torch.optim.Optimizer) -> None:
+    def add_gradients(self, parameters: Iterable[Tensor]) -> None:
         """Replace all gradients by their sums over the processes."""
         if self.count == 1:
             return
-        learned = [p for group in optimizer.param_groups for p in group["params"]]
-        learned = [p for p in learned if p.requires_grad]
+        learned = [p for p in parameters if p.requires_grad]
         for p in learned:
             # Whether a parameter took part may differ between processes, the message may not.
             p.grad = torch.zeros_like(p) if p.grad is None else p.grad
-        self.add([p.grad for p in learned])
+        self.add([p.grad for p in learned if p.grad is not None])
 
     def any(self, here: bool) -> bool:
         """Whether something holds in at least one process."""

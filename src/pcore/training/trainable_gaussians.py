@@ -78,6 +78,7 @@ class TrainableGaussians:
         stage: "pretrain" or "finetune": in a run folder they stand in the place of PAPR's.
         step: steps done.
         best: figures of the best validation.
+        fits_exposure: whether figures are also given under a fitted map of colours.
     """
 
     raw: dict[str, nn.Parameter]
@@ -92,6 +93,7 @@ class TrainableGaussians:
     stage: str = "pretrain"
     step: int = 0
     best: dict[str, Any] = field(default_factory=dict[str, Any])
+    fits_exposure: bool = False
 
     @property
     def points(self) -> int:
@@ -124,7 +126,7 @@ class TrainableGaussians:
         """All parameters by name, sharing memory with the training."""
         return {name: parameter.detach() for name, parameter in self.raw.items()}
 
-    def set_rates(self, rates: Mapping[str, Schedule], steps: int) -> None:
+    def set_rates(self, rates: Mapping[str, Schedule], steps: float) -> None:
         """Set the learning rate of every group, by its name, for the coming step."""
         for group in self.optimizer.param_groups:
             group["lr"] = rates[group["name"]].at(self.step, steps)
@@ -168,7 +170,7 @@ class TrainableGaussians:
             )
             return found.rgb[0].cpu()
 
-        return mean_scores(views, color, draw)
+        return mean_scores(views, color, draw, fitted=self.fits_exposure)
 
     def save(self, folder: RunFolder, scene: str) -> list[str]:
         """Write what users load; return the paths."""
@@ -228,6 +230,7 @@ def trainable_gaussians(
     seed: int,
     place: Callable[[Gaussians], Gaussians] | None = None,
     stage: Stage = "pretrain",
+    fits_exposure: bool = False,
 ) -> TrainableGaussians:
     """Return Gaussians made ready to train, with Adam, on the device where they are."""
     rows = {
@@ -253,6 +256,7 @@ def trainable_gaussians(
         seen=seen,
         place=place,
         stage=stage,
+        fits_exposure=fits_exposure,
     )
 
 
@@ -274,9 +278,8 @@ def photo_on(view: View, color: Tensor, device: torch.device) -> Tensor:
     return composite(view.rgba(), color).to(device).unsqueeze(0)
 
 
-def valid_only(rgb: Tensor, photo: Tensor, view: View) -> Tensor:
+def valid_only(rgb: Tensor, photo: Tensor, valid: Tensor | None) -> Tensor:
     """(1, H, W, 3) a rendering, with the photo where that shows nothing: there nothing is wrong."""
-    valid = view.valid()
     return rgb if valid is None else torch.where(valid.to(rgb.device)[..., None], rgb, photo)
 
 
