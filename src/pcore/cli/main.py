@@ -55,6 +55,7 @@ VERBS: tuple[Verb, ...] = (
     Verb("light", "pcore.cli.light", "LightCommand", "estimate the light, so that it stays put"),
     Verb("render", "pcore.cli.render", "RenderCommand", "take pictures of a run, also deformed"),
     Verb("animate", "pcore.cli.animate", "AnimateCommand", "film a run under keyframes"),
+    Verb("fit", "pcore.cli.fit", "FitCommand", "find the pose of a run in photos of another state"),
     Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),
     Verb("ablate", "pcore.cli.ablate", "AblateCommand", "fine-tune with parts left out, compare"),
     Verb("study make", "pcore.cli.study", "StudyMakeCommand", "ask people which of two is better"),

@@ -1,0 +1,68 @@
+"""Settings of a fit of a pose to photos."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pcore.geometry.farthest_points import ANCHORS
+from pcore.validation import check_count
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitStage:
+    """One stage of a fit, from coarse to fine.
+
+    Attributes:
+        pixels: longest side of its pictures at most.
+        steps: of Adam.
+        rate: length of a step at first: mean spacings of the anchors, and radians.
+        stiffness: weight of as rigid as possible against the error of the pictures.
+        spread: how far a step is handed on along the graph of anchors: gradients are multiplied by
+            (1 + spread * L)^-1 with its Laplacian L (Nicolet et al. 2021).
+    """
+
+    pixels: int
+    steps: int
+    rate: float
+    stiffness: float
+    spread: float
+
+
+STAGES = (
+    FitStage(pixels=25, steps=160, rate=0.1, stiffness=0.1, spread=10.0),
+    FitStage(pixels=50, steps=160, rate=0.05, stiffness=0.03, spread=3.0),
+    FitStage(pixels=100, steps=160, rate=0.03, stiffness=0.01, spread=1.0),
+)
+"""Chosen on figures of limbs (docs/research/fit.md)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitConfig:
+    """How a pose is fitted.
+
+    Attributes:
+        anchors: how many carry the object; all of them are handles of the edit that is found.
+        seed: of the choice of the anchors and of the order of photos.
+        views: photos per step.
+        silhouettes: compare outlines only, not colours: photos that are masks.
+        stages: from coarse to fine.
+        relight: steps after which the light on the moved object is computed anew.
+    """
+
+    anchors: int = ANCHORS
+    seed: int = 0
+    views: int = 2
+    silhouettes: bool = False
+    stages: tuple[FitStage, ...] = STAGES
+    relight: int = 40
+
+    def __post_init__(self) -> None:
+        check_count("fit: anchors", self.anchors, minimum=2)
+        check_count("fit: photos per step", self.views)
+        check_count("fit: stages", len(self.stages))
+        check_count("fit: steps between lights", self.relight)
+
+    @property
+    def steps(self) -> int:
+        """Steps of all stages."""
+        return sum(stage.steps for stage in self.stages)
