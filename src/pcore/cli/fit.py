@@ -51,7 +51,7 @@ class FitCommand:
     factor: Count = None
     """Down-scaling of the photos; default: that of the training."""
 
-    anchors: Annotated[int, arg(metavar="N")] = 64
+    anchors: Annotated[int, arg(metavar="N")] = 128
     """Anchors that carry the object."""
 
     seed: Annotated[int, arg(metavar="N")] = 0

@@ -1,4 +1,4 @@
-"""Photos of a deformed state, prepared for a fit: smaller and smaller pictures with their cameras."""
+"""Photos of a deformed state, prepared for a fit: smaller pictures with their cameras."""
 
 from __future__ import annotations
 

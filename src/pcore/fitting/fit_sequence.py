@@ -80,6 +80,4 @@ def check_times(times: Sequence[float], count: int) -> None:
     """Raise InputError unless there are so many times, in increasing order."""
     pairs = zip(times, list(times)[1:], strict=False)
     if len(times) != count or any(not first < second for first, second in pairs):
-        raise InputError(
-            f"times: expected {count} numbers in increasing order, got {list(times)}"
-        )
+        raise InputError(f"times: expected {count} numbers in increasing order, got {list(times)}")

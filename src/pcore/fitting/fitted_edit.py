@@ -43,7 +43,9 @@ def _axis_angle(vector: Tensor) -> tuple[tuple[float, float, float], float]:
     return (x, y, z), math.degrees(angle)
 
 
-def pose_of_edit(script: EditScript, points: Tensor, rig: AnchorRig, config: FitConfig) -> AnchorPose:
+def pose_of_edit(
+    script: EditScript, points: Tensor, rig: AnchorRig, config: FitConfig
+) -> AnchorPose:
     """Return the pose of a rig's anchors under an edit, to start from.
 
     Args:

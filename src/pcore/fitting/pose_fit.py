@@ -22,7 +22,6 @@ from pcore.fitting.fit_config import FitConfig, FitStage
 from pcore.fitting.fit_photos import Photo, in_turns, photos_of
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, pose_of_edit
 from pcore.gaussians.carry import carried_covariances
-from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, PosedGaussians, render
 from pcore.geometry.local_maps import LocalMaps
 
@@ -78,7 +77,9 @@ def fit_pose(
     content = gaussian_content(asset)
     photos = photos_of(views, content.gaussians.means.device)
     rig = anchor_rig(asset.points, asset.rig, config)
-    fitter = _Fitter(content, AnchorSpace.of(rig.graph, content.gaussians.means.device), rig.weights)
+    fitter = _Fitter(
+        content, AnchorSpace.of(rig.graph, content.gaussians.means.device), rig.weights
+    )
     numbers = fitter.space.rest.new_zeros(len(fitter.space.rest), 6)
     if start is not None:
         given = pose_of_edit(script_of(start), asset.points, rig, config)
@@ -92,8 +93,6 @@ def fit_pose(
         done += stage.steps
     after = fitter.agreement(numbers, finest)
     check_same_object(after, silhouettes=config.silhouettes)
-    if _error(after, config) > _error(before, config):
-        numbers, after = fitter.space.numbers(fitter.space.pose(numbers)), after
     return PoseFit(edit=edit_of(fitter.space.pose(numbers), config), before=before, after=after)
 
 
@@ -110,10 +109,6 @@ def gaussian_content(asset: Asset) -> GaussianContent:
             "`pcore train SCENE --model gaussians`"
         )
     return content
-
-
-def _error(found: Agreement, config: FitConfig) -> float:
-    return -found.overlap if config.silhouettes else -found.psnr
 
 
 def _later(progress: Progress | None, done: int, total: int) -> Callable[[int], None]:
@@ -142,7 +137,7 @@ class _Fitter:
 
     @torch.no_grad()
     def look(self, numbers: Tensor) -> PosedGaussians:
-        """The object as `Asset.pose` draws it: with turned colours and a light that stands still."""
+        """The object as `Asset.pose` draws it: colours turned along, light standing still."""
         moved = self.skinned(self.space.pose(numbers))
         maps = LocalMaps(to_rest=torch.linalg.inv(moved.linear.double()).float().cpu())
         motion = MovedPoints(positions=moved.positions.cpu(), local_maps=maps)
@@ -165,7 +160,7 @@ class _Fitter:
         config: FitConfig,
         told: Callable[[int], None],
     ) -> Tensor:
-        """Numbers (M, 6) after the steps of a stage."""
+        """Numbers (M, 6) after a stage, or those before it if they fit its photos better."""
         small = [photo.at_most(stage.pixels) for photo in photos]
         smoother = self.space.smoother(stage.spread)
         spread = torch.linalg.inv(smoother)
@@ -194,7 +189,22 @@ class _Fitter:
             (loss + stage.stiffness * self.space.bending(pose) + folds).backward()
             optimizer.step()
             told(step + 1)
-        return (spread @ latent).detach()
+        found = (spread @ latent).detach()
+        errors = [self.error(each, small, config) for each in (start, found)]
+        return found if errors[1] < errors[0] else start
+
+    @torch.no_grad()
+    def error(self, numbers: Tensor, photos: Sequence[Photo], config: FitConfig) -> float:
+        """Error of all photos before white."""
+        return float(
+            picture_loss(
+                self.look(numbers),
+                photos,
+                numbers.new_ones(3),
+                footprint=self.content.footprint,
+                silhouettes=config.silhouettes,
+            )
+        )
 
 
 def picture_loss(
