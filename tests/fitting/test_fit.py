@@ -9,21 +9,23 @@ import pytest
 import torch
 from banded_rod import cameras, rod, write_photos
 
-from pcore.capture.load import load_scene
-from pcore.data.scene import View
+import pcore
 from pcore.asset.asset import Asset
+from pcore.capture.load import load_scene
 from pcore.cli.main import main
+from pcore.data.scene import View
 from pcore.deform.skinning import AnchorPose, skin
 from pcore.editing.script import load_edit
 from pcore.errors import InputError
 from pcore.fitting.anchor_motion import AnchorSpace, rotation_matrices, rotation_vectors
-from pcore.fitting.fit_config import FitConfig, FitStage
+from pcore.fitting.appearance_fit import fit_appearance
+from pcore.fitting.fit_config import AppearanceConfig, FitConfig, FitStage
 from pcore.fitting.fit_photos import photos_of
 from pcore.fitting.fit_sequence import fit_sequence
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, keyframed, pose_of_edit
 from pcore.fitting.pose_fit import fit_pose
 
-BEND = {"version": 2, "edits": [{"type": "bend", "axis": "x", "angle_deg": 70}]}
+BEND = {"version": 2, "edits": [{"type": "bend", "axis": "z", "angle_deg": 70}]}
 TWELVE = {"anchors": 12}
 QUICK = FitConfig(
     **TWELVE,
@@ -118,6 +120,22 @@ def test_from_the_truth_it_stays_there(asset: Asset, tmp_path: Path) -> None:
     moved = (asset.pose(fit.edit).points - asset.pose(edit).points).norm(dim=1)
     assert float(moved.mean()) < 0.01
     assert fit.after.psnr >= fit.before.psnr - 1e-3
+
+
+def test_colours_follow_the_photos(asset: Asset, tmp_path: Path) -> None:
+    other = rod(bands=7.0)
+    edit = edit_of(a_pose(asset, FitConfig(**TWELVE), 0.03), FitConfig(**TWELVE))
+    photos = write_photos(tmp_path / "red", other, other.pose(edit), cameras(4))
+    painted = fit_appearance(asset, edit, views_of(photos), AppearanceConfig(steps=40, rate=0.1))
+    assert torch.equal(painted.points, asset.points)
+    (unseen,) = cameras(1, elevation=0.6)
+    true = other.render(other.pose(edit), unseen).rgb
+    errors = [
+        float((one.render(one.pose(edit), unseen).rgb - true).abs().mean())
+        for one in (asset, painted)
+    ]
+    assert errors[1] < 0.5 * errors[0]
+    assert len(pcore.load(painted.save(tmp_path / "painted").path)) == len(asset)
 
 
 def test_photos_of_another_object_are_refused(asset: Asset, tmp_path: Path) -> None:

@@ -17,7 +17,9 @@ from pcore.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pcore.asset.asset import Asset
     from pcore.data.scene import View
+    from pcore.editing.script import EditScript
     from pcore.fitting.pose_fit import PoseFit
 
 
@@ -41,6 +43,9 @@ class FitCommand:
 
     start: Annotated[Path | None, optional("FILE")] = None
     """Edit file of a pose to start from; default: as the object was photographed."""
+
+    appearance: Annotated[Path | None, optional("FOLDER")] = None
+    """Let the colours follow the photos as well, and write the object with them as a new run."""
 
     times: Annotated[tuple[float, ...], arg(metavar="T")] = ()
     """Times of the keyframes, one for each --photos; default: evenly from 0 to 1."""
@@ -96,6 +101,8 @@ class FitCommand:
                 result, fits = found.animation, list(found.fits)
         result.save(self.output)
         self._show(console, states, fits)
+        if self.appearance is not None:
+            self._paint(asset, fits[0].edit, states[0], self.appearance, console)
 
     def _check(self) -> None:
         from pcore.validation import check_count
@@ -107,6 +114,25 @@ class FitCommand:
         check_count("--every", self.every)
         if self.times and len(self.photos) == 1:
             raise InputError("--times: expected several --photos, whose times they are, got one")
+        folder = self.appearance
+        if folder is not None and len(self.photos) > 1:
+            raise InputError("--appearance: expected one --photos, whose colours are meant")
+        if folder is not None and folder.exists() and (folder.is_file() or any(folder.iterdir())):
+            raise InputError(
+                f"--appearance {folder}: expected a new or empty folder, got one with files"
+            )
+
+    def _paint(
+        self, asset: Asset, edit: EditScript, views: Sequence[View], folder: Path, console: Console
+    ) -> None:
+        from pcore.cli.results import counting
+        from pcore.fitting.appearance_fit import fit_appearance
+
+        with counting(console, "appearance: steps") as tell:
+            painted = fit_appearance(asset, edit, views, progress=tell)
+        painted.save(folder)
+        text = f"{folder}: the object in the colours of the photos\nnext: pcore render {folder}"
+        console.print(Text(f"{text} --edit {self.output}"), soft_wrap=True)
 
     def _show(
         self, console: Console, states: Sequence[Sequence[View]], fits: Sequence[PoseFit]

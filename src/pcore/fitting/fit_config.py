@@ -68,3 +68,26 @@ class FitConfig:
     def steps(self) -> int:
         """Steps of all stages."""
         return sum(stage.steps for stage in self.stages)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AppearanceConfig:
+    """How colours follow photos of a pose.
+
+    Attributes:
+        pixels: longest side of the pictures at most.
+        steps: of Adam.
+        rate: length of a step at first, of the first coefficient of the colours.
+        views: photos per step.
+        seed: of the order of photos.
+    """
+
+    pixels: int = 200
+    steps: int = 150
+    rate: float = 0.03
+    views: int = 2
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_count("appearance: steps", self.steps)
+        check_count("appearance: photos per step", self.views)

@@ -71,7 +71,7 @@ def fit_pose(
 
     Raises:
         InputError: an object of neural points, photos without masks, or of another object.
-        EditError: a start that does not fit the object.
+        EditError: a start that does not fit the object, or a pose that folds space.
     """
     config = config or FitConfig()
     content = gaussian_content(asset)
@@ -93,7 +93,9 @@ def fit_pose(
         done += stage.steps
     after = fitter.agreement(numbers, finest)
     check_same_object(after, silhouettes=config.silhouettes)
-    return PoseFit(edit=edit_of(fitter.space.pose(numbers), config), before=before, after=after)
+    edit = edit_of(fitter.space.pose(numbers), config)
+    edit.bind(asset.points, rig=asset.rig)  # Whoever draws it refuses an edit that folds space.
+    return PoseFit(edit=edit, before=before, after=after)
 
 
 def gaussian_content(asset: Asset) -> GaussianContent:
