@@ -17,10 +17,11 @@ import torch
 from PIL import Image
 
 from pcore.asset.asset import Asset
+from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.figures import Pixels, sheet
 from pcore.evaluation.methods import open_subject
 from pcore.evaluation.panels import object_window, renderings
-from pcore.evaluation.runner import Method, Taken, evaluate
+from pcore.evaluation.runner import Taken, evaluate
 from pcore.evaluation.states import open_states
 
 METHODS = ("PAPR", "P-CORE", "aware", "aware + light")
@@ -58,9 +59,9 @@ def pictures(wish: argparse.Namespace, scene: str, state: str, view: int) -> lis
     return [np.ascontiguousarray(picture) for picture in cut]
 
 
-def _method(name: str, asset: Asset) -> Method:
+def _method(name: str, asset: Asset) -> AssetMethod:
     """The method of a name, as `pcore eval` calls it."""
-    return Method(
+    return AssetMethod(
         name=name,
         asset=asset,
         rays="aware" if "aware" in name else "plain",

@@ -25,8 +25,8 @@ from torch import Tensor
 import pcore
 from pcore.capture.load import load_scene
 from pcore.data.images import composite
+from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.ground_truth import DeformedTruth
-from pcore.evaluation.runner import Method, carry
 from pcore.evaluation.states import CANONICAL, State, open_states
 
 PARTS = ("edge", "jump", "inside")
@@ -48,7 +48,7 @@ def main() -> None:
     parser.add_argument("--states", nargs="+", default=["all"])
     wish = parser.parse_args()
     torch.set_flush_denormal(True)
-    method = Method(name="run", asset=pcore.load(wish.run), rays="aware")
+    method = AssetMethod(name="run", asset=pcore.load(wish.run), rays="aware")
     places = open_states(wish.scene, factor=wish.factor)
     if places.truth is None:
         raise SystemExit(f"{wish.scene}: no meshes.npz")
@@ -63,10 +63,10 @@ def main() -> None:
 
 
 def measure(
-    method: Method, photos: PhotoSurface, truth: DeformedTruth, state: State, every: int
+    method: AssetMethod, photos: PhotoSurface, truth: DeformedTruth, state: State, every: int
 ) -> dict[str, list[float]]:
     """By picture the parts of its mean squared error, and of the pixels, in the order of PARTS."""
-    posed = carry([method], state)[method.name]
+    posed = method.pose(state)
     vertices = truth.vertices(None if state.name == CANONICAL else state.name)
     sums = {who: [0.0] * len(PARTS) for who in ("pixels", "run", "photos")}
     white = torch.ones(3)

@@ -25,13 +25,14 @@ from reprojected_truth import PhotoSurface
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from pcore.asset.asset import Asset, Posed
+from pcore.asset.asset import Asset
 from pcore.asset.content import LightName
+from pcore.asset.posed_asset import Posed
 from pcore.asset.saving import neural_points_of
 from pcore.capture.load import load_scene
+from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.methods import open_subject
-from pcore.evaluation.runner import Method, carry
 from pcore.evaluation.states import CANONICAL, State, open_states
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.posed import PosedCloud
@@ -94,7 +95,7 @@ class TrueLight:
     def scores(self, state: State, detailed: State, every: int) -> tuple[float, ...]:
         """PSNR in dB of the columns."""
         plain, lit = (
-            carry([Method(name="one", asset=self._asset, rays="aware", light=light)], state)["one"]
+            AssetMethod(name="one", asset=self._asset, rays="aware", light=light).pose(state)
             for light in LIGHTS
         )
         vertices = self._truth.vertices(None if state.name == CANONICAL else state.name)

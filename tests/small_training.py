@@ -145,7 +145,7 @@ class FakeView:
     def alpha(self) -> Tensor:
         return self.pixels[..., 3].clone()
 
-    def valid(self) -> None:
+    def valid(self) -> Tensor | None:
         return None
 
 

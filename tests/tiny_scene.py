@@ -9,7 +9,8 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from pcore.asset.asset import Asset, Posed
+from pcore.asset.asset import Asset
+from pcore.asset.posed_asset import Posed
 from pcore.evaluation.ground_truth import mesh_depth
 from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder

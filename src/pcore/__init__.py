@@ -11,11 +11,13 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pcore.asset.asset import Asset, Posed
+    from pcore.asset.asset import Asset
     from pcore.asset.content import MovedPoints
     from pcore.asset.importing import import_papr
+    from pcore.asset.posed_asset import Posed
+    from pcore.asset.run_options import RunOptions
     from pcore.asset.saving import asset_of, load
-    from pcore.asset.training import RunOptions, estimate_light, finetune, train
+    from pcore.asset.training import estimate_light, finetune, train
     from pcore.capture.load import load_cameras, load_scene
     from pcore.data.scene import Scene
     from pcore.deform.base import Deformation
@@ -84,10 +86,10 @@ _HOMES = {
     "Papr": "pcore.model.papr",
     "PcoreError": "pcore.errors",
     "PointCloud": "pcore.geometry.point_cloud",
-    "Posed": "pcore.asset.asset",
+    "Posed": "pcore.asset.posed_asset",
     "PretrainConfig": "pcore.training.config",
     "RayBundle": "pcore.geometry.rays",
-    "RunOptions": "pcore.asset.training",
+    "RunOptions": "pcore.asset.run_options",
     "Scene": "pcore.data.scene",
     "asset_of": "pcore.asset.saving",
     "diagnose": "pcore.editing.diagnosis",

@@ -15,7 +15,6 @@ from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.saving import load
 from pcore.asset.training import RunOptions, train
 from pcore.capture.load import load_scene
-from pcore.data.scene import Scene
 from pcore.deform.simple import uniform_scale
 from pcore.errors import InputError
 from pcore.files.provenance import Provenance
@@ -25,6 +24,7 @@ from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
+from pcore.geometry.pixel_samples import grid_places
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from tiny_scene import write_scene
 
@@ -133,10 +133,23 @@ def test_what_gaussians_cannot_do_is_said() -> None:
     assert asset.light is None
     with pytest.raises(InputError, match="estimate it"):
         asset.pose(light="still")
-    with pytest.raises(InputError, match="drawn by cameras"):
-        asset.trace(None, camera().rays())
-    with pytest.raises(InputError, match="GaussianContent"):
-        pcore.finetune(asset, cast("Scene", None))
+
+
+def test_rays_are_lines_whose_mean_over_a_pixel_is_the_picture() -> None:
+    asset = an_asset()
+    posed, view = asset.pose(uniform_scale(1.2)), camera(8.0)
+    picture = asset.render(posed, view)
+    places = grid_places(9)
+    found = asset.trace(posed, view.rays(places=places))
+    assert found.alpha.shape == (view.height, view.width)
+    solid = picture.alpha > 0.5
+    apart = (found.rgb - picture.rgb)[solid].abs()
+    assert float(apart.mean()) < 0.02
+    one = asset.trace(posed, view.rays().flat())
+    assert one.surface.shape == (view.height * view.width, 3)
+    assert bool(torch.isnan(one.depth[one.alpha == 0]).all())
+    distance = (one.surface - view.center).norm(dim=-1)
+    torch.testing.assert_close(distance[one.alpha > 0], one.depth[one.alpha > 0])
 
 
 def test_an_edit_file_carries_gaussians() -> None:

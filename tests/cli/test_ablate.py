@@ -6,10 +6,14 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+import pcore
 import tiny_scene
+from pcore.asset.training import RunOptions
 from pcore.cli.main import main
+from pcore.evaluation.ablation import GAUSSIAN_VARIANTS
 from pcore.training import presets
 from pcore.training.config import FinetuneConfig, PatchConfig, Rates
+from pcore.training.gaussian_config import GaussianConfig, GaussianFinetuneConfig
 from pcore.training.schedule import Schedule
 
 RATE = Schedule(base=1e-3)
@@ -71,6 +75,27 @@ def test_finished_variants_are_not_trained_again(
     assert {name: path.stat().st_mtime_ns for name, path in models.items()} == before
     assert main([*words, "--steps", "3"]) == 2
     assert "finetune.steps: 2 -> 3" in capsys.readouterr().err
+
+
+def test_gaussians_have_the_same_ablation_and_their_regularisers(
+    tmp_path: Path, scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = GaussianFinetuneConfig(steps=1, rays=20)
+    monkeypatch.setattr(presets, "gaussian_finetune_preset", lambda name: short, raising=False)
+    run = tmp_path / "run"
+    start = GaussianConfig(steps=2, points=40)
+    options = RunOptions(light=False)
+    pcore.train(pcore.load_scene(scene), start, folder=run, options=options)
+    assert main(["ablate", str(run)]) == 0
+    assert "Full against Gaussians" in capsys.readouterr().out
+    record = json.loads((run / "ablation" / "summary.json").read_text())
+    methods = list(dict.fromkeys(mean["method"] for mean in record["means"]))
+    assert methods[0] == "Gaussians"
+    assert methods[1:] == [variant.title for variant in GAUSSIAN_VARIANTS]
+    tuning = json.loads((run / "ablation" / "with-spread" / "run.json").read_text())["config"]
+    assert tuning["finetune"]["spread_weight"] == 1
+    with Image.open(run / "ablation" / "ablation.png") as figure:
+        assert figure.width > (2 + len(GAUSSIAN_VARIANTS)) * 200
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,13 @@ import av
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from toys import toy_cameras, write_cameras, write_run, write_scene
 
+import pcore
 from pcore.cli.main import main
 from pcore.data.points import load_points
+from pcore.geometry.orbit import growth, orbit_like
 
 
 @pytest.fixture
@@ -49,6 +52,45 @@ def test_a_video_and_the_points(folder: Path, capsys: pytest.CaptureFixture[str]
     shown = capsys.readouterr().out
     assert "3 files of points in points" in shown
     assert "3 frames in out.mp4" in shown
+
+
+def test_frames_with_transparency_are_the_pictures_and_so_is_the_film_beside_them(folder: Path):
+    assert call("--frames", 2, "--frames-dir", "frames", "--depth", "-o", "both.mp4") == 0
+    assert call("--frames", 2, "-o", "alone.mp4") == 0
+    assert np.abs(film("both.mp4").astype(int) - film("alone.mp4")).max() <= 2
+    names = sorted(item.name for item in Path("frames").iterdir())
+    assert names == ["frame_000.npz", "frame_000.png", "frame_001.npz", "frame_001.png"]
+    with Image.open("frames/frame_001.png") as picture:
+        assert picture.mode == "RGBA"
+        rgba = np.asarray(picture, dtype=np.float64) / 255
+    raw = np.load("frames/frame_001.npz")
+    np.testing.assert_allclose(raw["alpha"], rgba[..., 3], atol=1 / 255)
+    assert np.isfinite(raw["depth"][raw["alpha"] > 0.5]).all()
+    asset = pcore.load("run")
+    session = asset.session("edit.json")
+    session.at(1.0)
+    background = asset.provenance.background
+    shown = rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:]) * background
+    camera = orbit_camera(asset)
+    own = asset.render(asset.pose(session), camera, detail=detail(asset, camera)).rgb.numpy()
+    # Networks without training have colours beyond black, which a file cannot have.
+    proper = (rgba[..., :3] > 0) & (rgba[..., :3] < 1)
+    assert proper.any()
+    assert np.abs(shown - own)[proper].max() < 2.5 / 255
+
+
+def orbit_camera(asset: pcore.Asset) -> pcore.Camera:
+    """The camera that stands where the film's does: as far as the largest frame needs."""
+    scene = asset.scene()
+    reach = growth(asset.points, 1.5 * asset.points, scene.center)
+    return orbit_like([view.camera for view in scene.split("train")], scene.center, 1, scale=reach)[
+        0
+    ]
+
+
+def detail(asset: pcore.Asset, camera: pcore.Camera) -> float | None:
+    poses = [asset.pose("edit.json", time=time) for time in (0.0, 1.0)]
+    return asset.film_detail(poses, [camera, camera])
 
 
 def test_points_as_binary_gltf(folder: Path):
@@ -92,7 +134,7 @@ def test_a_fold_in_some_frame_is_found_before_anything_is_written(
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ([], "expected -o VIDEO.mp4 or --points FOLDER, or both, got neither"),
+        ([], "expected -o VIDEO.mp4, --frames-dir or --points FOLDER, got none"),
         (["-o", "out.gif"], "out.gif: expected a video that ends in .mp4"),
         (["-o", "none/out.mp4"], "expected an existing folder to write to, got none"),
         (["-o", "a.mp4", "--orbit", "--cameras", "c.json"], "one of --orbit and --cameras, got bo"),

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import imageio.v3 as iio
 import pytest
@@ -17,6 +19,9 @@ from pcore.data.points import save_points
 from pcore.files.gaussian_file import load_gaussians
 from pcore.files.model_file import load_model
 from pcore.files.run_folder import RunFolder
+from pcore.training import measured_speed, time_plan
+from pcore.training.speed import Speed
+from pcore.training.time_plan import Photos, TimePlan
 
 
 @pytest.fixture
@@ -309,3 +314,36 @@ def test_options_that_only_papr_has_are_refused_for_gaussians(
         assert call(scene, run, "--model", "gaussians", *wrong) == 2
         assert "Gaussians" in capsys.readouterr().err
         assert not run.exists()
+
+
+def test_a_promise_of_minutes_says_its_plan_and_resumes_it(
+    scene: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def plan(
+        photos: Photos, speed: object, seconds: float, base: Any, **rest: object
+    ) -> TimePlan[Any]:
+        assert 0 < seconds < 60 * 3
+        assert (photos.width, photos.count) == (16, 12)
+        return TimePlan(factor=1, config=replace(base, steps=40, points=60, seconds=0.5))
+
+    monkeypatch.setattr(time_plan, "plan_gaussians", plan)
+    monkeypatch.setattr(measured_speed, "measured_speed", lambda *others: Speed())
+    run = tmp_path / "run"
+    command = ["train", str(scene), "-o", str(run), "--model", "gaussians", "--minutes", "3"]
+    assert main([*command, "--steps", "3"]) == 2
+    assert "leave one of them out" in capsys.readouterr().err
+    assert main([*command[:-1], "-1"]) == 2
+    assert not run.exists()
+    assert main(command) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "3 minutes: photos 16 x 16, 60 to 10,000 Gaussians, about 40 steps" in said
+    assert "the number of steps follows the clock" in said
+    folder = RunFolder.open(run)
+    assert folder.config["gaussians"]["seconds"] == 0.5
+    assert folder.notes["status"] == "finished"
+    # The plan is the run's own, whatever this machine would plan now.
+    assert main([*command, "--resume"]) == 0
+    assert "finished already" in capsys.readouterr().out

@@ -1,8 +1,10 @@
 """Keyframes: values over time, and what is said about bad ones."""
 
 import json
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -169,9 +171,81 @@ def test_times_that_are_checked_hold_all_keys():
 
 
 @pytest.mark.parametrize("kind", ["cage", "mesh", "displacement"])
-@pytest.mark.parametrize("value", ["b.ply", [0, 0, 1], [[0, 0, 1]]])
-def test_keyframes_of_a_shape_lead_to_the_amount(kind: str, value: object):
-    track = {"keyframes": [[0, value], [1, value]]}
-    edit = {"type": kind, "before": "a.ply", "after": track}
-    with pytest.raises(EditError, match=r'edit 1: key "after": .* got keyframes; .*"amount": '):
+def test_keyframes_of_the_rest_shape_lead_to_the_amount(kind: str):
+    edit = {"type": kind, "before": track([0, "a.ply"], [1, "b.ply"]), "after": "b.ply"}
+    with pytest.raises(EditError, match=r'edit 1: key "before": .* got keyframes; .*"amount": '):
         parse_animation({"version": 2, "edits": [edit]})
+
+
+def test_shapes_go_straight_from_key_to_key(tmp_path: Path):
+    rest = torch.rand(40, 3, generator=torch.Generator().manual_seed(1)) - 0.5
+    ends = {"a": rest, "b": 1.2 * rest, "c": rest + torch.tensor([0.0, 0.0, 1.0])}
+    for name, points in ends.items():
+        np.save(tmp_path / f"{name}.npy", points.numpy())
+    edit = {
+        "type": "displacement",
+        "before": "a.npy",
+        "after": track([0, "a.npy"], [1, "b.npy"], [2, "c.npy"], easing="smooth"),
+    }
+    (tmp_path / "edit.json").write_text(json.dumps({"version": 2, "edits": [edit]}))
+    made = load_animation(tmp_path / "edit.json")
+
+    def at(time: float) -> torch.Tensor:
+        return made.at(time).bind(rest)(rest)
+
+    for time, name in ((0, "a"), (1, "b"), (2, "c"), (3, "c")):
+        torch.testing.assert_close(at(time), ends[name], rtol=0, atol=1e-6)
+    share = 0.25**2 * (3 - 0.5)
+    torch.testing.assert_close(at(1.25), torch.lerp(ends["b"], ends["c"], share), rtol=0, atol=1e-6)
+    # Moved with its files, and frozen at a time, it means the same.
+    (tmp_path / "far").mkdir()
+    made.save(tmp_path / "far" / "edit.json")
+    assert torch.equal(
+        load_animation(tmp_path / "far" / "edit.json").at(0.5).bind(rest)(rest), at(0.5)
+    )
+    made.at(0.5).save(tmp_path / "half.json")
+    assert '"first": "a.npy"' in (tmp_path / "half.json").read_text()
+    assert torch.equal(load_edit(tmp_path / "half.json").bind(rest)(rest), at(0.5))
+
+
+def test_the_vertices_of_a_mesh_can_be_keyed_themselves():
+    first, second = [[0, 0, 1], [1, 0, 0]], [[0, 2, 1], [1, 0, 0]]
+    edit = {"type": "mesh", "before": "a.ply", "after": track([0, first], [1, second])}
+    made = parse_animation({"version": 2, "edits": [edit]})
+    assert made.at(0.5).edits[0].after == ((0, 1, 1), (1, 0, 0))
+    edit["after"] = track([0, first], [1, "b.ply"])
+    with pytest.raises(EditError, match="expected a value of the same kind as the first"):
+        parse_animation({"version": 2, "edits": [edit]})
+
+
+def test_turns_go_the_shorter_way_round_at_one_speed():
+    start, end = [2.0, 0, 0, 0], [-math.cos(0.6), 0, 0, -math.sin(0.6)]  # 1.2 radians about z.
+    edit = {"type": "rigid", "rotation": track([0, start], [1, end])}
+    made = parse_animation({"version": 2, "edits": [edit]})
+    points = torch.rand(10, 3)
+    for time in (0.0, 0.25, 0.5, 1.0):
+        by_angle = {"type": "rigid", "axis": "z", "angle_deg": math.degrees(1.2 * time)}
+        expected = parse_edit({"version": 2, "edits": [by_angle]}).bind(points)(points)
+        torch.testing.assert_close(made.at(time).bind(points)(points), expected)
+
+
+@pytest.mark.parametrize(
+    ("turn", "said"),
+    [
+        ({"rotation": [0, 0, 0, 0]}, "a quaternion .w, x, y, z. of any length but 0"),
+        ({"rotation": [1, 0, 0]}, "a quaternion"),
+        (
+            {"rotation": [1, 0, 0, 0], "axis": "z", "angle_deg": 4},
+            'either a "rotation" or an "axis"',
+        ),
+    ],
+)
+@pytest.mark.parametrize("kind", ["rigid", "part", "anchors"])
+def test_bad_rotations(turn: dict, said: str, kind: str):
+    edit = {"type": kind, **turn}
+    if kind == "part":
+        edit["region"] = {"shape": "sphere", "center": [0, 0, 0], "radius": 1}
+    if kind == "anchors":
+        edit = {"type": kind, "handles": [{"anchor": 0, "to": [0, 0, 0], **turn}]}
+    with pytest.raises(EditError, match=said):
+        parse_edit({"version": 2, "edits": [edit]})

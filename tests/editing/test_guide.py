@@ -82,10 +82,10 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> torch.Tensor:
 
 def test_the_session_of_the_guide_runs(runs: torch.Tensor):
     names: dict[str, object] = {}
-    blocks = python_of("editing.md")
+    blocks = python_of("sessions.md")
     assert len(blocks) == 2
     for block in blocks:
-        exec(compile(block, "editing.md", "exec"), names)
+        exec(compile(block, "sessions.md", "exec"), names)
     session = names["session"]
     assert isinstance(session, EditSession)
     assert [edit.type for edit in session.state.script.edits] == ["twist", "cage"]

@@ -225,7 +225,7 @@ def test_bad_scripts(content: object, expected: str):
         ({"type": "taper", "axis": "x"}, '(taper): key "factor": expected a finite number, got no'),
         (
             {"type": "twist", "axis": "x", "factor": 2, "angle_deg": 3},
-            'unknown key "factor" for a twist, expected only "region", "freeze", "origin", "axis"',
+            'unknown key "factor" for a twist, expected only "region", "freeze", "name", "enabled"',
         ),
         (
             {"type": "bend", "axis": "x", "angle_deg": 3, "profile": "axial"},

@@ -157,9 +157,6 @@ def test_a_file_with_keyframes_is_loaded_at_a_time(tmp_path: Path):
     track = {"keyframes": [[1, 1], [3, 2]]}
     path.write_text(json.dumps({"version": 2, "edits": [{"type": "scale", "factor": track}]}))
     now = made.state
-    with pytest.raises(EditError, match=r"edit.json: expected time= between 1 and 3, because it"):
-        made.load(path)
-    assert made.state is now
     state = made.load(path, time=2)
     torch.testing.assert_close(state.points, 1.5 * cloud())
     assert made.undo() is now

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from tests.asset.test_lit_gaussians import dark_asset, lit_asset
 
@@ -24,5 +26,9 @@ def test_gaussians_are_compared_with_their_shapes_and_their_light(scene: Scene) 
     assert names == ["Gaussians affine"]
     names = [one.name for one in methods_of([dark_asset()], scene, rays="both", light=None)]
     assert names == ["Gaussians", "Gaussians affine"]
+    tuned = replace(lit_asset(), provenance=replace(lit_asset().provenance, stage="finetune"))
+    both = [lit_asset(), tuned]
+    names = [one.name for one in methods_of(both, scene, rays="aware", light="baked")]
+    assert names == ["Gaussians affine", "Gaussians affine + P-CORE"]
     with pytest.raises(InputError, match="pcore light RUN"):
         methods_of([dark_asset()], scene, rays="both", light="still")

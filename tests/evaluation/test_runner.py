@@ -8,11 +8,13 @@ import pytest
 import torch
 
 import tiny_scene
-from pcore.asset.asset import Asset, Posed
+from pcore.asset.asset import Asset
+from pcore.asset.posed_asset import Posed
 from pcore.asset.saving import asset_of
 from pcore.errors import InputError, SceneError
+from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual
-from pcore.evaluation.runner import ImageRow, Method, Taken, carry, evaluate
+from pcore.evaluation.runner import ImageRow, Taken, evaluate
 from pcore.evaluation.states import CANONICAL, SceneStates, open_states
 from pcore.geometry.camera import Camera
 from pcore.geometry.surfels import Surfels
@@ -34,13 +36,15 @@ def states(scene: Path) -> SceneStates:
 
 
 @pytest.fixture
-def perfect() -> Method:
+def perfect() -> AssetMethod:
     asset = asset_of(Papr(tiny_scene.CONFIG), tiny_scene.corner_cloud())
-    return Method(name="true", asset=asset, rays="plain")
+    return AssetMethod(name="true", asset=asset, rays="plain", take=draw_box)
 
 
-def test_a_perfect_renderer_is_perfect_in_every_state(states: SceneStates, perfect: Method) -> None:
-    rows = evaluate([perfect], states.select(["all", "scale:2", "scale:0.5"]), draw=draw_box)
+def test_a_perfect_renderer_is_perfect_in_every_state(
+    states: SceneStates, perfect: AssetMethod
+) -> None:
+    rows = evaluate([perfect], states.select(["all", "scale:2", "scale:0.5"]))
     kinds = {row.state: row.kind for row in rows}
     assert kinds == {
         "canonical": "canonical",
@@ -61,7 +65,7 @@ def test_a_perfect_renderer_is_perfect_in_every_state(states: SceneStates, perfe
         assert error < 1e-5
 
 
-def test_points_are_carried_and_cameras_scaled(states: SceneStates, perfect: Method) -> None:
+def test_points_are_carried_and_cameras_scaled(states: SceneStates, perfect: AssetMethod) -> None:
     seen: list[tuple[Posed, Camera]] = []
 
     def draw(asset: Asset, posed: Posed, camera: Camera) -> Image:
@@ -69,7 +73,7 @@ def test_points_are_carried_and_cameras_scaled(states: SceneStates, perfect: Met
         return draw_box(asset, posed, camera)
 
     canonical, grown, scaled = states.select(["grown", "scale:2"])
-    evaluate([perfect], [canonical, grown, scaled], draw=draw, protocols=[PAPR])
+    evaluate([replace(perfect, take=draw)], [canonical, grown, scaled], protocols=[PAPR])
     start = perfect.asset.points
     torch.testing.assert_close(seen[0][0].points, start)
     torch.testing.assert_close(seen[2][0].points, 1.5 * start)
@@ -78,7 +82,7 @@ def test_points_are_carried_and_cameras_scaled(states: SceneStates, perfect: Met
     torch.testing.assert_close(seen[2][1].center, seen[0][1].center)
 
 
-def test_holes_show_in_both_kinds_of_figures(states: SceneStates, perfect: Method) -> None:
+def test_holes_show_in_both_kinds_of_figures(states: SceneStates, perfect: AssetMethod) -> None:
     def torn(asset: Asset, posed: Posed, camera: Camera) -> Image:
         whole = draw_box(asset, posed, camera)
         alpha = whole.alpha.clone()
@@ -87,7 +91,7 @@ def test_holes_show_in_both_kinds_of_figures(states: SceneStates, perfect: Metho
         rgb = torch.where(alpha[..., None] > 0, whole.rgb, white)
         return Image(rgb=rgb, alpha=alpha, depth=whole.depth, surface=whole.surface)
 
-    (row,) = evaluate([perfect], states.select([])[:1], draw=torn, protocols=[PAPR])[:1]
+    (row,) = evaluate([replace(perfect, take=torn)], states.select([])[:1], protocols=[PAPR])[:1]
     hole, psnr = row.scores["hole_rate"], row.scores["foreground_psnr"]
     assert hole is not None
     assert psnr is not None
@@ -95,9 +99,9 @@ def test_holes_show_in_both_kinds_of_figures(states: SceneStates, perfect: Metho
     assert psnr < 15
 
 
-def test_without_a_mesh_only_opacity_is_judged(tmp_path: Path, perfect: Method) -> None:
+def test_without_a_mesh_only_opacity_is_judged(tmp_path: Path, perfect: AssetMethod) -> None:
     plain = open_states(tiny_scene.write_scene(tmp_path / "plain", meshes=False, states=False))
-    rows = evaluate([perfect], plain.select(["scale:2"]), draw=draw_box, protocols=[STANDARD])
+    rows = evaluate([perfect], plain.select(["scale:2"]), protocols=[STANDARD])
     assert {row.state for row in rows} == {"canonical", "scale:2"}
     for row in rows:
         assert row.scores["psnr"] == math.inf
@@ -107,14 +111,13 @@ def test_without_a_mesh_only_opacity_is_judged(tmp_path: Path, perfect: Method) 
         assert row.scores["spill_to_object"] == 0
 
 
-def test_shows_pictures_and_counts(states: SceneStates, perfect: Method) -> None:
+def test_shows_pictures_and_counts(states: SceneStates, perfect: AssetMethod) -> None:
     shown: list[Taken] = []
     counted: list[tuple[int, int]] = []
     other = replace(perfect, name="other")
     rows = evaluate(
         [perfect, other],
         states.select(["walk"]),
-        draw=draw_box,
         protocols=[PAPR],
         perceptual=Perceptual(missing={"vgg": "no weights"}),
         progress=lambda done, total: counted.append((done, total)),
@@ -131,8 +134,8 @@ def test_shows_pictures_and_counts(states: SceneStates, perfect: Method) -> None
     assert all(row.scores["lpips_vgg"] is None for row in rows)
 
 
-def test_one_row_per_picture_in_a_fixed_order(states: SceneStates, perfect: Method) -> None:
-    rows: list[ImageRow] = evaluate([perfect], states.select(["walk"]), draw=draw_box)
+def test_one_row_per_picture_in_a_fixed_order(states: SceneStates, perfect: AssetMethod) -> None:
+    rows: list[ImageRow] = evaluate([perfect], states.select(["walk"]))
     keys = [(row.state, row.view, row.protocol) for row in rows]
     assert keys == [
         (state, view, protocol)
@@ -142,7 +145,7 @@ def test_one_row_per_picture_in_a_fixed_order(states: SceneStates, perfect: Meth
     ]
 
 
-def test_the_factor_scales_truth_and_cameras(scene: Path, perfect: Method) -> None:
+def test_the_factor_scales_truth_and_cameras(scene: Path, perfect: AssetMethod) -> None:
     (shot, *_) = open_states(scene, factor=2).select([])[0].shots
     assert (shot.camera.width, shot.camera.height) == (12, 12)
     assert tuple(shot.view.rgba().shape) == (12, 12, 4)
@@ -182,11 +185,11 @@ def test_a_pair_of_papr_in_motion_has_no_mesh(tmp_path: Path) -> None:
     assert len(states.select([])[0].shots) == 2
 
 
-def test_methods_need_different_names(states: SceneStates, perfect: Method) -> None:
+def test_methods_need_different_names(states: SceneStates, perfect: AssetMethod) -> None:
     with pytest.raises(InputError, match="no name twice, got true, true"):
-        evaluate([perfect, perfect], states.select([]), draw=draw_box)
+        evaluate([perfect, perfect], states.select([]))
     with pytest.raises(InputError, match="at least one and no name twice, got none"):
-        evaluate([], states.select([]), draw=draw_box)
+        evaluate([], states.select([]))
 
 
 def test_one_kind_of_depth_whatever_rays_and_light(states: SceneStates) -> None:
@@ -203,12 +206,12 @@ def test_one_kind_of_depth_whatever_rays_and_light(states: SceneStates) -> None:
     lit = Relighting.of(light, rest, surfels, torch.ones(8))
     asset = asset_of(Papr(tiny_scene.CONFIG), tiny_scene.corner_cloud(), surfels=surfels, light=lit)
     methods = [
-        Method(name="plain", asset=asset, rays="plain"),
-        Method(name="aware", asset=asset, rays="aware"),
-        Method(name="lit", asset=asset, rays="aware", light="still"),
+        AssetMethod(name="plain", asset=asset, rays="plain"),
+        AssetMethod(name="aware", asset=asset, rays="aware"),
+        AssetMethod(name="lit", asset=asset, rays="aware", light="still"),
     ]
     for state in states.select(["grown", "walk"]):
-        posed = {name: one.content for name, one in carry(methods, state).items()}
+        posed = {name: one.content for name, one in ((m.name, m.pose(state)) for m in methods)}
         for one in posed.values():
             assert torch.equal(one.surfels.places, posed["aware"].surfels.places)
         moved = state.name != CANONICAL

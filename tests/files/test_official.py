@@ -223,13 +223,20 @@ def test_round_trip_renders_identically(tmp_path: Path, lego: bool) -> None:
     assert np.array_equal(render(model, view())["rgb"], expected)
 
 
-def test_export_refuses_a_cutoff() -> None:
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        (PaprConfig(cutoff=0.1), r"without a cut-off, got cutoff = 0\.1"),
+        (PaprConfig(point_colors=True), "make all of a colour, got points with"),
+    ],
+)
+def test_export_refuses_what_the_original_does_not_know(config: PaprConfig, message: str) -> None:
     cloud = PointCloud(
         positions=torch.zeros(1, 3), features=torch.zeros(1, 64), influence=torch.ones(1)
     )
     with torch.device("meta"):
-        papr = Papr(PaprConfig(cutoff=0.1))
-    with pytest.raises(InputError, match=r"without a cut-off, got cutoff = 0\.1"):
+        papr = Papr(config)
+    with pytest.raises(InputError, match=message):
         to_official_state(papr, cloud)
 
 

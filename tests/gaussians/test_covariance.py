@@ -3,7 +3,8 @@ import torch
 from tests.gaussians.some import some_gaussians
 from torch.nn.functional import normalize
 
-from pcore.gaussians.covariance import covariances, quaternions, rotations, shapes_of
+from pcore.gaussians.covariance import covariances, quaternions, shapes_of
+from pcore.geometry.rotation import rotations
 
 
 def test_rotations_are_proper_and_found_again():

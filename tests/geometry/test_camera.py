@@ -7,7 +7,9 @@ import math
 import pytest
 import torch
 
+from pcore.errors import InputError
 from pcore.geometry.camera import Camera
+from pcore.geometry.rotation import rotations
 
 
 def turned() -> Camera:
@@ -38,3 +40,29 @@ def test_points_on_the_rays_of_pixels_are_seen_there(dtype: torch.dtype) -> None
     torch.testing.assert_close(row, rows.flatten().to(dtype) + 0.5, rtol=0, atol=1e-4)
     torch.testing.assert_close(depth, camera.depth(points))
     assert bool((camera.project(2 * camera.center.to(dtype) - points)[2] < 0).all())
+
+
+def test_a_viewers_camera_is_ours():
+    position, fov, wxyz = torch.tensor([1.0, -2.0, 0.5]), 0.8, torch.tensor([0.3, -0.7, 0.2, 0.6])
+    camera = Camera.from_view(position, wxyz, fov, width=320, height=200)
+    turn = rotations(wxyz)  # world_from_camera of OpenCV axes
+    ahead = position + 3 * turn[:, 2]
+    column, row, depth = camera.project(
+        torch.stack([ahead, ahead + turn[:, 0], ahead + turn[:, 1]])
+    )
+    torch.testing.assert_close(depth, torch.full((3,), 3.0))
+    assert abs(float(column[0]) - 160) < 1e-3
+    assert float(column[1]) > 160
+    assert float(row[2]) > 100  # y is down
+    top = position + turn @ torch.tensor([0.0, -math.tan(0.4), 1.0])
+    assert abs(float(camera.project(top.unsqueeze(0))[1])) < 1e-3
+    with pytest.raises(InputError, match="vertical field of view"):
+        Camera.from_view(position, wxyz, 0.0, width=4, height=4)
+
+
+def test_a_cropped_camera_sees_the_rectangle():
+    camera = Camera.from_view(
+        torch.zeros(3), torch.tensor([1.0, 0, 0, 0]), 1.0, width=20, height=10
+    )
+    whole, part = camera.rays(), camera.cropped(4, 3, 8, 5).rays()
+    torch.testing.assert_close(part.directions, whole.directions[3:8, 4:12])

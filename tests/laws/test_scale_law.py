@@ -10,8 +10,9 @@ import pytest
 from pcore.asset.content import RaysName
 from pcore.asset.saving import asset_of
 from pcore.capture.load import load_scene
+from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.protocol import PROTOCOLS
-from pcore.evaluation.runner import Method, evaluate, mean
+from pcore.evaluation.runner import evaluate, mean
 from pcore.evaluation.states import CANONICAL, open_states
 from pcore.model.papr_config import MlpConfig
 from pcore.training.presets import TINY
@@ -47,7 +48,7 @@ def test_scaled_pictures_are_as_good_as_canonical_ones(name: str, shared_data: P
     trained = pretrain(load_scene(places.path, factor=8), config)
     asset = asset_of(trained.papr.eval(), trained.cloud.detached())
     ways: tuple[RaysName, ...] = ("plain", "aware")
-    methods = [Method(name=rays, asset=asset, rays=rays) for rays in ways]
+    methods = [AssetMethod(name=rays, asset=asset, rays=rays) for rays in ways]
     chosen = [replace(s, shots=s.shots[::_EVERY]) for s in places.select(STATES)]
     rows = evaluate(methods, chosen, protocols=[PROTOCOLS["standard"]])
 

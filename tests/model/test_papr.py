@@ -75,6 +75,33 @@ def test_surface_is_the_weighted_mean_of_the_neighbours() -> None:
     assert torch.allclose(out.centroid, expected, atol=1e-6)
 
 
+def test_colours_of_points_go_around_the_networks() -> None:
+    """Their blend by the weights stands in the first channels, and the network adds to it."""
+    cloud, papr = small_cloud(), Papr(small_config(point_colors=True))
+    out = picture_of(papr, cloud, view())
+    blend = (out.weights.unsqueeze(-1) * cloud.features[out.neighbours][..., :3]).sum(dim=-2)
+    assert torch.allclose(out.features[..., :3], blend, atol=1e-6)
+    with torch.no_grad():
+        for parameter in papr.unet.outc.parameters():
+            parameter.zero_()
+    opacity = out.alpha.unsqueeze(-1)
+    bare = picture_of(papr, cloud, view()).rgb
+    assert torch.allclose(bare, blend * opacity + 1 - opacity, atol=1e-6)
+    features = cloud.features.clone().requires_grad_()
+    learning = PointCloud(positions=cloud.positions, features=features, influence=cloud.influence)
+    picture_of(papr, learning, view()).rgb[..., 0].sum().backward()
+    assert features.grad is not None
+    expected = torch.zeros(40).index_add(
+        0, out.neighbours.flatten(), (out.weights * opacity).flatten()
+    )
+    assert torch.allclose(features.grad[:, 0], expected, atol=1e-5)
+
+
+def test_colours_need_room() -> None:
+    with pytest.raises(InputError, match="at least 3 numbers where points have colours, got 2"):
+        small_config(point_colors=True, feature_size=2)
+
+
 def test_fewer_points_than_neighbours() -> None:
     out = picture_of(Papr(small_config(neighbours=20)), small_cloud(3), view())
     assert out.weights.shape == (6, 9, 3)

@@ -19,10 +19,10 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
+from pcore.render.means import mean_around
 from pcore.render.picture import render
 from pcore.render.progressive import render_progressively
 from pcore.render.raster import film_detail, photo_pixels, raster_of
-from pcore.render.tiles import mean_around
 
 DISTANCE, SIZE = 4.0, 40
 FOCAL = 60.0
@@ -237,3 +237,16 @@ def test_a_coarse_picture_is_the_mean_of_a_larger_one() -> None:
     assert int(hit.sum()) > 60
     assert torch.equal(hit, small.alpha > 0)
     torch.testing.assert_close(small.depth[hit], camera(0.5).depth(small.surface[hit]))
+
+
+@pytest.mark.parametrize("width", [1, 2, 3, 4, 7])
+def test_means_are_those_of_a_convolution(width: int):
+    features = torch.rand(12, 15, 5)
+    reach = width // 2
+    weights = torch.ones(2 * reach + 1)
+    if width % 2 == 0:
+        weights[[0, -1]] = 0.5
+    kernel = (weights.unsqueeze(1) * weights / width**2).expand(5, 1, -1, -1)
+    planes = features.permute(2, 0, 1).unsqueeze(0)
+    expected = torch.nn.functional.conv2d(planes, kernel, padding=reach, groups=5)[0]
+    torch.testing.assert_close(mean_around(features, width), expected.permute(1, 2, 0))

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import imageio.v3 as iio
 import pytest
 import torch
 
@@ -22,10 +23,12 @@ from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from pcore.training.gaussian_fit import fit_gaussians
 from pcore.training.gaussian_start import camera_distance, mean_colors, start_gaussians
 from pcore.training.presets import gaussian_preset
+from pcore.training.schedule import Level
 from pcore.training.trainable_gaussians import TrainedGaussians
 from small_training import Heard, assert_same, box_work
 from tiny_scene import write_scene
 
+LEVELS = (Level(until=0.6, reduction=2),)
 DENSITY = DensityConfig(every=10, first=10, last=0.8, gradient=1e-6, limit=150)
 
 
@@ -78,8 +81,11 @@ def test_the_same_seed_gives_the_same_gaussians(scene: Scene) -> None:
     assert not torch.equal(first.gaussians.means[:50], other.gaussians.means[:50])
 
 
-def test_an_interrupted_run_ends_as_one_that_was_not(scene: Scene, tmp_path: Path) -> None:
-    whole = fit_gaussians(scene, config())
+@pytest.mark.parametrize("more", [{}, {"exposure": "per-view", "levels": LEVELS}])
+def test_an_interrupted_run_ends_as_one_that_was_not(
+    scene: Scene, tmp_path: Path, more: dict[str, Any]
+) -> None:
+    whole = fit_gaussians(scene, config(**more))
 
     def folder(*, resume: bool) -> RunFolder:
         return RunFolder.create(
@@ -91,16 +97,69 @@ def test_an_interrupted_run_ends_as_one_that_was_not(scene: Scene, tmp_path: Pat
             signal.raise_signal(signal.SIGINT)
 
     with folder(resume=False) as run, pytest.raises(KeyboardInterrupt):
-        fit_gaussians(scene, config(), folder=run, listener=stop)
+        fit_gaussians(scene, config(**more), folder=run, listener=stop)
     with folder(resume=True) as run:
         assert run.saved_step() == 20
-        found = fit_gaussians(scene, config(), folder=run)
+        found = fit_gaussians(scene, config(**more), folder=run)
     assert_same(tensors(found), tensors(whole))
     saved = load_gaussians(tmp_path / "run")
     assert torch.equal(saved.gaussians.sh, whole.gaussians.sh)
     assert saved.footprint == config().footprint
     assert (saved.provenance.step, saved.provenance.scene) == (40, "box")
     assert RunFolder.open(tmp_path / "run").notes["status"] == "finished"
+
+
+def test_a_promise_is_kept_by_a_clock_and_across_processes(scene: Scene, tmp_path: Path) -> None:
+    """Every reading of the clock takes its time: fewer steps fit than were foreseen."""
+    seconds, now = 60.0, [0.0]
+
+    def clock() -> float:
+        now[0] += 0.5
+        return now[0]
+
+    settings = config(steps=2000, seconds=seconds, levels=LEVELS, points=40)
+    heard = Heard()
+
+    def stop(event: Event) -> None:
+        heard(event)
+        if isinstance(event, StepReport) and event.step == 30:
+            signal.raise_signal(signal.SIGINT)
+
+    def folder(*, resume: bool) -> RunFolder:
+        return RunFolder.create(
+            tmp_path / "run", stage="pretrain", scene="box", config={}, resume=resume
+        )
+
+    with folder(resume=False) as run, pytest.raises(KeyboardInterrupt):
+        fit_gaussians(scene, settings, folder=run, listener=stop, clock=clock)
+    before, now[0] = now[0], 1e6
+    with folder(resume=True) as run:
+        fit_gaussians(scene, settings, folder=run, listener=heard, clock=clock)
+    assert before + now[0] - 1e6 == pytest.approx(seconds, rel=0.1)
+    reports = heard.of(StepReport)
+    assert reports[-1].step == reports[-1].steps < 400
+    assert reports[-1].rates["scales"] < 0.1 * reports[0].rates["scales"]
+    assert heard.of(ValidationReport)[0].step < 0.4 * reports[-1].step
+
+
+def test_photos_of_changing_exposure_are_learned_with_a_map_for_each(tmp_path: Path) -> None:
+    """Every second photo is half as bright: without maps the box is a colour between."""
+    root = write_scene(tmp_path / "box", states=False)
+    for path in sorted((root / "train").glob("*.png"))[::2]:
+        picture = iio.imread(path)
+        picture[..., :3] //= 2
+        iio.imwrite(path, picture)
+    figures: list[dict[str, float]] = []
+    for exposure in (None, "per-view"):
+        heard = Heard()
+        settings = config(steps=120, validate_every=120, exposure=exposure)
+        fit_gaussians(load_scene(root), settings, listener=heard)
+        figures.append(heard.of(ValidationReport)[-1].scores)
+        last = heard.of(StepReport)[-5:]
+        figures[-1]["loss"] = sum(report.loss for report in last) / len(last)
+    assert figures[1]["loss"] < 0.8 * figures[0]["loss"]
+    assert {*figures[1]} - {*figures[0]} == {"fitted_psnr"}
+    assert figures[1]["fitted_psnr"] > figures[1]["foreground_psnr"]
 
 
 def test_units_do_not_matter(tmp_path: Path) -> None:

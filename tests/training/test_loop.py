@@ -69,7 +69,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Callable[[Sequence[float]], lis
     def script(psnrs: Sequence[float]) -> list[Trained]:
         rest, seen = list(psnrs), list[Trained]()
 
-        def validate(model: Trained, *others: object) -> dict[str, float]:
+        def validate(model: Trained, *others: object, **more: object) -> dict[str, float]:
             seen.append(model)
             return {"psnr": rest.pop(0)}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,9 +19,9 @@ from pcore.files.run_folder import RunFolder
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
 from pcore.training import pretrain as module
 from pcore.training.config import GrowConfig, PatchConfig, PretrainConfig, PruneConfig, Rates
-from pcore.training.events import PopulationReport, StepReport, ValidationReport
+from pcore.training.events import Event, PopulationReport, StepReport, ValidationReport
 from pcore.training.pretrain import pretrain
-from pcore.training.schedule import Schedule
+from pcore.training.schedule import Level, Schedule
 from pcore.training.trained import Trained
 from small_training import Heard, assert_same, ctrl_c_at, pretrain_config, weights_of
 from tiny_scene import write_scene
@@ -320,3 +321,36 @@ def test_a_truncated_held_out_image_is_found_before_the_first_step(tmp_path: Pat
     with pytest.raises(SceneError, match=f"{held_out[0].name}.png"):
         pretrain(load_scene(folder), pretrain_config(), listener=heard)
     assert heard.of(StepReport) == []
+
+
+def test_a_promise_with_exposure_from_coarse_to_fine_is_kept_across_processes(
+    box: Scene, tmp_path: Path
+) -> None:
+    now = [0.0]
+
+    def clock() -> float:
+        now[0] += 0.5
+        return now[0]
+
+    heard = Heard()
+    config = pretrain_config(
+        steps=500, seconds=40.0, levels=(Level(until=0.4, reduction=2),), exposure="per-view"
+    )
+
+    def stop(event: Event) -> None:
+        heard(event)
+        if isinstance(event, StepReport) and event.step == 10:
+            signal.raise_signal(signal.SIGINT)
+
+    def folder(*, resume: bool) -> RunFolder:
+        return RunFolder.create(
+            tmp_path / "run", stage="pretrain", scene="box", config={}, resume=resume
+        )
+
+    with folder(resume=False) as run, pytest.raises(KeyboardInterrupt):
+        pretrain(box, config, folder=run, listener=stop, clock=clock)
+    with folder(resume=True) as run:
+        pretrain(box, config, folder=run, listener=heard, clock=clock)
+    assert now[0] == pytest.approx(40.0, rel=0.15)
+    assert 10 < heard.of(StepReport)[-1].step < 100
+    assert "fitted_psnr" in heard.of(ValidationReport)[-1].scores

@@ -6,54 +6,29 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypedDict, Unpack, overload
+from typing import Any, Unpack, overload
 
 from torch import Tensor
 
 from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
-from pcore.asset.posing import Edit, EditLike, bind_motion, script_of
+from pcore.asset.posed_asset import How, Posed
+from pcore.asset.posing import Edit, EditLike, begin_with, bind_motion
 from pcore.capture.load import load_scene
 from pcore.contrib.learned_skinning import Skinning
 from pcore.data.scene import Scene
 from pcore.editing.anchors import AnchorRig, rig_with
 from pcore.editing.session import EditSession
+from pcore.editing.state import EditState
 from pcore.errors import InputError
 from pcore.files.provenance import Provenance
 from pcore.files.run_record import RunRecord
+from pcore.gaussians.splats import Splats, SplatsAtRest
 from pcore.geometry.camera import Camera
-from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
 from pcore.relight.relighting import Relighting
 from pcore.render.image import Image
 
 WHITE: Color = (1.0, 1.0, 1.0)
-
-
-class How(TypedDict, total=False):
-    """Options of `Asset.render`; see `Sampling`."""
-
-    samples: int | None
-    fast: bool
-    detail: float | None
-    cancel: Callable[[], bool] | None
-    progress: Callable[[float], None] | None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Posed:
-    """An asset as an edit leaves it; made by `Asset.pose`, drawn by `Asset.render`.
-
-    Attributes:
-        points: (N, 3) where its points are, world units.
-        local_maps: how space moved around them; None where plain rays do not need it.
-        notes: what is odd about the edits and was not refused, a sentence each.
-        content: what the kind of object is posed as.
-    """
-
-    points: Tensor = field(repr=False)
-    local_maps: LocalMaps | None = field(repr=False)
-    notes: tuple[str, ...] = ()
-    content: Any = field(repr=False)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,6 +85,11 @@ class Asset:
         """Anchors with the learned weights, for edits by anchors; None where none were learned."""
         return None if self.skinning is None else rig_with(self.skinning.paths, self.skinning)
 
+    @cached_property
+    def splats_at_rest(self) -> SplatsAtRest:
+        """Gaussians that show it at rest and go with its points."""
+        return self.content.splats()
+
     def pose(
         self,
         edit: Edit | None = None,
@@ -147,6 +127,44 @@ class Asset:
             notes=bound.notes,
             content=posed,
         )
+
+    def splats(
+        self,
+        posed: Posed | EditState | EditSession | None,
+        eye: Tensor,
+        *,
+        gains: Tensor | None = None,
+    ) -> Splats:
+        """Show the object as splats, as browsers draw them, in its colours for one place.
+
+        Neural points become flat discs, which take a second the first time.
+
+        Args:
+            posed: from `pose`, or straight from a session, which is faster; None: as photographed.
+            eye: (3,) where it is seen from, world units.
+            gains: (N,) factors on the brightness; None takes those of `posed`.
+
+        Raises:
+            InputError: of another object.
+        """
+        state = posed.state if isinstance(posed, EditSession) else posed
+        if isinstance(state, EditState):
+            return self.splats_at_rest.moved(state.points, state.bound.linear, eye, gains)
+        if state is None:
+            return self.splats_at_rest.moved(self.points, None, eye, gains)
+        gains = self.gains_of(state) if gains is None else gains
+        return self.splats_at_rest.moved(state.points, state.linear, eye, gains)
+
+    def lit(self, posed: Posed, gains: Tensor | None = None) -> Posed:
+        """Light what was posed with `light="baked"` and aware rays: the second stage of a picture.
+
+        Gains are (N,) of what was posed last; None finds those of the light of the photos.
+        """
+        return replace(posed, content=self.content.lit(posed.content, gains))
+
+    def gains_of(self, posed: Posed) -> Tensor | None:
+        """(N,) factors by which the light on its points has changed; None: as in the photos."""
+        return self.content.gains_of(posed.content)
 
     @overload
     def render(self, posed: Posed | None, cameras: Camera, **how: Unpack[How]) -> Image: ...
@@ -230,13 +248,12 @@ class Asset:
 
         Args:
             edit: an edit file or edit to begin with.
-            time: of one with keyframes.
+            time: of one with keyframes, which then stands still; None keeps them.
 
         Raises:
             EditError: the edit is not valid or does not fit the points.
         """
-        script = None if edit is None else script_of(edit, time)
-        return EditSession(self.points, script, rig=self.rig)
+        return EditSession(self.points, begin_with(edit, time), rig=self.rig)
 
     def over(self, background: Color) -> Asset:
         """Return the same object before another background, RGB in [0, 1]."""
@@ -253,8 +270,11 @@ class Asset:
             InputError: none is given and that on record is not here.
             SceneError: the scene is damaged.
         """
-        chosen = self.record.factor if factor is None else factor
-        return load_scene(self.record.scene_or(folder), factor=chosen)
+        record = self.record
+        chosen = record.factor if factor is None else factor
+        masks = record.masks if folder is None else None
+        scene = load_scene(record.scene_or(folder), factor=chosen, masks=masks)
+        return scene if record.region is None else replace(scene, region=record.region)
 
     @property
     def path(self) -> Path:

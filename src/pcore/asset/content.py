@@ -12,6 +12,7 @@ from torch import Tensor
 from pcore.deform.base import Deformation
 from pcore.errors import InputError
 from pcore.files.provenance import Provenance
+from pcore.gaussians.splats import SplatsAtRest
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
@@ -111,6 +112,10 @@ class Content(Protocol[P]):
         """The pieces of surface over its points at rest; None where nobody has estimated them."""
         ...
 
+    def splats(self) -> SplatsAtRest:
+        """Make Gaussians that show it at rest and go with its points."""
+        ...
+
     def pose(self, motion: Motion | None, *, rays: RaysName, light: LightName | None) -> P:
         """Move it; None leaves it as it was photographed.
 
@@ -126,6 +131,20 @@ class Content(Protocol[P]):
 
     def local_maps_of(self, posed: P) -> LocalMaps | None:
         """How space moved around them; None where nothing remembers it."""
+        ...
+
+    def lit(self, posed: P, gains: Tensor | None) -> P:
+        """Return what was posed under a light.
+
+        Args:
+            posed: with shapes carried along, as "aware" does.
+            gains: (N,) as `gains_of`; None finds those of the light of the photos, which stands
+                still; without such a light nothing changes.
+        """
+        ...
+
+    def gains_of(self, posed: P) -> Tensor | None:
+        """(N,) factors on the brightness of its points, for a light; None: that of the photos."""
         ...
 
     def trace(self, posed: P, rays: RayBundle, background: Tensor | None) -> Image:

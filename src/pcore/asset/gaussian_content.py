@@ -21,8 +21,10 @@ from pcore.files.gaussian_file import (
     save_gaussians,
 )
 from pcore.files.provenance import Provenance
+from pcore.gaussians.gaussian_rays import trace
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, PosedGaussians, pose, render, surface_points
+from pcore.gaussians.splats import SplatsAtRest
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
@@ -96,6 +98,10 @@ class GaussianContent:
             return None
         return Surfels.at_rest(self.points.float(), self.normals, torch.zeros(len(self.normals)))
 
+    def splats(self) -> SplatsAtRest:
+        """See `Content.splats`: the Gaussians themselves."""
+        return SplatsAtRest.of(self.gaussians)
+
     def pose(
         self, motion: Motion | None, *, rays: RaysName, light: LightName | None
     ) -> MovedGaussians:
@@ -112,18 +118,32 @@ class GaussianContent:
             exact = self.points.double()
             positions = motion(exact)
             maps = analytic_maps(motion, self.points) if rays == "aware" else None
-        gains = None
-        if maps is not None and relighting is not None and self.surfels is not None:
-            world = motion.world if isinstance(motion, MovedPoints) else 1.0
-            gains = gaussian_gains(relighting, self.surfels, positions, maps, world=world)
         device = self.gaussians.means.device
         positions = positions.to(self.gaussians.means)
         if maps is None or rays == "plain":
             moved = replace(self.gaussians, means=positions)
             return MovedGaussians(drawn=PosedGaussians(gaussians=moved))
         linear = torch.linalg.inv(maps.to_rest.double()).to(positions).to(device)
-        factors = None if gains is None else gains.to(positions).unsqueeze(1)
-        return MovedGaussians(drawn=pose(self.gaussians, positions, linear, factors), maps=maps)
+        posed = MovedGaussians(drawn=pose(self.gaussians, positions, linear), maps=maps)
+        world = motion.world if isinstance(motion, MovedPoints) else 1.0
+        return posed if relighting is None else self._relit(posed, relighting, world)
+
+    def _relit(
+        self, posed: MovedGaussians, relighting: Relighting, world: float = 1.0
+    ) -> MovedGaussians:
+        """The same under a light that stands still."""
+        if posed.maps is None or self.surfels is None:
+            return posed
+        means = posed.drawn.gaussians.means
+        gains = gaussian_gains(relighting, self.surfels, means, posed.maps, world=world)
+        return self.lit(posed, gains)
+
+    def lit(self, posed: MovedGaussians, gains: Tensor | None) -> MovedGaussians:
+        """See `Content.lit`."""
+        if gains is None:
+            return posed if self.light is None else self._relit(posed, self.light)
+        factors = gains.to(posed.drawn.gaussians.means).unsqueeze(1)
+        return replace(posed, drawn=replace(posed.drawn, gains=factors))
 
     def _relighting(self, rays: RaysName, light: LightName | None) -> Relighting | None:
         if light == "baked" or (light is None and rays == "plain"):
@@ -143,15 +163,28 @@ class GaussianContent:
         """See `Content.local_maps_of`."""
         return posed.maps
 
-    def trace(self, posed: MovedGaussians, rays: RayBundle, background: Tensor | None) -> Image:
-        """See `Content.trace`; Gaussians are drawn picture by picture and meet no single rays.
+    def gains_of(self, posed: MovedGaussians) -> Tensor | None:
+        """See `Content.gains_of`."""
+        gains = posed.drawn.gains
+        return None if gains is None else gains.detach().cpu().squeeze(1)
 
-        Raises:
-            InputError: always; `pcore.gaussians.render` draws with gradients.
-        """
-        raise InputError(
-            "trace: expected an object of neural points, got Gaussians, which are drawn by cameras "
-            "and not by rays; take `render`, or `pcore.gaussians.render.render` for gradients"
+    def trace(self, posed: MovedGaussians, rays: RayBundle, background: Tensor | None) -> Image:
+        """See `Content.trace`; rays are lines: the mean of many in a pixel is a picture's."""
+        means = self.gaussians.means
+        color = means.new_tensor(self.background) if background is None else background
+        found = trace(posed.drawn, rays.flat(), background=color, footprint=self.footprint)
+        depth = torch.where(found.alpha > _TRACE, found.depth, torch.nan)
+        surface = rays.flat().origins + depth.unsqueeze(-1) * rays.flat().directions
+
+        def pixels(values: Tensor) -> Tensor:
+            values = values.reshape(*rays.shape, *values.shape[1:])
+            return values if rays.samples is None else values.nanmean(dim=len(rays.pixels))
+
+        return Image(
+            rgb=pixels(found.rgb),
+            alpha=pixels(found.alpha),
+            depth=pixels(depth),
+            surface=pixels(surface),
         )
 
     @torch.no_grad()

@@ -1,22 +1,25 @@
-"""Train an asset of Gaussians; what `pcore train --model gaussians` does."""
+"""Train and fine-tune assets of Gaussians."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
+from pcore.asset.run_options import RunOptions
 from pcore.asset.saving import load
 from pcore.data.scene import Scene
 from pcore.files.provenance import Provenance
 from pcore.files.records import to_dict
-from pcore.files.run_folder import bytes_needed
-from pcore.files.run_record import RunRecord
+from pcore.files.run_folder import RunFolder, bytes_needed
+from pcore.files.run_record import RunRecord, of_scene
 from pcore.relight.light_file import LIGHT_FILE, save_light
 from pcore.training.events import Listener
-from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.gaussian_config import GaussianConfig, GaussianFinetuneConfig
+from pcore.training.gaussian_finetune import finetune_gaussians
 from pcore.training.gaussian_fit import fit_gaussians
 from pcore.training.in_folder import FolderPlan, train_in_folder
 from pcore.training.trainable_gaussians import TrainedGaussians, provenance_of_gaussians
@@ -44,7 +47,7 @@ def gaussian_plan(
         config={
             "model": "gaussians",
             "preset": preset,
-            "factor": scene.factor,
+            **of_scene(scene, None if folder is None else Path(folder)),
             "gaussians": to_dict(config),
         },
         resume=resume,
@@ -82,16 +85,59 @@ def train_gaussians(
         DependencyError: on a GPU without gsplat.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
-    if not keep:
-        found = fit_gaussians(scene, config, listener=listener, device=device)
-        record = RunRecord(stage="pretrain", scene=str(plan.scene), config=plan.config)
-        return _asset(found, provenance_of_gaussians(found, scene.name), record, device), True
-    learned = train_in_folder(
-        plan,
-        lambda run, tell: fit_gaussians(scene, config, folder=run, listener=tell, device=device),
-        listener,
+
+    def run(folder: RunFolder | None, tell: Listener) -> TrainedGaussians:
+        return fit_gaussians(scene, config, folder=folder, listener=tell, device=device)
+
+    return _made(scene, plan, run, listener, device, keep=keep)
+
+
+def tune_gaussians(
+    asset: Asset,
+    scene: Scene,
+    config: GaussianFinetuneConfig,
+    folder: Path | None,
+    listener: Listener,
+    device: str,
+    *,
+    about: Mapping[str, Any],
+    options: RunOptions,
+) -> tuple[Asset, bool]:
+    """Fine-tune Gaussians with random deformations; result and errors as of `train_gaussians`.
+
+    Args:
+        asset: the object it begins with; left as it is.
+        scene: the one that it was trained on.
+        config: losses, schedule.
+        folder: of the run; None keeps everything in memory.
+        listener: told of all events.
+        device: where to train, and then to draw.
+        about: what the record says besides the settings.
+        options: resuming, logs.
+    """
+    content = asset.content
+    assert isinstance(content, GaussianContent), "the caller tells objects apart"
+    base = TrainedGaussians(
+        gaussians=content.gaussians,
+        footprint=content.footprint,
+        background=content.background,
+        step=asset.provenance.step,
     )
-    return load(plan.path, device=device), learned is not None
+    plan = FolderPlan(
+        path=folder or Path(),
+        stage="finetune",
+        scene=scene.name if scene.folder is None else scene.folder.resolve(),
+        config={"model": "gaussians", **about, "finetune": to_dict(config)},
+        resume=options.resume,
+        tensorboard=options.tensorboard,
+        needed=bytes_needed((_NUMBERS + base.gaussians.sh[0].numel()) * len(base.gaussians)),
+        note=options.note,
+    )
+
+    def run(out: RunFolder | None, tell: Listener) -> TrainedGaussians:
+        return finetune_gaussians(scene, base, config, folder=out, listener=tell, device=device)
+
+    return _made(scene, plan, run, listener, device, keep=folder is not None)
 
 
 def keep_light(asset: Asset, content: GaussianContent) -> Asset:
@@ -105,6 +151,24 @@ def keep_light(asset: Asset, content: GaussianContent) -> Asset:
         if content.light is not None:
             save_light(asset.path / LIGHT_FILE, content.light)
     return replace(asset, content=content)
+
+
+def _made(
+    scene: Scene,
+    plan: FolderPlan,
+    run: Callable[[RunFolder | None, Listener], TrainedGaussians],
+    listener: Listener,
+    device: str,
+    *,
+    keep: bool,
+) -> tuple[Asset, bool]:
+    """Train as planned, in the folder or in memory."""
+    if not keep:
+        found = run(None, listener)
+        record = RunRecord(stage=plan.stage, scene=str(plan.scene), config=plan.config)
+        return _asset(found, provenance_of_gaussians(found, scene.name), record, device), True
+    learned = train_in_folder(plan, run, listener)
+    return load(plan.path, device=device), learned is not None
 
 
 def _asset(

@@ -15,6 +15,7 @@ from pcore.deform.pose import pose
 from pcore.errors import InputError
 from pcore.files.model_file import MODEL_FILE, load_model, networks, save_model
 from pcore.files.provenance import Provenance
+from pcore.gaussians.splats import SplatsAtRest
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
@@ -25,6 +26,7 @@ from pcore.model.papr import Papr
 from pcore.relight.light_file import LIGHT_FILE, load_light, save_light
 from pcore.relight.relighting import Relighting
 from pcore.render.image import Image
+from pcore.render.own_splats import own_splats
 from pcore.render.picture import FAST_THRESHOLD, render, render_rays
 from pcore.render.raster import film_detail
 
@@ -64,6 +66,11 @@ class NeuralPoints:
         """See `Content.samples`."""
         return self.papr.config.samples
 
+    def splats(self) -> SplatsAtRest:
+        """See `Content.splats`: flat ones over the points; takes a second."""
+        made = own_splats(self.papr, PosedCloud.at_rest(self.cloud, self.surfels))
+        return SplatsAtRest.of(made, self.points)
+
     def pose(self, motion: Motion | None, *, rays: RaysName, light: LightName | None) -> PosedCloud:
         """See `Content.pose`; the light stands still where there is one and rays are aware."""
         relighting = self._relighting(rays, light)
@@ -73,6 +80,16 @@ class NeuralPoints:
             return posed
         world = motion.world if isinstance(motion, MovedPoints) else 1.0
         return replace(posed, gains=relighting.gains(posed, world=world))
+
+    def lit(self, posed: PosedCloud, gains: Tensor | None) -> PosedCloud:
+        """See `Content.lit`."""
+        still = posed.positions is posed.cloud.positions
+        if gains is None and (self.light is None or still or posed.surfels is None):
+            return posed
+        if gains is None:
+            assert self.light is not None
+            gains = self.light.gains(posed)
+        return replace(posed, gains=gains) if posed.surfels is not None else posed
 
     def _moved(self, motion: Motion | None, *, aware: bool) -> PosedCloud:
         """The points where a motion takes them, as they were photographed."""
@@ -100,6 +117,10 @@ class NeuralPoints:
     def local_maps_of(self, posed: PosedCloud) -> LocalMaps | None:
         """See `Content.local_maps_of`."""
         return posed.local_maps
+
+    def gains_of(self, posed: PosedCloud) -> Tensor | None:
+        """See `Content.gains_of`."""
+        return posed.gains
 
     def trace(self, posed: PosedCloud, rays: RayBundle, background: Tensor | None) -> Image:
         """See `Content.trace`."""

@@ -16,7 +16,8 @@ from pcore.editing.anchors import AnchorRig
 from pcore.editing.animation import Animation, load_animation, parse_animation
 from pcore.editing.binding import Bound
 from pcore.editing.script import EditScript
-from pcore.editing.session import EditSession, EditState
+from pcore.editing.session import EditSession
+from pcore.editing.state import EditState
 from pcore.errors import EditError, InputError
 
 EditLike = str | Path | Mapping[str, Any] | EditScript | Animation
@@ -50,12 +51,7 @@ def script_of(edit: EditLike, time: float | None = None) -> EditScript:
     """
     if isinstance(edit, EditScript):
         return edit
-    if isinstance(edit, Animation):
-        animation = edit
-    elif isinstance(edit, Mapping):
-        animation = parse_animation(edit)
-    else:
-        animation = load_animation(edit)
+    animation = animation_of(edit)
     if time is None and animation.end > animation.start:
         raise EditError(
             f"{animation.source}: expected --time between {animation.start:g} and "
@@ -63,6 +59,30 @@ def script_of(edit: EditLike, time: float | None = None) -> EditScript:
             "`pcore animate`"
         )
     return animation.at(animation.start if time is None else time)
+
+
+def begin_with(edit: EditLike | None, time: float | None) -> EditScript | Animation | None:
+    """Read an edit for a session, if any: as it is at a time, or with its keyframes.
+
+    Raises:
+        EditError: it is not valid.
+    """
+    if edit is None:
+        return None
+    if isinstance(edit, EditScript) or time is not None:
+        return script_of(edit, time)
+    return animation_of(edit)
+
+
+def animation_of(edit: str | Path | Mapping[str, Any] | Animation) -> Animation:
+    """Read an edit with or without keyframes.
+
+    Raises:
+        EditError: it is not valid.
+    """
+    if isinstance(edit, Animation):
+        return edit
+    return parse_animation(edit) if isinstance(edit, Mapping) else load_animation(edit)
 
 
 def bind_motion(
@@ -97,7 +117,7 @@ def bind_motion(
         edit = edit.bound
     if isinstance(edit, Bound):
         _same_points(edit, points)
-        return BoundMotion(motion=edit.deformation, notes=edit.notes)
+        return BoundMotion(motion=edit.known, notes=edit.notes)
     known: tuple[type, ...] = (str, Path, Mapping, EditScript, Animation)
     if not isinstance(edit, known):
         raise InputError(
@@ -105,7 +125,7 @@ def bind_motion(
             f"None, got {type(edit).__name__}"
         )
     bound = script_of(edit, time).bound(points, rig=read_rig(), check=check)
-    return BoundMotion(motion=bound.deformation, notes=bound.notes)
+    return BoundMotion(motion=bound.known, notes=bound.notes)
 
 
 def _same_number(count: int, points: Tensor) -> None:

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
-from pcore.asset.gaussian_training import gaussian_plan, keep_light, train_gaussians
+from pcore.asset.gaussian_training import (
+    gaussian_plan,
+    keep_light,
+    train_gaussians,
+    tune_gaussians,
+)
+from pcore.asset.run_options import RunOptions
 from pcore.asset.saving import asset_of, load, neural_points_of
 from pcore.data.scene import Scene, check_images
 from pcore.errors import InputError
 from pcore.files.records import to_dict
 from pcore.files.run_folder import RunFolder
-from pcore.files.run_record import RunRecord, relative
+from pcore.files.run_record import RunRecord, of_scene, relative
 from pcore.relight.estimate import fit_light
 from pcore.relight.light_file import LIGHT_FILE, save_light
 from pcore.render.surfel_fit import Observed, observe
@@ -23,37 +29,15 @@ from pcore.training import presets
 from pcore.training.config import FinetuneConfig, PresetName, PretrainConfig
 from pcore.training.events import Listener, silent
 from pcore.training.finetune import finetune as run_finetuning
-from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.gaussian_config import GaussianConfig, GaussianFinetuneConfig
 from pcore.training.in_folder import FolderPlan, disk_space, train_in_folder
+from pcore.training.locate import locate
 from pcore.training.presets import PretrainName
 from pcore.training.pretrain import pretrain
 from pcore.training.trained import Trained
 
-
-def _tell_nobody(text: str) -> None:
-    """Say nothing."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunOptions:
-    """What a training does besides learning.
-
-    Attributes:
-        light: estimate the light of the photos at the end; where that is not possible the object
-            has none, and `note` is told why.
-        resume: go on exactly where the run in the folder was interrupted.
-        tensorboard: write curves for TensorBoard into the folder, where its package is installed.
-        compiled: use torch.compile where it pays, on a GPU.
-        preset: what the settings are called in the record; None finds their name.
-        note: told in a sentence where it goes on from, and what had to be left out.
-    """
-
-    light: bool = True
-    resume: bool = False
-    tensorboard: bool = False
-    compiled: bool = True
-    preset: str | None = None
-    note: Callable[[str], None] = _tell_nobody
+FinetuneSettings = FinetuneConfig | GaussianFinetuneConfig
+"""Settings of P-CORE for either kind of object."""
 
 
 def train(
@@ -85,6 +69,7 @@ def train(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     chosen = options or RunOptions()
+    scene = scene if scene.region is not None else locate(scene).scene
     if settings == "gaussians":
         settings = presets.gaussian_preset("tiny")
     if isinstance(settings, GaussianConfig):
@@ -109,7 +94,7 @@ def train(
         stage="pretrain",
         config={
             "preset": chosen.preset or name,
-            "factor": scene.factor,
+            **of_scene(scene, None if folder is None else Path(folder)),
             "pretrain": to_dict(config),
         },
     )
@@ -126,7 +111,7 @@ def train(
 def finetune(
     asset: Asset,
     scene: Scene,
-    settings: FinetuneConfig | PresetName | None = None,
+    settings: FinetuneSettings | PresetName | None = None,
     *,
     folder: Path | str | None = None,
     listener: Listener = silent,
@@ -147,28 +132,30 @@ def finetune(
         options: light, resuming, logs.
 
     Raises:
-        InputError: the folder is in use, fewer points than the skinning wants anchors, or an
-            object that has no networks.
+        InputError: the folder is in use, fewer points than the skinning wants anchors, or settings
+            of another kind of object.
         WeightsError: LPIPS was asked for and its weights are missing.
         TrainingError: diverged, cannot be compiled or cannot write.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
-    chosen, content = options or RunOptions(), neural_points_of(asset, "finetune")
+    chosen = options or RunOptions()
     known = settings if isinstance(settings, str) else None
     name, config = finetune_settings(asset, known)
-    if isinstance(settings, FinetuneConfig):
+    if settings is not None and not isinstance(settings, str):
         config = settings
     path = None if folder is None else Path(folder)
-    record = RunRecord(
-        path=path,
-        stage="finetune",
-        config={
-            **_base_of(asset, path),
-            "preset": chosen.preset or name,
-            "factor": scene.factor,
-            "finetune": to_dict(config),
-        },
-    )
+    about = {
+        **_base_of(asset, path),
+        "preset": chosen.preset or name,
+        **of_scene(scene, path),
+    }
+    if isinstance(config, GaussianFinetuneConfig):
+        tuned, learned = tune_gaussians(
+            asset, scene, config, path, listener, device, about=about, options=chosen
+        )
+        return _lit(tuned, scene, chosen) if learned else tuned
+    content = neural_points_of(asset, "finetune")
+    record = RunRecord(path=path, stage="finetune", config={**about, "finetune": to_dict(config)})
     base = Trained(papr=content.papr, cloud=content.cloud, step=asset.provenance.step)
 
     def run(out: RunFolder | None, tell: Listener) -> Trained:
@@ -182,16 +169,21 @@ def finetune(
 
 def finetune_settings(
     asset: Asset, name: PresetName | None = None
-) -> tuple[PresetName, FinetuneConfig]:
-    """Name and settings of fine-tuning for an object; its background stays.
+) -> tuple[PresetName, FinetuneSettings]:
+    """Name and settings of fine-tuning for an object of either kind; its background stays.
 
     Args:
         asset: says which preset it was trained with; "paper" where that is not known.
         name: of another preset.
     """
-    content = neural_points_of(asset, "finetune")
     known: dict[Any, PresetName] = {"tiny": "tiny", "fast": "fast"}
     chosen = name or known.get(str(asset.record.config.get("preset")), "paper")
+    if isinstance(asset.content, GaussianContent):
+        black = asset.content.background == (0.0, 0.0, 0.0)
+        return chosen, replace(
+            presets.gaussian_finetune_preset(chosen), background="black" if black else "random"
+        )
+    content = neural_points_of(asset, "finetune")
     black = content.papr.config.background == (0.0, 0.0, 0.0)
     return chosen, replace(
         presets.finetune_preset(chosen), background="black" if black else "white"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 from pcore.capture.assemble import scene_of
 from pcore.capture.layouts import PHOTOS, RENDERED, VIDEO, layout_of, read_layout
+from pcore.capture.mask_folder import scene_with_masks
 from pcore.capture.photo_folders import with_masks
 from pcore.capture.structure import Tell, with_poses
 from pcore.data.blender import load_splits, transforms_path
@@ -25,6 +27,7 @@ def load_scene(
     *,
     factor: int = 1,
     memory_budget: int = DEFAULT_MEMORY_BUDGET,
+    masks: Path | Literal["none"] | None = None,
     tell: Tell | None = None,
 ) -> Scene:
     """Load a scene or capture of any layout that pcore knows; the layout is found by itself.
@@ -40,6 +43,8 @@ def load_scene(
         path: the scene's folder; of one with several layouts, the file or model that is meant.
         factor: whole number by which images are down-scaled (area mean of premultiplied colour).
         memory_budget: bytes of decoded images kept, shared by all views of the scene.
+        masks: folder of masks made elsewhere (`scene_with_masks`); "none" takes photos of captures
+            without any; None takes those that the files name or that lie beside the photos.
         tell: called with a line now and then where poses must be found first.
 
     Training views are read now. Other splits of rendered scenes are read when they are asked for: a
@@ -50,19 +55,26 @@ def load_scene(
         InputError: a factor that does not divide the image size of a rendered scene.
         DependencyError: poses must be found and COLMAP is not installed.
     """
+    scene = _open(path, factor, ImageCache(memory_budget), masks == "none", tell or _silent)
+    return scene if masks is None or masks == "none" else scene_with_masks(scene, masks)
+
+
+def _open(path: str | Path, factor: int, cache: ImageCache, bare: bool, tell: Tell) -> Scene:
     given = _path(path)
     check_count("down-scaling factor", factor)
-    cache = ImageCache(memory_budget)
     if given.is_dir() and _is_pair(given):
         return _rendered(given, given / START, factor, cache)
     layout = layout_of(given)
     if layout.name == RENDERED:
         return _rendered(layout.root, layout.root, factor, cache)
     if layout.name in (PHOTOS, VIDEO):
-        layout = with_poses(layout, tell or _silent)
+        layout = with_poses(layout, tell)
     capture = read_layout(layout, factor)
-    photos, notes = with_masks(capture.photos, layout.root)
-    capture = replace(capture, photos=photos, notes=[*capture.notes, *notes])
+    if bare:
+        capture = replace(capture, photos=[replace(one, mask=None) for one in capture.photos])
+    else:
+        photos, notes = with_masks(capture.photos, layout.root)
+        capture = replace(capture, photos=photos, notes=[*capture.notes, *notes])
     scene = scene_of(capture, root=layout.root, given=given, factor=factor, cache=cache)
     scene.split("train")  # So that its notes are known.
     return scene

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,10 +16,10 @@ from pcore.cli.runtime import DeviceName
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
-    from pcore.evaluation.ablation import AblationFigure
-    from pcore.evaluation.runner import Method
+    from pcore.asset.training import FinetuneSettings
+    from pcore.evaluation.ablation import AblationFigure, Variant
+    from pcore.evaluation.asset_method import AssetMethod
     from pcore.evaluation.states import SceneStates
-    from pcore.training.config import FinetuneConfig
 
 FIGURE_FILE = "ablation.png"
 
@@ -83,8 +84,9 @@ def ablate(command: AblateCommand, console: Console) -> None:
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.data.scene import check_images
     from pcore.errors import InputError
-    from pcore.evaluation.ablation import VARIANTS, AblationFigure
+    from pcore.evaluation.ablation import AblationFigure, variants_for
     from pcore.evaluation.states import open_states
+    from pcore.training.config import FinetuneConfig
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -96,7 +98,8 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"compared with it; ablate the run that it was tuned from, {record.base}"
         )
     factor = record.factor if command.factor is None else command.factor
-    places = open_states(record.scene_or(command.scene), factor=factor)
+    masks = record.masks if command.scene is None else None
+    places = open_states(record.scene_or(command.scene), factor=factor, masks=masks)
     states = places.select(command.state)
     note(console, places.scene.notes)
     check_images(shot.view for state in states for shot in state.shots)
@@ -109,17 +112,19 @@ def ablate(command: AblateCommand, console: Console) -> None:
         )
     output = command.output or command.run_folder / "ablation"
     full = _full_config(asset, command)
-    check_weights(full.lpips_weight, full.lpips_trunk)
+    if isinstance(full, FinetuneConfig):
+        check_weights(full.lpips_weight, full.lpips_trunk)
     results_folder(output, about=asset.path)
-    for variant in VARIANTS:
+    variants = variants_for(full)
+    for variant in variants:
         path, config = output / variant.folder, variant.config(full)
         _train(console, (asset, places), path, config, device)
-    methods = _methods(asset, output, places, device)
+    methods = _methods(asset, output, places, variants, device)
     figure = AblationFigure(states[1].name, command.view)
     _score(command, console, (asset, places), methods, figure)
 
 
-def _full_config(asset: Asset, command: AblateCommand) -> FinetuneConfig:
+def _full_config(asset: Asset, command: AblateCommand) -> FinetuneSettings:
     """Settings of the whole method for this run."""
     from pcore.asset.training import finetune_settings
 
@@ -131,7 +136,7 @@ def _train(
     console: Console,
     source: tuple[Asset, SceneStates],
     path: Path,
-    config: FinetuneConfig,
+    config: FinetuneSettings,
     device: str,
 ) -> None:
     from pcore.asset.training import RunOptions, finetune
@@ -152,21 +157,28 @@ def _train(
         )
 
 
-def _methods(asset: Asset, output: Path, places: SceneStates, device: str) -> list[Method]:
+def _methods(
+    asset: Asset,
+    output: Path,
+    places: SceneStates,
+    variants: Sequence[Variant],
+    device: str,
+) -> list[AssetMethod]:
     from pcore.asset.saving import load
-    from pcore.evaluation.ablation import VANILLA, VARIANTS
-    from pcore.evaluation.methods import plain_method
+    from pcore.evaluation.methods import label_of, plain_method
 
-    tuned = [(v.title, load(output / v.folder, device=device)) for v in VARIANTS]
+    tuned = [(v.title, load(output / v.folder, device=device)) for v in variants]
     # The paper's question is what its losses do; aware rays would answer for them.
-    return [plain_method(name, one, places.scene) for name, one in [(VANILLA, asset), *tuned]]
+    return [
+        plain_method(name, one, places.scene) for name, one in [(label_of(asset), asset), *tuned]
+    ]
 
 
 def _score(
     command: AblateCommand,
     console: Console,
     source: tuple[Asset, SceneStates],
-    methods: list[Method],
+    methods: list[AssetMethod],
     figure: AblationFigure,
 ) -> None:
     from pcore.cli.eval import finish

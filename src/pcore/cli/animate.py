@@ -18,7 +18,8 @@ from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
-    from pcore.asset.asset import Asset, Posed
+    from pcore.asset.asset import Asset
+    from pcore.asset.posed_asset import Posed
     from pcore.editing.animation import Animation
     from pcore.geometry.camera import Camera
     from pcore.render.image import Image
@@ -38,7 +39,14 @@ class AnimateCommand:
     """How many frames, evenly from the first keyframe to the last."""
 
     output: Annotated[Path | None, optional("VIDEO", "-o")] = None
-    """The video, .mp4; replaced if it exists. Without it there must be --points."""
+    """The video, .mp4; replaced if it exists. Without it there must be --frames-dir or --points."""
+
+    frames_dir: Folder = None
+    """Folder for every frame as frame_NNN.png with transparency, for other programs."""
+
+    depth: bool = False
+    """With --frames-dir: also frame_NNN.npz with depth, camera z in world units, NaN for nothing;
+    and alpha."""
 
     points: Folder = None
     """Folder for the points of every frame as frame_NNN.ply, or .glb."""
@@ -76,7 +84,7 @@ class AnimateCommand:
     """Rays per pixel: 1, 4, 9, ...; default: those of the model."""
 
     overwrite: bool = False
-    """Write points into a folder that holds files already."""
+    """Write points or frames into a folder that holds files already."""
 
     device: DeviceName = "auto"
     """Where to compute; auto takes a GPU where there is one."""
@@ -117,16 +125,26 @@ def animate(command: AnimateCommand, console: Console) -> None:
         pictures_folder(command.points, overwrite=command.overwrite)
         _write_points(command.points, moved, command.points_format)
         console.print(Text(f"{len(moved)} files of points in {command.points}"), soft_wrap=True)
-    if command.output is not None:
-        film = asset.film(moved, _cameras(command, asset, moved, console), samples=command.samples)
-        _film(command.output, command.fps, film, len(moved), console)
-        console.print(Text(f"{len(moved)} frames in {command.output}"), soft_wrap=True)
+    if command.output is None and command.frames_dir is None:
+        return
+    if command.frames_dir is not None:
+        pictures_folder(command.frames_dir, overwrite=command.overwrite)
+    cameras = _cameras(command, asset, moved, console)
+    # Over black, colours and opacity are kept apart.
+    shown = asset if command.frames_dir is None else asset.over((0.0, 0.0, 0.0))
+    film = shown.film(moved, cameras, samples=command.samples)
+    _film(command, film, asset.provenance.background, len(moved), console)
+    for place in (command.output, command.frames_dir):
+        if place is not None:
+            console.print(Text(f"{len(moved)} frames in {place}"), soft_wrap=True)
 
 
 def _check(command: AnimateCommand) -> None:
     check_given_samples(command.samples)
-    if command.output is None and command.points is None:
-        raise InputError("expected -o VIDEO.mp4 or --points FOLDER, or both, got neither")
+    if command.output is None and command.points is None and command.frames_dir is None:
+        raise InputError("expected -o VIDEO.mp4, --frames-dir or --points FOLDER, got none")
+    if command.depth and command.frames_dir is None:
+        raise InputError("expected --frames-dir FOLDER with --depth, got none")
     if command.output is not None and command.output.suffix.lower() != ".mp4":
         raise InputError(f"{command.output}: expected a video that ends in .mp4")
     if command.orbit and command.cameras is not None:
@@ -172,7 +190,7 @@ def _cameras(
 ) -> list[Camera]:
     import torch
 
-    from pcore.capture.load import camera_notes, load_scene
+    from pcore.capture.load import camera_notes
     from pcore.cli import cameras
     from pcore.cli.diagnosing import note
     from pcore.geometry.camera_path import path_through
@@ -193,7 +211,7 @@ def _cameras(
     if folder is None:
         views = cameras.orbit_of_cloud(torch.cat([one.points for one in moved]), wish)
     else:
-        scene = load_scene(folder, factor=asset.record.factor)
+        scene = asset.scene(folder)
         note(console, scene.notes)
         # One distance for all frames: the farthest that any of them needs.
         reach = max(growth(asset.points, one.points, scene.center) for one in moved)
@@ -201,13 +219,38 @@ def _cameras(
     return path_through([camera for _, camera in views], len(moved))
 
 
-def _film(output: Path, fps: int, film: Iterator[Image], count: int, console: Console) -> None:
+def _film(
+    command: AnimateCommand,
+    film: Iterator[Image],
+    background: tuple[float, float, float],
+    count: int,
+    console: Console,
+) -> None:
+    """Write every picture where it is asked for; those with --frames-dir were taken over black."""
+    import torch
+
     from pcore.cli.results import counting
     from pcore.data.video import VideoWriter
 
     with ExitStack() as stack:
-        video = stack.enter_context(VideoWriter(output, fps=fps))
+        video = None
+        if command.output is not None:
+            video = stack.enter_context(VideoWriter(command.output, fps=command.fps))
         tell = stack.enter_context(counting(console, "frames"))
         for number, picture in enumerate(film, start=1):
-            video.add(picture.rgb)
+            rgb = picture.rgb
+            if command.frames_dir is not None:
+                name = f"frame_{number - 1:0{max(3, len(str(count - 1)))}}"
+                _write_frame(command.frames_dir / name, picture, depth=command.depth)
+                rgb = rgb + (1 - picture.alpha.unsqueeze(-1)) * torch.tensor(background).to(rgb)
+            if video is not None:
+                video.add(rgb)
             tell(number, count)
+
+
+def _write_frame(stem: Path, picture: Image, *, depth: bool) -> None:
+    from pcore.data.pictures import write_raw, write_rgba
+
+    write_rgba(stem.with_suffix(".png"), picture.rgb, picture.alpha)
+    if depth:
+        write_raw(stem.with_suffix(".npz"), depth=picture.depth, alpha=picture.alpha)

@@ -24,6 +24,7 @@ _OPTIONAL = (
     ("matplotlib", "report", "no figures"),
     ("skimage", "metrics", "no SSIM"),
     ("gaussforge", "splats", "compressed files of Gaussians (.spz, .sog) are not read"),
+    ("cv2", "capture", "no automatic masks, no masks in `pcore check`"),
 )
 _MEMORY_WANTED = 4e9
 _DISK_WANTED = 1e9

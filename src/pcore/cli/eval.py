@@ -114,7 +114,8 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     base = baseline_of(run, command.baseline, device=device)
     runs = [run] if base is None else [base, run]
     factor = run.record.factor if command.factor is None else command.factor
-    places = open_states(run.record.scene_or(command.scene), factor=factor)
+    masks = run.record.masks if command.scene is None else None
+    places = open_states(run.record.scene_or(command.scene), factor=factor, masks=masks)
     states = places.select(command.state or (() if command.edit else ("all",)))
     edited, odd = _edited(command, places, runs)
     states += edited
@@ -122,14 +123,19 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     check_images(shot.view for state in states for shot in state.shots)
     output = command.output or command.run_folder / "eval"
     results_folder(output, about=run.path)
-    methods = methods_of(runs, places.scene, rays=command.rays, light=command.light)
+    methods = methods_of(
+        runs,
+        places.scene,
+        rays=command.rays,
+        light=command.light,
+        take=lambda asset, posed, camera: asset.render(posed, camera, samples=command.samples),
+    )
     chosen = PROTOCOLS.values() if command.protocol == "both" else [PROTOCOLS[command.protocol]]
     perceptual = load_perceptual()
     with counting(console, "pictures") as tell:
         rows = evaluate(
             methods,
             states,
-            draw=lambda asset, posed, camera: asset.render(posed, camera, samples=command.samples),
             protocols=list(chosen),
             perceptual=perceptual,
             progress=tell,

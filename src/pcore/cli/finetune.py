@@ -16,14 +16,15 @@ from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
-    from pcore.training.config import FinetuneConfig
+    from pcore.asset.training import FinetuneSettings
 
 
 @dataclass(frozen=True, kw_only=True)
 class FinetuneCommand:
     """Fine-tune a run so that its surface follows any deformation; the run itself is not changed.
 
-    Only training views of the undeformed scene are used.
+    Only training views of the undeformed scene are used. Runs of Gaussians are tuned as well;
+    options of networks (skinning, rays, losses) are not for them.
     """
 
     run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
@@ -98,14 +99,16 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     from pcore.cli.sessions import show_result, shown_training
     from pcore.cli.train import announce
     from pcore.files.run_record import finished
+    from pcore.training.config import FinetuneConfig
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
     asset, output = load(command.run_folder), _output(command)
     scene = asset.scene(command.scene, factor=command.factor)
     name, config = _config(command, asset)
-    command.losses.check(config, scene.split("train"))
-    check_weights(config.lpips_weight, config.lpips_trunk)
+    if isinstance(config, FinetuneConfig):
+        command.losses.check(config, scene.split("train"))
+        check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{name}, {config.steps:,} steps on {device}")
     done = command.resume and finished(output)
     with shown_training(console) as (listener, note):
@@ -145,12 +148,17 @@ def _output(command: FinetuneCommand) -> Path:
     return command.output
 
 
-def _config(command: FinetuneCommand, asset: Asset) -> tuple[PresetName, FinetuneConfig]:
+def _config(command: FinetuneCommand, asset: Asset) -> tuple[PresetName, FinetuneSettings]:
     """Name of the preset and its settings with what the command changes."""
     from pcore.asset.training import finetune_settings
+    from pcore.training.gaussian_config import GaussianFinetuneConfig
     from pcore.training.presets import skinning_preset
 
     name, config = finetune_settings(asset, command.preset)
+    if isinstance(config, GaussianFinetuneConfig):
+        _refuse_networks(command)
+        steps = config.steps if command.steps is None else command.steps
+        return name, replace(config, seed=command.seed, steps=steps)
     changes: dict[str, Any] = {
         "seed": command.seed,
         "aware": command.rays == "aware",
@@ -166,3 +174,22 @@ def _config(command: FinetuneCommand, asset: Asset) -> tuple[PresetName, Finetun
             "which no skinning is learned; give both, or leave the option out"
         )
     return name, replace(config, **changes)
+
+
+def _refuse_networks(command: FinetuneCommand) -> None:
+    """Raise InputError for options that only objects with networks have."""
+    foreign: dict[str, Any] = {
+        f"--{n.replace('_', '-')}": x for n, x in command.losses.changes().items()
+    }
+    foreign |= {
+        "--skinning": command.skinning or None,
+        "--skinning-recipe": command.skinning_recipe,
+        "--rays aware": True if command.rays == "aware" else None,
+        "--no-compile": command.no_compile or None,
+    }
+    given = [name for name, value in foreign.items() if value is not None]
+    if given:
+        raise InputError(
+            f"{', '.join(given)}: expected options that Gaussians have, got some that only PAPR "
+            "has; leave them out. Carried Gaussians are always aware of the deformation"
+        )

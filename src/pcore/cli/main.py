@@ -45,6 +45,7 @@ class Verb:
 
 VERBS: tuple[Verb, ...] = (
     Verb("demo", "pcore.cli.demo", "DemoCommand", "the whole story on a sample, with a report"),
+    Verb("check", "pcore.cli.check", "CheckCommand", "look at a scene before it is trained"),
     Verb("train", "pcore.cli.train", "TrainCommand", "learn a scene from its photos"),
     Verb(
         "finetune",
@@ -54,9 +55,12 @@ VERBS: tuple[Verb, ...] = (
     ),
     Verb("light", "pcore.cli.light", "LightCommand", "estimate the light, so that it stays put"),
     Verb("render", "pcore.cli.render", "RenderCommand", "take pictures of a run, also deformed"),
+    Verb("view", "pcore.cli.view", "ViewCommand", "look at a run, or make one HTML file of it"),
+    Verb("studio", "pcore.cli.studio", "StudioCommand", "edit a run by hand, in the browser"),
     Verb("animate", "pcore.cli.animate", "AnimateCommand", "film a run under keyframes"),
     Verb("fit", "pcore.cli.fit", "FitCommand", "find the pose of a run in photos of another state"),
     Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),
+    Verb("compare", "pcore.cli.compare", "CompareCommand", "score rival methods beside our own"),
     Verb("ablate", "pcore.cli.ablate", "AblateCommand", "fine-tune with parts left out, compare"),
     Verb("study make", "pcore.cli.study", "StudyMakeCommand", "ask people which of two is better"),
     Verb("study read", "pcore.cli.study", "StudyReadCommand", "say what people chose"),

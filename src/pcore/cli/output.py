@@ -42,11 +42,23 @@ def results_folder(folder: Path, *, about: Path) -> None:
         InputError: it is a file, a run, or holds other files or the results of another run.
         OSError: it cannot be made or written.
     """
+    from pcore.evaluation.tables import SUMMARY_FILE
+
+    results_of(folder, SUMMARY_FILE, about=about)
+
+
+def results_of(folder: Path, file: str, *, about: Path) -> None:
+    """Do the same for results whose summary is another file, about a run or a scene.
+
+    Raises:
+        InputError: as `results_folder`.
+        OSError: it cannot be made or written.
+    """
     from pcore.errors import InputError
-    from pcore.evaluation.tables import SUMMARY_FILE, write_json
+    from pcore.evaluation.tables import write_json
     from pcore.files.run_record import relative
 
-    there, path = _content(folder, "results"), folder / SUMMARY_FILE
+    there, path = _content(folder, "results"), folder / file
     if path.exists():
         subject = _subject(path)
         if subject != str(about.resolve()):

@@ -17,7 +17,8 @@ from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
-    from pcore.asset.asset import Asset, Posed
+    from pcore.asset.asset import Asset
+    from pcore.asset.posed_asset import Posed
     from pcore.cli.cameras import Named
 
 _FRAMES = 60
@@ -208,7 +209,7 @@ def _views(command: RenderCommand, asset: Asset, posed: Posed, console: Console)
         if folder is None:
             console.print("no scene at hand: the orbit is fitted to the points")
         return cameras.orbit_of_cloud(posed.points, wish)
-    scene = load_scene(folder, factor=factor)
+    scene = asset.scene(folder, factor=factor)
     note(console, scene.notes)
     # An edit that makes the object larger moves the cameras back.
     reach = growth(asset.points, posed.points, scene.center)

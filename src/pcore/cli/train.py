@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.losses import LossOptions, check_weights
+from pcore.cli.minutes import Promise, promised_papr, say_duration
 from pcore.cli.options import Count, optional
 from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
@@ -54,6 +56,10 @@ class TrainCommand:
     factor: Annotated[int, arg(metavar="N")] = 1
     """Down-scale images by this whole number (area mean)."""
 
+    minutes: Annotated[float | None, optional("M")] = None
+    """Time for all of it: chooses resolution, number of Gaussians or points, steps and schedule
+    from the photos and the measured speed of this machine, and keeps to it within a fifth."""
+
     steps: Count = None
     """Optimiser steps; default: those of the preset."""
 
@@ -67,15 +73,27 @@ class TrainCommand:
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of every random draw."""
 
-    init: Annotated[str | None, optional("hull|grid|views|FILE")] = None
-    """Where points start: hull (of the masks), grid (the original's; papr), views (near and far
-    before the cameras; gaussians), or a PLY or NPY file. Default: hull, or grid or views when the
-    images have no alpha."""
+    init: Annotated[str | None, optional("hull|grid|sparse|views|FILE")] = None
+    """Where points start: hull (of the masks), grid (the original's; papr), sparse (points of the
+    reconstruction that posed the photos, and far ones; gaussians), views (where neighbouring
+    photos agree, and far away; gaussians), or a PLY or NPY file. Default: hull; for images without
+    alpha grid (papr), or sparse where there are such points, else views (gaussians)."""
+
+    masks: Annotated[str | None, optional("auto|none|FOLDER")] = None
+    """Where photos show the object: auto (cut out of them now, needs OpenCV), a folder of masks, or
+    none (learn the background too). Default: alpha, or masks that the scene brings."""
+
+    box: Annotated[tuple[float, ...], arg(metavar="X Y Z X Y Z", help_behavior_hint="")] = ()
+    """Lower and upper corner of the object in world units; default: found (`pcore check`)."""
 
     background: Annotated[
         Literal["white", "black", "random"] | None, optional("{white,black,random}")
     ] = None
     """Colour behind images with alpha; default: that of the preset (white)."""
+
+    exposure: Annotated[Literal["per-view"] | None, optional("{per-view}")] = None
+    """per-view: learn an affine map of colours for every photo along, where exposure and white
+    balance change from photo to photo. Default: photos are taken as they are."""
 
     losses: Annotated[LossOptions, arg(name="")] = field(default_factory=LossOptions)
     """Weights of the losses; default: those of the preset."""
@@ -115,21 +133,47 @@ def train(command: TrainCommand, console: Console) -> None:
         TrainingError: training diverged or cannot write, or nothing is to be seen at its end.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
-    from pcore.capture.load import load_scene
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
 
+    began = time.monotonic()
     prepare_torch(command.threads)
     device = pick_device(command.device)
-    scene = load_scene(command.scene, factor=command.factor, tell=console.print)
+    scene = opened(command, console)
     config = _config(command, scene, console)
     command.losses.check(config, scene.split("train"))
     check_weights(config.lpips_weight, config.lpips_trunk)
-    announce(console, scene, f"{command.preset}, {config.steps:,} steps on {device}")
+    plan = f"{command.preset}, {config.steps:,} steps"
+    if command.minutes is not None:
+        promise = Promise(minutes=command.minutes, began=began)
+        scene, config, plan = promised_papr(command, scene, config, device, promise)
+    announce(console, scene, f"{plan} on {device}")
+    if command.minutes is None:
+        say_duration(console, scene, config, device)
     asset = trained(command, scene, config, device, console)
     if config.steps >= EARLY:
         check_shows(asset, scene)
     show_result(console, asset)
+
+
+def opened(command: TrainCommand, console: Console) -> Scene:
+    """Open the scene with the masks that are asked for, and find its object.
+
+    Raises:
+        SceneError: the scene or a mask cannot be read.
+        InputError: a bad box, or masks that cannot be found.
+        DependencyError: automatic masks without OpenCV.
+    """
+    from pcore.cli.scenes import located_scene
+
+    return located_scene(
+        command.scene,
+        factor=command.factor,
+        masks=command.masks,
+        box=command.box,
+        made=command.output / "masks",
+        console=console,
+    ).scene
 
 
 def trained(
@@ -193,7 +237,7 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     from pcore.training.presets import preset
 
     changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
-    for name in ("steps", "points", "background", "origin"):
+    for name in ("steps", "points", "background", "origin", "exposure"):
         if getattr(command, name) is not None:
             changes[name] = getattr(command, name)
     if command.init in ("hull", "grid"):

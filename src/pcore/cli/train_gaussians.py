@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,11 +10,25 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from pcore.cli.train import EARLY, TrainCommand, announce, check_shows, trained, warn_of_start
+from pcore.cli.minutes import Promise, promised_gaussians, say_duration
+from pcore.cli.train import (
+    EARLY,
+    TrainCommand,
+    announce,
+    check_shows,
+    opened,
+    trained,
+    warn_of_start,
+)
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.training.gaussian_config import GaussianConfig
+
+_WITHOUT_MASKS = {
+    "views": "before the cameras, where photos agree",
+    "sparse": "at the points of the reconstruction and far away",
+}
 
 
 def train_gaussians(command: TrainCommand, console: Console) -> None:
@@ -23,23 +38,28 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
         InputError: an option that Gaussians do not have.
         PcoreError: as `fit_gaussians` and the run folder.
     """
-    from pcore.capture.load import load_scene
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
+    from pcore.training.gaussian_start import chosen_start
 
+    began = time.monotonic()
     prepare_torch(command.threads)
     device = pick_device(command.device)
     config = _config(command)
-    scene = load_scene(command.scene, factor=command.factor, tell=console.print)
-    masked = all(view.has_alpha for view in scene.split("train"))
-    start = config.start if config.start != "auto" else "hull" if masked else "views"
-    warn_of_start(scene, start, console, otherwise="views")
-    announce(console, scene, f"Gaussians, {command.preset}, {config.steps:,} steps on {device}")
-    if start == "views":
-        console.print(
-            Text("images without alpha have no visual hull: Gaussians start before the cameras"),
-            soft_wrap=True,
-        )
+    scene = opened(command, console)
+    plan = f"{command.preset}, {config.steps:,} steps"
+    if command.minutes is not None:
+        promise = Promise(minutes=command.minutes, began=began)
+        scene, config, plan = promised_gaussians(command, scene, config, device, promise)
+    start = chosen_start(scene, config.start)
+    if start != "sparse":
+        warn_of_start(scene, start, console, otherwise="views")
+    announce(console, scene, f"Gaussians, {plan} on {device}")
+    if command.minutes is None:
+        say_duration(console, scene, config, device)
+    if start in _WITHOUT_MASKS:
+        place = f"images without alpha have no visual hull: Gaussians start {_WITHOUT_MASKS[start]}"
+        console.print(Text(place), soft_wrap=True)
     asset = trained(command, scene, config, device, console)
     if config.steps >= EARLY:
         check_shows(asset, scene)
@@ -61,10 +81,10 @@ def _config(command: TrainCommand) -> GaussianConfig:
             "only PAPR has; leave them out, or train with --model papr"
         )
     changes: dict[str, Any] = {"seed": command.seed}
-    for name in ("steps", "points", "background"):
+    for name in ("steps", "points", "background", "exposure"):
         if getattr(command, name) is not None:
             changes[name] = getattr(command, name)
-    if command.init in ("hull", "views"):
+    if command.init in ("hull", "sparse", "views"):
         changes["start"] = command.init
     elif command.init is not None:
         if command.points is not None:

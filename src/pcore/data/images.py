@@ -104,6 +104,7 @@ class ImageSource:
         lens: that bent the whole picture as it is decoded; None of a pinhole.
         crop: part that is kept of the straight picture before down-scaling; None keeps all.
         alpha: of the split that it belongs to; None takes any alpha channel for a mask.
+        cut: (H, W) mask of the finished picture that the alpha is multiplied by; None is none.
     """
 
     path: Path
@@ -115,10 +116,13 @@ class ImageSource:
     lens: LensDistortion | None = None
     crop: Crop | None = None
     alpha: AlphaOfSplit | None = field(default=None, repr=False, compare=False)
+    cut: Tensor | None = field(default=None, repr=False, compare=False)
 
     @property
     def has_alpha(self) -> bool:
         """Whether the file, or its mask, separates object from background."""
+        if self.cut is not None:
+            return True
         return self.header.has_alpha and (self.alpha is None or self.alpha.separates)
 
     def rgba(self) -> Tensor:
@@ -127,7 +131,10 @@ class ImageSource:
         Pixels that the photo says nothing about (`valid`) are 0 in all channels.
         """
         key = (self.path, self.mask, self.upright, self.lens, self.crop, self.factor)
-        return self.cache.get(key, self._decode)
+        found = self.cache.get(key, self._decode)
+        if self.cut is None:
+            return found
+        return torch.cat([found[..., :3], found[..., 3:] * self.cut[..., None]], dim=-1)
 
     def valid(self) -> Tensor | None:
         """(H, W) bool: pixels that the photo shows; None where it shows all.

@@ -51,6 +51,51 @@ def linear_colors(rgb: Tensor) -> Tensor:
     return torch.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
+def write_rgba(path: Path, rgb: Tensor, alpha: Tensor) -> None:
+    """Write colours that were taken over black, with opacity, as a PNG of straight alpha.
+
+    Args:
+        path: the file.
+        rgb: (H, W, 3) over black.
+        alpha: (H, W).
+
+    Raises:
+        InputError: not a picture, or NaN in it.
+        OSError: the file cannot be written; an old one is untouched.
+    """
+    _check_picture(path, rgb)
+    opacity = alpha.detach().cpu().clamp(0, 1).unsqueeze(-1)
+    straight = torch.where(opacity > 0, rgb.detach().cpu() / opacity.clamp_min(1e-6), 0.0)
+    pixels = to_bytes(torch.cat([straight, opacity], dim=-1))
+    buffer = io.BytesIO()
+    Image.fromarray(pixels.numpy()).save(buffer, format="PNG")
+    replace_file(path, buffer.getvalue())
+
+
+def write_mask(path: Path, mask: Tensor) -> None:
+    """Write a mask (H, W) in [0, 1] as a grey 8-bit PNG; the file appears whole or not at all.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    levels = (255 * mask.detach().cpu().clamp(0.0, 1.0)).round().byte().numpy()
+    stream = io.BytesIO()
+    Image.fromarray(levels).save(stream, format="PNG")
+    replace_file(path, stream.getvalue())
+
+
+def write_photo(path: Path, rgba: Tensor, *, opaque: bool) -> None:
+    """Write a picture (H, W, 4), straight alpha in [0, 1], as an 8-bit PNG; no alpha if opaque.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    stream = io.BytesIO()
+    pixels = to_bytes(rgba[..., :3] if opaque else rgba).numpy()
+    Image.fromarray(pixels).save(stream, format="PNG")
+    replace_file(path, stream.getvalue())
+
+
 def write_raw(path: Path, **arrays: Tensor) -> None:
     """Write named arrays, such as `rgb`, `alpha`, `depth` and `surface`, as float32 in an `.npz`.
 

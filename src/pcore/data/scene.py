@@ -161,14 +161,17 @@ class Scene:
         factor: whole number by which its images were down-scaled.
         layout: name of the layout that it was read from.
         sparse: points of the reconstruction that posed the photos; None where there are none.
-        region: where its files say that the object is; None where they do not.
+        region: where the object is, as its files say or as it was found; None where that is not
+            known.
         skipped: pictures that its files name, or that lie beside the others, and are not used.
+        masks: folder of masks that were made for it elsewhere; None where it brings its own, or
+            has none.
 
     Views of one scene may differ in size and lens.
 
-    The region of the object comes from the poses of the training views alone (of all views when
-    there is no training split, as in a deformed state): no image is looked at, no test pose
-    when there are training poses.
+    Without a `region` that of the object comes from the poses of the training views alone (of all
+    views when there is no training split, as in a deformed state): no image is looked at, no test
+    pose when there are training poses. `pcore.training.locate` finds a better one.
     """
 
     name: str
@@ -181,6 +184,7 @@ class Scene:
     sparse: SparsePoints | None = None
     region: Region | None = None
     skipped: tuple[Skipped, ...] = ()
+    masks: Path | None = None
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -206,7 +210,12 @@ class Scene:
 
     @cached_property
     def center(self) -> Tensor:
-        """(3,) the point closest to the viewing axes (least squares), world units."""
+        """(3,) the region's middle; without one the point closest to the viewing axes.
+
+        By least squares, in world units.
+        """
+        if self.region is not None:
+            return self.region.center
         cameras = self._cameras
         poses = torch.stack([camera.world_from_camera for camera in cameras])
         point = closest_to_axes(poses)
@@ -220,20 +229,23 @@ class Scene:
     @property
     def lower(self) -> Tensor:
         """(3,) lower corner of the object's region, world units."""
-        return self.center - self.radius
+        return self.center - self.radius if self.region is None else self.region.bounds[0]
 
     @property
     def upper(self) -> Tensor:
         """(3,) upper corner of the object's region, world units."""
-        return self.center + self.radius
+        return self.center + self.radius if self.region is None else self.region.bounds[1]
 
     @cached_property
     def radius(self) -> float:
-        """Radius of the largest sphere about `center` that every view sees whole, world units.
+        """Radius of the region, world units.
 
-        The region is the cube around that sphere: its inner part is in every field of view, and
-        an object that fills the images without being cut off fits in.
+        Without one that of the largest sphere about `center` that every view sees whole. The cube
+        around it is the region then: its inner part is in every field of view, and an object that
+        fills the images without being cut off fits in.
         """
+        if self.region is not None:
+            return self.region.radius
         radii = [
             seen_radius(camera, camera.world_from_camera, self.center) for camera in self._cameras
         ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import torch
 from scipy.sparse import csr_array
@@ -42,7 +44,27 @@ class PointRegion(Region):
 
     def weight(self, points: Tensor) -> Tensor:
         """Weights (...,) at points (..., 3)."""
+        if self._at_sites(points):
+            return self._own_weights
         return self._field(points).squeeze(-1).clamp(0.0, 1.0)
+
+    def gradient(self, points: Tensor) -> Tensor:
+        """See `Region.gradient`."""
+        return self._own_gradient if self._at_sites(points) else super().gradient(points)
+
+    def _at_sites(self, points: Tensor) -> bool:
+        """Whether these are its own points, at which an edit that is dragged asks again."""
+        sites = self._field.sites
+        alike = points.dtype == sites.dtype and points.device == sites.device
+        return alike and not points.requires_grad and torch.equal(points, sites)
+
+    @cached_property
+    def _own_weights(self) -> Tensor:
+        return self._field(self._field.sites).squeeze(-1).clamp(0.0, 1.0)
+
+    @cached_property
+    def _own_gradient(self) -> Tensor:
+        return super().gradient(self._field.sites)
 
 
 def path_weights(graph: csr_array, sources: Tensor, radius: float, falloff: float) -> Tensor:

@@ -162,6 +162,9 @@ class SkinnedDeformation(Deformation):
     weigher: Weigher = field(repr=False)
     bound: Tensor = field(repr=False)
     weights: SkinningWeights = field(repr=False)
+    _last: list[tuple[Tensor, int, Skinned]] = field(
+        init=False, repr=False, default_factory=list[tuple[Tensor, int, "Skinned"]]
+    )
 
     def __call__(self, points: Tensor) -> Tensor:
         """Map points (..., 3)."""
@@ -170,8 +173,16 @@ class SkinnedDeformation(Deformation):
     def at(self, points: Tensor) -> Skinned:
         """Positions and linear parts of points (..., 3), flattened to (N, 3) and (N, 3, 3)."""
         check_points(points)
+        # Whoever moves points asks for their Jacobians next: both are one blend.
+        for known, version, found in self._last:
+            if known is points and version == points._version:
+                return found
         flat = points.reshape(-1, 3)
-        return skin(flat, self._weights(flat), self.pose)
+        found = skin(flat, self._weights(flat), self.pose)
+        # Kept only where it is certain that autograd follows nothing.
+        if torch.is_grad_enabled() and not found.positions.requires_grad:
+            self._last[:] = [(points, points._version, found)]
+        return found
 
     def jacobian(self, points: Tensor) -> Tensor:
         """Return the blended linear parts (..., 3, 3): the derivative with the weights held.

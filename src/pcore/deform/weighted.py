@@ -97,16 +97,30 @@ class Held(Deformation):
     def jacobian(self, points: Tensor) -> Tensor:
         """Jacobians (..., 3, 3): step by step J + f (J_step - I) J + (step(y) - y) grad(f)^T."""
         check_points(points)
-        eye = Identity().jacobian(points)
+        free = 1.0 - self.hold.weight(points)
+        total, place = Identity().jacobian(points), points
+        for step in self.steps:
+            total = self.further(step, step.jacobian(place), points, place, total)
+            place = blend(place, step(place), free)
+        return total
+
+    def further(
+        self, step: Deformation, jacobian: Tensor, points: Tensor, place: Tensor, total: Tensor
+    ) -> Tensor:
+        """Jacobians (..., 3, 3) after one more step, from those before it.
+
+        Args:
+            step: the next one.
+            jacobian: (..., 3, 3) of the step at `place`.
+            points: (..., 3) before the first step.
+            place: (..., 3) where they are before this one.
+            total: (..., 3, 3) Jacobians so far, at `points`.
+        """
         free = 1.0 - self.hold.weight(points)
         slope = -self.hold.gradient(points).unsqueeze(-2)
-        total, place = eye, points
-        for step in self.steps:
-            moved = step(place)
-            turned = free[..., None, None] * (step.jacobian(place) - eye)
-            total = total + matrix_product(turned, total) + (moved - place).unsqueeze(-1) * slope
-            place = blend(place, moved, free)
-        return total
+        turned = free[..., None, None] * (jacobian - Identity().jacobian(points))
+        way = (step(place) - place).unsqueeze(-1)
+        return total + matrix_product(turned, total) + way * slope
 
     def folded(self, points: Tensor) -> Tensor:
         """Where any beginning of the sequence folds space (two folds do not undo each other)."""

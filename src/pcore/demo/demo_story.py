@@ -14,11 +14,12 @@ from pcore.data.pictures import to_bytes
 from pcore.data.video import write_video
 from pcore.demo.demo_folder import DemoFolder, stamp_of
 from pcore.demo.demo_settings import DemoSettings
+from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.figures import png_bytes
 from pcore.evaluation.methods import never_seen, open_subject
 from pcore.evaluation.panels import depth_maps, object_window, renderings, strain_maps
 from pcore.evaluation.protocol import load_perceptual
-from pcore.evaluation.runner import Method, Taken, carry, evaluate
+from pcore.evaluation.runner import Taken, evaluate
 from pcore.evaluation.states import SceneStates, State, open_states
 from pcore.evaluation.summary import gains, state_means
 from pcore.evaluation.tables import SUMMARY_FILE, read_summary, summary_record, write_tables
@@ -106,7 +107,7 @@ def filmed_state(output: Path) -> str:
     return max(states, key=lambda name: holes[name, BASELINE] - holes[name, AWARE])
 
 
-def _methods(models: dict[str, Asset], states: SceneStates) -> list[Method]:
+def _methods(models: dict[str, Asset], states: SceneStates) -> list[AssetMethod]:
     """PAPR before and after fine-tuning with plain rays, both with aware ones, then Gaussians."""
     unseen = {name: never_seen(one.points, states.scene) for name, one in models.items()}
     drawn: list[tuple[str, RaysName]] = [
@@ -117,7 +118,7 @@ def _methods(models: dict[str, Asset], states: SceneStates) -> list[Method]:
         (CARRIED, "aware"),
     ]
     return [
-        Method(name=title, asset=models[run], rays=rays, unseen=unseen[run])
+        AssetMethod(name=title, asset=models[run], rays=rays, unseen=unseen[run])
         for title, (run, rays) in zip(METHODS, drawn, strict=True)
     ]
 
@@ -150,9 +151,9 @@ def _orbit(states: SceneStates, state: State, count: int) -> list[Camera]:
 
 
 def _frames(
-    state: State, methods: list[Method], cameras: list[Camera], told: Callable[[int], None]
+    state: State, methods: list[AssetMethod], cameras: list[Camera], told: Callable[[int], None]
 ) -> Iterator[Tensor]:
-    poses = carry(methods, state)
+    poses = {one.name: one.pose(state) for one in methods}
     for index, camera in enumerate(cameras):
         pictures = [one.asset.render(poses[one.name], camera).rgb for one in methods]
         yield to_bytes(torch.cat(pictures, dim=1))

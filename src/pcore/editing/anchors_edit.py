@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, ClassVar, Literal
 
 import torch
@@ -14,7 +13,17 @@ from pcore.deform.motion import rigid
 from pcore.editing.anchors import AnchorRig, rig_of
 from pcore.editing.arap import Dragger, Handle
 from pcore.editing.edits import PlacedEdit
-from pcore.editing.fields import AXIS, Amount, Angle, Axis, Number, Triple
+from pcore.editing.fields import (
+    AXIS,
+    ROTATION,
+    Amount,
+    Angle,
+    Axis,
+    Number,
+    Rotation,
+    Triple,
+    turn_of,
+)
 from pcore.editing.regions import NEAR, Setting
 from pcore.errors import EditError
 from pcore.geometry.farthest_points import ANCHORS
@@ -40,6 +49,7 @@ class HandleEdit(BaseModel):
     to: Annotated[Triple, Field(description=_TRIPLE)]
     axis: Annotated[Axis | None, Field(description=AXIS)] = None
     angle_deg: Angle = 0.0
+    rotation: Annotated[Rotation | None, Field(description=ROTATION)] = None
 
     @model_validator(mode="after")
     def _one_way_to_say_which(self) -> HandleEdit:
@@ -49,15 +59,20 @@ class HandleEdit(BaseModel):
                 'expected either "anchor" (its number) or "near" (a place [x, y, z]) to say which '
                 f"anchor is meant, got {got}"
             )
-        if self.axis is None and self.angle_deg != 0.0:
+        if self.rotation is not None and (self.axis is not None or self.angle_deg != 0.0):
+            raise ValueError('expected either a "rotation" or an "axis" with an angle, got both')
+        if self.rotation is None and self.axis is None and self.angle_deg != 0.0:
             raise ValueError('a handle with "angle_deg" needs an "axis" to turn about, got none')
         return self
 
-    def rotation(self, amount: float) -> Tensor | None:
-        """(3, 3) so much of the turn that it carries; None when it gives no axis."""
-        if self.axis is None:
+    def turned(self, amount: float) -> Tensor | None:
+        """(3, 3) so much of the turn that it carries; None when it gives none."""
+        if self.axis is None and self.rotation is None:
             return None
-        return rigid(self.axis, math.radians(amount * self.angle_deg)).matrix
+        if self.rotation is None:
+            return rigid(*turn_of(self.axis, amount * self.angle_deg, None)).matrix
+        axis, angle = turn_of(None, 0.0, self.rotation)
+        return rigid(axis, amount * angle).matrix
 
 
 class AnchorsEdit(PlacedEdit):
@@ -75,7 +90,7 @@ class AnchorsEdit(PlacedEdit):
         Field(
             min_length=1,
             description='a list of handles {"anchor": number or "near": [x, y, z], '
-            '"to": [x, y, z]} with an optional "axis" and "angle_deg"',
+            '"to": [x, y, z]} with an optional "axis" and "angle_deg", or "rotation"',
         ),
     ]
     reach: Annotated[
@@ -165,7 +180,7 @@ class AnchorsEdit(PlacedEdit):
                 )
             way = self.amount * (target - rest[index])
             place = target if self.amount == 1.0 else rest[index] + way
-            found[index] = Handle(place=place, rotation=handle.rotation(self.amount))
+            found[index] = Handle(place=place, rotation=handle.turned(self.amount))
         return found
 
 

@@ -36,6 +36,11 @@ class Animation:
         for time in times:
             self.at(time)
 
+    @property
+    def content(self) -> dict[str, Any]:
+        """The object of its edit file with absolute paths; a copy."""
+        return _renamed(self._data, Path(self._folder or ".").absolute(), None)
+
     def at(self, time: float) -> EditScript:
         """The edits at a time; before the first and after the last key they stay as they are.
 
@@ -92,17 +97,17 @@ class Animation:
             raise EditError(f"{place}: {error}") from error
 
 
-def _renamed(value: Any, old: Path, new: Path) -> Any:
+def _renamed(value: Any, old: Path, new: Path | None, path: bool = False) -> Any:
     """Parsed JSON whose paths, which begin in one folder, are named as seen from another."""
+    if isinstance(value, str):
+        return seen_from(new, str(old / value)) if path else value
     if isinstance(value, list):
-        return [_renamed(item, old, new) for item in cast("list[Any]", value)]
+        return [_renamed(item, old, new, path) for item in cast("list[Any]", value)]
     if not isinstance(value, dict):
         return value
     items = cast("dict[str, Any]", value)
     return {
-        key: seen_from(new, str(old / item))
-        if key in FILE_KEYS and isinstance(item, str)
-        else _renamed(item, old, new)
+        key: _renamed(item, old, new, key in FILE_KEYS or (path and key == "keyframes"))
         for key, item in items.items()
     }
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
+import torch
 from torch import Tensor
 
-from pcore.deform.base import Compose, Deformation, Identity
+from pcore.deform.base import SINGULAR, Compose, Deformation, Identity, matrix_product, uprightness
 from pcore.deform.checks import check_finite, check_invertible
 from pcore.deform.region import Region
-from pcore.deform.weighted import Held, Weighted
+from pcore.deform.weighted import Held, Weighted, blend
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.edits import Edit
 from pcore.editing.regions import RegionEntry, Setting, bind_region, bind_union
@@ -23,12 +25,16 @@ FAR = 2.0
 class Bound:
     """The edits so far, bound.
 
+    Positions and Jacobians of what came before an edit are kept, so that another last edit costs
+    one edit, however long the stack.
+
     Attributes:
         setting: where the points are by now, and where they were before the first edit.
-        steps: the deformation of every edit.
+        steps: the deformation of every edit; the identity of one that is not enabled.
         hold: what never moves, in the space before the first edit; None is nothing.
         allow_folds: accept maps that fold space at some of the points.
         notes: what is odd about the edits and was not refused, a sentence each.
+        before: the same without the last edit; None before the first one.
     """
 
     setting: Setting
@@ -36,15 +42,71 @@ class Bound:
     notes: tuple[str, ...] = ()
     hold: Region | None = None
     allow_folds: bool = False
+    before: Bound | None = None
 
     @property
     def deformation(self) -> Deformation:
         """All steps as one map of space."""
-        if not self.steps:
+        steps = tuple(step for step in self.steps if not isinstance(step, Identity))
+        if not steps:
             return Identity()
         if self.hold is not None:
-            return Held(self.steps, self.hold)
-        return self.steps[0] if len(self.steps) == 1 else Compose(*self.steps)
+            return Held(steps, self.hold)
+        return steps[0] if len(steps) == 1 else Compose(*steps)
+
+    @property
+    def known(self) -> Deformation:
+        """The same map, which has its values at the points at rest ready."""
+        return _Known(self)
+
+    @property
+    def linear(self) -> Tensor:
+        """(N, 3, 3) Jacobians of all steps at the points at rest, float64."""
+        return self._frames[0]
+
+    @property
+    def folded(self) -> Tensor:
+        """(N,) bool, at which points a step folds space; as `Deformation.folded` of all."""
+        return self._frames[1]
+
+    @cached_property
+    def mended(self) -> Tensor:
+        """(N,) bool, at which points a step answers with a substitute for its Jacobian."""
+        if self.before is None:
+            return torch.zeros(len(self.setting.rest), dtype=torch.bool)
+        if isinstance(self.steps[-1], Identity):
+            return self.before.mended
+        own = self.steps[-1].mended(self.before.setting.points)
+        return self.before.mended | (own & (self._free != 0))
+
+    @cached_property
+    def _free(self) -> Tensor:
+        """(N,) the share of every step that points at rest take."""
+        if self.before is not None:
+            return self.before._free
+        rest = self.setting.rest
+        return torch.ones_like(rest[:, 0]) if self.hold is None else 1 - self.hold.weight(rest)
+
+    @cached_property
+    def _frames(self) -> tuple[Tensor, Tensor]:
+        """See `linear` and `folded`, which need the same Jacobians."""
+        before, rest = self.before, self.setting.rest
+        if before is None:
+            return Identity().jacobian(rest), torch.zeros(len(rest), dtype=torch.bool)
+        (total, folded), step, place = before._frames, self.steps[-1], before.setting.points
+        if isinstance(step, Identity):
+            return total, folded
+        jacobian = step.jacobian(place)
+        if type(step).folded is Deformation.folded:
+            own = ~(uprightness(jacobian) > SINGULAR)
+        else:
+            own = step.folded(place)
+        if self.hold is None:
+            return matrix_product(jacobian, total), folded | own
+        hold = Held((step,), self.hold)
+        total = hold.further(step, jacobian, rest, place, total)
+        own = own & (self._free == 1)
+        return total, folded | own | ~(uprightness(total) > SINGULAR)
 
     def then(self, edit: Edit, *, check: bool = True) -> Bound:
         """Bind one more edit to the points as they arrive at it.
@@ -58,25 +120,51 @@ class Bound:
             EditError: it does not fit the points, or folds space (see `check_invertible`).
             InputError: an amount that no map can have, or a file that cannot be read.
         """
-        step = edit.place(self.setting)
+        if not edit.enabled:
+            return replace(self, steps=(*self.steps, Identity()), before=self)
+        step, points = edit.place(self.setting), self.setting.points
         if edit.region is not None or edit.freeze:
             region = None if edit.region is None else bind_region(edit.region, self.setting)
             step = Weighted(step, region, bind_union(edit.freeze, self.setting))
         said = edit.notes(self.setting, step)
-        longer = replace(self, steps=(*self.steps, step))
-        # What is held changes the Jacobian of every step, so the whole sequence is looked at.
-        whole, places = step, self.setting.points
+        moved = step(points)
         if self.hold is not None:
-            whole, places = longer.deformation, self.setting.rest
-        moved = whole(places)
+            moved = blend(points, moved, self._free)
         check_finite(moved)
-        if check:
-            check_invertible(
-                whole, places, allow_folds=self.allow_folds, advice=_advice(edit, self.hold)
-            )
-        said = (*said, *_leap(self.setting.points, moved))
-        notes = [f"edit {len(longer.steps)} ({_kind(edit)}): {line}" for line in said]
-        return replace(longer, setting=self.setting.at(moved), notes=(*self.notes, *notes))
+        setting, steps = self.setting.at(moved), (*self.steps, step)
+        longer = replace(self, setting=setting, steps=steps, before=self)
+        # What is held changes the Jacobian of every step, so the whole sequence is looked at.
+        if check and (self.allow_folds or bool(longer.folded.any())):
+            whole, places = (step, points) if self.hold is None else (longer.known, setting.rest)
+            advice = _advice(edit, self.hold)
+            check_invertible(whole, places, allow_folds=self.allow_folds, advice=advice)
+        said = (*said, *_leap(points, moved))
+        notes = [f"edit {len(steps)} ({_kind(edit)}): {line}" for line in said]
+        return replace(longer, notes=(*self.notes, *notes))
+
+
+class _Known(Deformation):
+    """All edits of a `Bound` as one map; at the points at rest its values are those kept there."""
+
+    def __init__(self, bound: Bound) -> None:
+        self._bound, self._map = bound, bound.deformation
+
+    def __call__(self, points: Tensor) -> Tensor:
+        return self._bound.setting.points if self._knows(points) else self._map(points)
+
+    def jacobian(self, points: Tensor) -> Tensor:
+        return self._bound.linear if self._knows(points) else self._map.jacobian(points)
+
+    def folded(self, points: Tensor) -> Tensor:
+        return self._bound.folded if self._knows(points) else self._map.folded(points)
+
+    def mended(self, points: Tensor) -> Tensor:
+        return self._bound.mended if self._knows(points) else self._map.mended(points)
+
+    def _knows(self, points: Tensor) -> bool:
+        rest = self._bound.setting.rest
+        alike = points.dtype == rest.dtype and points.device == rest.device
+        return not points.requires_grad and alike and torch.equal(points, rest)
 
 
 def _leap(before: Tensor, after: Tensor) -> tuple[str, ...]:

@@ -31,14 +31,17 @@ from pcore.deform.simple import (
 from pcore.editing.fields import (
     AXIS,
     EXTENT,
+    ROTATION,
     Angle,
     Axis,
     Extent,
     Factor,
     Limits,
     Positive,
+    Rotation,
     Triple,
     check_turn,
+    turn_of,
 )
 from pcore.editing.regions import REGION, AnyRegion, Setting
 from pcore.errors import EditError
@@ -59,6 +62,8 @@ class Edit(BaseModel, ABC):
     Attributes:
         region: where it acts, with a seam; None is everywhere.
         freeze: where it does not act, whatever `region` says.
+        name: what people call it; it does nothing.
+        enabled: false keeps it in the list and leaves it out.
         advice: what to do when it folds space.
     """
 
@@ -67,6 +72,10 @@ class Edit(BaseModel, ABC):
 
     region: Annotated[AnyRegion | None, Field(description=REGION)] = None
     freeze: Annotated[tuple[AnyRegion, ...], Field(description=f"a list, each {REGION}")] = ()
+    name: Annotated[
+        str | None, Field(strict=True, min_length=1, max_length=200, description="a text, not long")
+    ] = None
+    enabled: Annotated[bool, Field(strict=True, description="true or false")] = True
 
     @abstractmethod
     def bind(self, points: Tensor) -> Deformation:
@@ -229,11 +238,12 @@ class ScaleEdit(PlacedEdit):
 
 
 class RigidEdit(PlacedEdit):
-    """Turn by `angle_deg` about the axis through the origin, then translate."""
+    """Turn by `angle_deg` about the axis through the origin, or by `rotation`, then translate."""
 
     type: Literal["rigid"] = "rigid"
     axis: Axis | None = Field(default=None, description=AXIS)
     angle_deg: Angle = 0.0
+    rotation: Annotated[Rotation | None, Field(description=ROTATION)] = None
     translation: Annotated[Triple, Field(description="three finite numbers [x, y, z]")] = (
         0.0,
         0.0,
@@ -242,13 +252,13 @@ class RigidEdit(PlacedEdit):
 
     @model_validator(mode="after")
     def _turn_needs_axis(self) -> RigidEdit:
-        check_turn(self.axis, self.angle_deg)
+        check_turn(self.axis, self.angle_deg, self.rotation)
         return self
 
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`."""
-        axis = "z" if self.axis is None else self.axis
-        return rigid(axis, math.radians(self.angle_deg), self.translation, self.origin)
+        turn = turn_of(self.axis, self.angle_deg, self.rotation)
+        return rigid(*turn, self.translation, self.origin)
 
 
 def _measure(points: Tensor, direction: Tensor) -> tuple[float, float]:

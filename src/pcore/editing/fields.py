@@ -6,11 +6,14 @@ rule and its message stand together.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, cast
 
 from pydantic import (
     AfterValidator,
+    BaseModel,
+    ConfigDict,
     Field,
     PlainSerializer,
     PlainValidator,
@@ -105,7 +108,16 @@ def seen_from(folder: Path | str | None, file: str) -> str:
     return path.relative_to(Path(folder).absolute()).as_posix()
 
 
-FILE_KEYS = ("before", "after", "file")
+def _quaternion(value: tuple[float, ...]) -> tuple[float, ...]:
+    if not math.hypot(*value) > 0:
+        raise ValueError("no direction")
+    return value
+
+
+ROTATION = "a quaternion [w, x, y, z] of any length but 0"
+Rotation = Annotated[tuple[Number, Number, Number, Number], AfterValidator(_quaternion)]
+
+FILE_KEYS = ("before", "after", "file", "first", "second")
 """Keys of edits and regions whose text is a path."""
 StoredFile = Annotated[
     str,
@@ -113,18 +125,55 @@ StoredFile = Annotated[
     AfterValidator(_found_from),
     PlainSerializer(_written_from, return_type=str),
 ]
+
+
+class Between(BaseModel):
+    """A shape between two files: what an edit with keyframes of shapes has between two of them."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    first: StoredFile
+    second: StoredFile
+    share: Annotated[Number, Field(ge=0, le=1)]
+    """0 is the first, 1 the second; every place goes straight from one to the other."""
+
+
 StoredPlaces = Annotated[
-    Annotated[str, Field(strict=True)] | tuple[Triple, ...],
+    Annotated[str, Field(strict=True)] | Between | tuple[Triple, ...],
     AfterValidator(_found_from),
     PlainSerializer(_written_from, return_type=Any),
 ]
-"""A file, or the places themselves."""
+"""A file, something between two files, or the places themselves."""
 
 
-def check_turn(axis: str | tuple[float, float, float] | None, angle_deg: float) -> None:
-    """Raise ValueError when an edit has an angle and nothing to turn about."""
-    if axis is None and angle_deg != 0.0:
+def check_turn(
+    axis: str | tuple[float, float, float] | None,
+    angle_deg: float,
+    rotation: tuple[float, ...] | None,
+) -> None:
+    """Raise ValueError when an edit has an angle and nothing to turn about, or two turns."""
+    if rotation is not None and (axis is not None or angle_deg != 0.0):
+        raise ValueError(
+            '"rotation": expected either a "rotation" or an "axis" with "angle_deg", got both'
+        )
+    if rotation is None and axis is None and angle_deg != 0.0:
         raise ValueError(
             '"axis": expected "x", "y", "z" or [x, y, z] to turn about because "angle_deg" '
             f"is {angle_deg}, got none"
         )
+
+
+def turn_of(
+    axis: str | tuple[float, float, float] | None,
+    angle_deg: float,
+    rotation: tuple[float, ...] | None,
+) -> tuple[str | tuple[float, float, float], float]:
+    """Axis and angle in radians of a turn that is given in either way; the shorter way round."""
+    if rotation is None:
+        return "z" if axis is None else axis, math.radians(angle_deg)
+    sign = -1.0 if rotation[0] < 0 else 1.0
+    w, x, y, z = (sign * one for one in rotation)
+    length = math.hypot(x, y, z)
+    if length == 0:
+        return "z", 0.0
+    return (x / length, y / length, z / length), 2 * math.atan2(length, w)

@@ -143,7 +143,7 @@ def handles_of(
     bound = begin(resting, script.freeze, rig=rig, allow_folds=True)
     found: dict[int, HandleDiagnosis] = {}
     for number, edit in enumerate(script.edits, start=1):
-        if isinstance(edit, AnchorsEdit):
+        if isinstance(edit, AnchorsEdit) and edit.enabled:
             own = edit.rig(bound.setting)
             dragger, handles = edit.dragger(own)
             pose = dragger.pose(handles)

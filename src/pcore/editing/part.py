@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, ClassVar, Literal
 
 import torch
@@ -12,14 +11,24 @@ from torch import Tensor
 from pcore.deform.base import Affine, Compose, Deformation
 from pcore.deform.simple import rigid, uniform_scale
 from pcore.editing.edits import Edit
-from pcore.editing.fields import AXIS, Angle, Axis, Positive, Triple, check_turn
+from pcore.editing.fields import (
+    AXIS,
+    ROTATION,
+    Angle,
+    Axis,
+    Positive,
+    Rotation,
+    Triple,
+    check_turn,
+    turn_of,
+)
 from pcore.editing.regions import REGION, AnyRegion, Setting, bind_region
 
 _TRIPLE = "three finite numbers [x, y, z]"
 
 
 class PartEdit(Edit):
-    """Scale the part by `factor` and turn it about `origin`, then translate it."""
+    """Scale the part by `factor`, turn it about `origin` (angle or `rotation`), translate it."""
 
     advice: ClassVar[str] = "move, turn or scale the part less"
 
@@ -27,13 +36,14 @@ class PartEdit(Edit):
     region: Annotated[AnyRegion, Field(description=REGION)]  # pyright: ignore
     axis: Axis | None = Field(default=None, description=AXIS)
     angle_deg: Angle = 0.0
+    rotation: Annotated[Rotation | None, Field(description=ROTATION)] = None
     factor: Positive = 1.0
     translation: Annotated[Triple, Field(description=_TRIPLE)] = (0.0, 0.0, 0.0)
     origin: Annotated[Triple | None, Field(description=_TRIPLE)] = None
 
     @model_validator(mode="after")
     def _turn_needs_axis(self) -> PartEdit:
-        check_turn(self.axis, self.angle_deg)
+        check_turn(self.axis, self.angle_deg, self.rotation)
         return self
 
     def bind(self, points: Tensor) -> Deformation:
@@ -47,8 +57,8 @@ class PartEdit(Edit):
         else:
             weight = bind_region(self.region, setting).weight(setting.points).unsqueeze(-1)
             origin = (weight * setting.points).sum(dim=0) / weight.sum()
-        axis = "z" if self.axis is None else self.axis
-        turn = rigid(axis, math.radians(self.angle_deg), self.translation, origin)
+        turn_by = turn_of(self.axis, self.angle_deg, self.rotation)
+        turn = rigid(*turn_by, self.translation, origin)
         if self.factor == 1.0:
             return turn
         return _merged(uniform_scale(self.factor, origin), turn)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -28,6 +29,8 @@ FALLOFF = 0.05
 NEAR = 0.15
 """How far from the object a place on it may be given, as a share of the object's size."""
 _LINKS = 8
+_KEPT = 4
+"""Regions that are kept with the points that they are bound to."""
 REGION = 'a region {"shape": "box" or "sphere" or "half_space" or "points" or "geodesic" or "mask"}'
 
 
@@ -50,6 +53,11 @@ class Setting:
     def graph(self) -> csr_array:
         """The neighbour graph of the points at rest."""
         return neighbour_graph(self.rest, _LINKS)
+
+    @cached_property
+    def regions(self) -> dict[Any, Region]:
+        """Regions that are bound to these points already, by what they were bound from."""
+        return {}
 
     @cached_property
     def size(self) -> float:
@@ -228,12 +236,33 @@ REGION_SHAPES: dict[str, type[RegionEntry]] = {
 
 
 def bind_region(entry: RegionEntry, setting: Setting) -> Region:
-    """Freeze a region to points.
+    """Freeze a region to points; it is kept with them, for edits that are dragged.
 
     Raises:
         EditError: it does not fit the points, or no point lies inside: a seam alone is none.
         InputError: its file cannot be read.
     """
+    key = (entry, _written(entry.file)) if isinstance(entry, MaskRegion) else entry
+    known = setting.regions
+    if key not in known:
+        region = _bind_region(entry, setting)
+        # A slider for the radius of one makes many.
+        while len(known) >= _KEPT:
+            known.pop(next(iter(known)))
+        known[key] = region
+    return known[key]
+
+
+def _written(file: str) -> tuple[int, int] | None:
+    """When a file was written, and its size: one that is written anew is read anew."""
+    try:
+        found = Path(file).stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size
+
+
+def _bind_region(entry: RegionEntry, setting: Setting) -> Region:
     region = entry.bind(setting)
     weight = region.weight(setting.points)
     # A mask of numbers has no inside: its weights are meant as they are.

@@ -25,7 +25,7 @@ from pcore.editing.reading import (
     shown,
     write_edit_file,
 )
-from pcore.editing.regions import AnyRegion
+from pcore.editing.regions import AnyRegion, RegionEntry
 from pcore.editing.registry import EDIT_TYPES, AnyEdit
 from pcore.errors import EditError, InputError
 
@@ -135,8 +135,8 @@ class EditScript(BaseModel):
         context = {"folder": folder}
         content: dict[str, Any] = {"version": self.version}
         if self.freeze:
-            content["freeze"] = [_dumped(region, "shape", context) for region in self.freeze]
-        content["edits"] = [_dumped(edit, "type", context) for edit in self.edits]
+            content["freeze"] = [dumped_region(region, context) for region in self.freeze]
+        content["edits"] = [dumped_edit(edit, context) for edit in self.edits]
         return json.dumps(content, indent=2) + "\n"
 
     def save(self, path: Path | str) -> None:
@@ -275,14 +275,24 @@ def _regions(raw: Any, folder: Path | None) -> tuple[Any, ...]:
     return tuple(regions)
 
 
+def dumped_edit(edit: Edit, context: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The object of an edit file that describes an edit; the context may hold its "folder"."""
+    return _dumped(edit, "type", context or {})
+
+
+def dumped_region(region: RegionEntry, context: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Do the same for a region."""
+    return _dumped(region, "shape", context or {})
+
+
 def _dumped(entry: BaseModel, first: str, context: dict[str, Any]) -> dict[str, Any]:
     """An edit or region as JSON values: its kind first, no key that says that there is nothing."""
     plain = entry.model_dump(mode="json", exclude_none=True, context=context)
     for key in _LEFT_OUT:
-        if key in plain:
-            value: Any = getattr(entry, key)
-            if not value:
-                del plain[key]
+        if key in plain and not getattr(entry, key):
+            del plain[key]
+    if plain.get("enabled") is True:
+        del plain["enabled"]
     return {first: plain[first], **plain}
 
 

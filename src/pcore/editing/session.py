@@ -2,110 +2,164 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from torch import Tensor
-
-from pcore.deform.base import Deformation
-from pcore.editing.anchors import AnchorRig
 from pcore.editing.animation import load_animation
-from pcore.editing.binding import Bound
 from pcore.editing.edits import Edit
-from pcore.editing.reading import parse_region
 from pcore.editing.regions import RegionEntry
-from pcore.editing.script import EditScript, parse_one
-from pcore.errors import EditError, InputError
+from pcore.editing.stack import EditEntry, Keyed, Stack, edit_entry, raw_edit, region_entry
+from pcore.editing.state import EditState
+from pcore.editing.tracks import Track, remove_key, set_key, set_value, tracks_of
+from pcore.editing.undoing import Undoable
+
+EditLike = Edit | Keyed | Mapping[str, Any]
+"""An edit, or the object of an edit file that describes one, with keyframes or without."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class EditState:
-    """An object between two commands; it never changes.
-
-    Attributes:
-        script: the edits so far and what is frozen.
-        points: (N, 3) where the points are, in the precision of the canonical ones.
-        bound: the edits as they are bound to the points.
-    """
-
-    script: EditScript
-    points: Tensor
-    bound: Bound
-
-    @property
-    def deformation(self) -> Deformation:
-        """All edits so far as one map of space, from the canonical points."""
-        return self.bound.deformation
-
-
-class EditSession:
+class EditSession(Undoable):
     """The points of an object and what was done to them.
 
-    Every command either makes a new state or raises and changes nothing. Binding happens one edit
-    at a time, so that a long history does not make the next edit slower unless something is frozen.
+    Every command either makes a new state or raises and changes nothing. Only the edits from the
+    changed one on are bound again. Edits are numbered from 0 here, as in Python.
     """
 
-    def __init__(
-        self, points: Tensor, script: EditScript | None = None, *, rig: AnchorRig | None = None
-    ) -> None:
-        """Begin with canonical points (N, 3), world units, and with the edits of a script if given.
-
-        Args:
-            points: where the session begins.
-            script: edits to begin with.
-            rig: of these points with learned weights, see `EditScript.bind`.
-
-        Raises:
-            EditError: the script does not fit the points.
-        """
-        self._canonical, self._rig = points.detach().clone(), rig
-        self._states = [self._bound(EditScript(edits=()) if script is None else script)]
-        self._now = 0
-
-    @property
-    def state(self) -> EditState:
-        """The present state."""
-        return self._states[self._now]
-
-    @property
-    def canonical(self) -> Tensor:
-        """The points (N, 3) before any edit."""
-        return self._canonical.clone()
-
-    @property
-    def can_undo(self) -> bool:
-        """Whether there is a command to take back."""
-        return self._now > 0
-
-    @property
-    def can_redo(self) -> bool:
-        """Whether a command was taken back that can be done again."""
-        return self._now + 1 < len(self._states)
-
-    def do(self, edit: Edit | Mapping[str, Any]) -> EditState:
+    def do(self, edit: EditLike, *, merge: str | None = None) -> EditState:
         """Add an edit after those there are; what was undone before is forgotten.
 
         Args:
-            edit: an edit, or the object of an edit file that describes one.
+            edit: the edit.
+            merge: a key; commands with the same one that follow each other are one to `undo`, and
+                the last of them counts. For what is dragged.
 
         Raises:
             EditError: it is not valid, does not fit the points, or folds space.
         """
-        return self._keep(self._added(edit, check=True))
+        entry = edit_entry(edit)
+        base = self._history.base(merge).stack
+        stack = replace(base, edits=(*base.edits, entry))
+        return self._do(stack, f"do {_kind(entry)}", merge)
 
-    def preview(self, edit: Edit | Mapping[str, Any]) -> EditState:
-        """Return the state that `do` would lead to, and stay where we are.
+    def replace(self, index: int, edit: EditLike, *, merge: str | None = None) -> EditState:
+        """Put another edit in the place of one; arguments and errors as `do`."""
+        entry = edit_entry(edit)
+        return self._do(self.stack.changed(index, entry), f"change {_kind(entry)}", merge)
 
-        For showing points while something is dragged: the points are those of `do`, to the last
-        bit, but folds are not looked for and no Jacobian is computed. `do` looks for them, and so
-        does `pose`, which a picture needs.
+    def set(self, index: int, path: str, value: Any, *, merge: str | None = None) -> EditState:
+        """Change one value of an edit.
+
+        Args:
+            index: of the edit.
+            path: of the value in the edit file, such as "amount" or "handles/0/to".
+            value: number, list or text.
+            merge: as `do`.
 
         Raises:
-            EditError: as `do`, but for folds.
+            EditError: as `do`; or there is no such place, or it has keyframes.
         """
-        return self._added(edit, check=False)
+        return self._rewrite(index, lambda raw: set_value(raw, path, value), f"set {path}", merge)
+
+    def remove(self, index: int) -> EditState:
+        """Take an edit out; errors as `do`, since what follows may not fit any more."""
+        return self._do(self.stack.changed(index), f"remove {self._name(index)}")
+
+    def move(self, index: int, to: int) -> EditState:
+        """Put an edit in another place, where it then has the number `to`; errors as `do`."""
+        stack = self.stack
+        entry, label = stack.edits[stack.checked(index)], f"move {self._name(index)}"
+        rest = list(stack.changed(index).edits)
+        rest.insert(stack.checked(to), entry)
+        return self._do(replace(stack, edits=tuple(rest)), label)
+
+    def mute(self, index: int, muted: bool = True) -> EditState:
+        """Leave an edit out but keep it in the list, or let it act again; errors as `do`."""
+        label = f"{'mute' if muted else 'unmute'} {self._name(index)}"
+        return self._rewrite(index, lambda raw: raw.update(enabled=not muted), label)
+
+    def rename(self, index: int, name: str | None) -> EditState:
+        """Give an edit a name, or none.
+
+        Raises:
+            EditError: an empty name or a very long one.
+        """
+        return self._rewrite(index, lambda raw: raw.update(name=name), "rename")
+
+    def duplicate(self, index: int) -> EditState:
+        """Put a copy of an edit behind it; errors as `do`."""
+        entry = self.stack.edits[self.stack.checked(index)]
+        stack = self.stack.changed(index, entry, entry)
+        return self._do(stack, f"duplicate {self._name(index)}")
+
+    def key(
+        self, index: int, path: str, time: float, value: Any, *, easing: str | None = None
+    ) -> EditState:
+        """Give a value of an edit a key at a time; one that is there at that time is replaced.
+
+        Args:
+            index: of the edit.
+            path: as `set`.
+            time: of the key.
+            value: number or list of numbers.
+            easing: of all keys of the value; None leaves it as it is.
+
+        Raises:
+            EditError: as `set`.
+        """
+        return self._rewrite(
+            index, lambda raw: set_key(raw, path, time, value, easing), f"key {path}"
+        )
+
+    def unkey(self, index: int, path: str, time: float) -> EditState:
+        """Take a key away; with the last one the value stands still again.
+
+        Raises:
+            EditError: there is no such key, or as `do`.
+        """
+        return self._rewrite(index, lambda raw: remove_key(raw, path, time), f"unkey {path}")
+
+    def tracks(self, index: int) -> dict[str, Track]:
+        """All values with keyframes of an edit, by their paths."""
+        return tracks_of(raw_edit(self.stack.edits[self.stack.checked(index)]))
+
+    def preview(
+        self,
+        edit: EditLike,
+        at: int | None = None,
+        *,
+        folds: Literal["plain", "refuse"] = "plain",
+    ) -> EditState:
+        """Return the state that `do` or `replace` would lead to, and stay where we are.
+
+        For what is dragged: the points are those of the command, to the last bit.
+
+        Args:
+            edit: the edit.
+            at: the number of the edit that it takes the place of; None adds it at the end.
+            folds: "plain": folds are accepted, no Jacobian is computed, and the state says where
+                they are (`EditState.folds`) and with which rays it can be drawn (`EditState.rays`);
+                "refuse": they are refused, as the command does.
+
+        Raises:
+            EditError: as the command, but for folds.
+        """
+        entry, stack = edit_entry(edit), self.stack
+        if at is None:
+            longer = replace(stack, edits=(*stack.edits, entry))
+        else:
+            longer = stack.changed(at, entry)
+        return self._bound(longer, self.state, check=folds == "refuse")
+
+    def warm(self, edit: EditLike, at: int | None = None) -> None:
+        """Prepare a preview, so that the first one of a drag is as quick as the others.
+
+        Anchors at new handles, and the binding of a cage, are kept then.
+
+        Raises:
+            EditError: as `preview`.
+        """
+        _ = self.preview(edit, at).bound.linear
 
     def freeze(self, *regions: RegionEntry | Mapping[str, Any]) -> EditState:
         """Hold regions in the canonical space through all edits, done ones too; none lets all go.
@@ -113,32 +167,7 @@ class EditSession:
         Raises:
             EditError: a region is not valid or holds no point, or an edit folds with it.
         """
-        entries: Any = tuple(parse_region(_plain(region), None) for region in regions)
-        now = self.state.script
-        script = EditScript(edits=now.edits, freeze=entries).named(now.source)
-        return self._keep(self._bound(script))
-
-    def undo(self) -> EditState:
-        """Go back to the state before the last command, which is that very state.
-
-        Raises:
-            EditError: nothing was done.
-        """
-        if not self.can_undo:
-            raise EditError("undo: expected a command to take back, got none; nothing was done yet")
-        self._now -= 1
-        return self.state
-
-    def redo(self) -> EditState:
-        """Do again what was undone last.
-
-        Raises:
-            EditError: nothing was undone, or something else was done since.
-        """
-        if not self.can_redo:
-            raise EditError("redo: expected a command that was undone, got none")
-        self._now += 1
-        return self.state
+        return self._do(replace(self.stack, freeze=tuple(map(region_entry, regions))), "freeze")
 
     def save(self, path: Path | str) -> None:
         """Write the present edits as an edit file, which gives the same points on the same run.
@@ -146,7 +175,7 @@ class EditSession:
         Raises:
             EditError: the file cannot be written.
         """
-        self.state.script.save(path)
+        self.stack.save(path)
 
     def load(self, path: Path | str, *, time: float | None = None) -> EditState:
         """Replace the present edits by those of an edit file; `undo` brings them back.
@@ -154,46 +183,30 @@ class EditSession:
         Args:
             path: the file.
             time: of a file with keyframes, which then stands still: `save` writes its values at
-                that time.
+                that time. None keeps the keyframes.
 
         Raises:
-            EditError: the file is not valid or does not fit the points, or it has keyframes and no
-                time is given.
+            EditError: the file is not valid or does not fit the points.
         """
         animation = load_animation(path)
-        if time is None and animation.end > animation.start:
-            raise EditError(
-                f"{path}: expected time= between {animation.start:g} and {animation.end:g}, "
-                "because it has keyframes and a session holds edits that stand still, got none"
-            )
-        script = animation.at(animation.start if time is None else time)
-        return self._keep(self._bound(script))
+        stack = Stack.of(animation if time is None else animation.at(time))
+        # Its files may have changed, so nothing that is bound already is taken over.
+        state = self._bound(stack, None, said=f"{path}: ")
+        return self._keep(stack, state, f"load {Path(path).name}", None)
 
-    def _added(self, edit: Edit | Mapping[str, Any], *, check: bool) -> EditState:
-        parsed, now = parse_one(edit), self.state
-        edits: Any = (*now.script.edits, parsed)
-        script = EditScript(edits=edits, freeze=now.script.freeze).named(now.script.source)
-        try:
-            bound = now.bound.then(parsed, check=check)
-        except (EditError, InputError) as error:
-            kind: Any = getattr(parsed, "type", "edit")
-            raise EditError(f"edit {len(edits)} ({kind}): {error}") from error
-        return self._state(script, bound)
+    def _name(self, index: int) -> str:
+        return _kind(self.stack.edits[self.stack.checked(index)])
 
-    def _keep(self, state: EditState) -> EditState:
-        self._states = [*self._states[: self._now + 1], state]
-        self._now += 1
-        return state
-
-    def _bound(self, script: EditScript) -> EditState:
-        return self._state(script, script.bound(self._canonical, rig=self._rig))
-
-    def _state(self, script: EditScript, bound: Bound) -> EditState:
-        # As every command does: in double precision, then in that of the cloud.
-        device, kind = self._canonical.device, self._canonical.dtype
-        points = bound.setting.points.to(device=device, dtype=kind)
-        return EditState(script=script, points=points, bound=bound)
+    def _rewrite(
+        self,
+        index: int,
+        change: Callable[[dict[str, Any]], object],
+        label: str,
+        merge: str | None = None,
+    ) -> EditState:
+        return self._do(self.stack.rewritten(index, change), label, merge)
 
 
-def _plain(region: RegionEntry | Mapping[str, Any]) -> Any:
-    return region if isinstance(region, RegionEntry) else dict(region)
+def _kind(entry: EditEntry) -> str:
+    raw: Any = entry.raw.get("type") if isinstance(entry, Keyed) else getattr(entry, "type", "")
+    return str(raw)

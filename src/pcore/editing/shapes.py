@@ -20,7 +20,7 @@ from pcore.deform.scattered import PointMotion
 from pcore.deform.weighted import Weighted
 from pcore.editing.contents import content_of, from_content
 from pcore.editing.edits import Edit
-from pcore.editing.fields import Amount, Positive, StoredFile, StoredPlaces
+from pcore.editing.fields import Amount, Between, Positive, StoredFile, StoredPlaces
 from pcore.editing.regions import Setting
 from pcore.errors import EditError
 from pcore.geometry.extent import size_of
@@ -83,11 +83,24 @@ class MeshPair(EasedEdit):
             EditError: they are not the same mesh.
         """
         before = _mesh(self.before, self.up)
+        if isinstance(self.after, Between):
+            return before, self._between(before, self.after)
         if isinstance(self.after, str):
             name, after = self.after, _mesh(self.after, self.up)
         else:
             vertices = torch.tensor(self.after, dtype=torch.float64).reshape(-1, 3)
             name, after = 'key "after"', MeshFile(vertices=vertices, faces=before.faces)
+        self._check_same(before, name, after)
+        return before, after
+
+    def _between(self, before: MeshFile, both: Between) -> MeshFile:
+        ends = [_mesh(file, self.up) for file in (both.first, both.second)]
+        for name, one in zip((both.first, both.second), ends, strict=True):
+            self._check_same(before, name, one)
+        vertices = torch.lerp(ends[0].vertices, ends[1].vertices, both.share)
+        return MeshFile(vertices=vertices, faces=before.faces)
+
+    def _check_same(self, before: MeshFile, name: str, after: MeshFile) -> None:
         if len(before.vertices) != len(after.vertices):
             raise EditError(
                 f"{name}: expected the {len(before.vertices)} vertices of {self.before}, got "
@@ -99,7 +112,6 @@ class MeshPair(EasedEdit):
                 f"{name}: expected the same faces as in {self.before}, got others, so its "
                 "vertices may be in another order; export both in the same way"
             )
-        return before, after
 
     def shapes(self) -> tuple[Tensor, Tensor]:
         """See `EasedEdit.shapes`."""
@@ -152,20 +164,26 @@ class DisplacementEdit(EasedEdit):
 
     type: Literal["displacement"] = "displacement"
     before: Annotated[StoredFile, Field(description=_POINTS)]
-    after: Annotated[StoredFile, Field(description=_POINTS)]
+    after: Annotated[StoredFile | Between, Field(description=_POINTS)]
     match: Annotated[Literal["id", "position"], Field(description='"id" or "position"')] = "id"
     tolerance: Positive | None = Field(default=None, description="a length above 0, world units")
 
     def shapes(self) -> tuple[Tensor, Tensor]:
         """See `EasedEdit.shapes`."""
-        before = read_point_file(self.before).positions.double()
-        after = read_point_file(self.after).positions.double()
+        before, after = read_point_file(self.before).positions.double(), self.after
+        if isinstance(after, str):
+            return before, self._places(before, after)
+        first, second = self._places(before, after.first), self._places(before, after.second)
+        return before, torch.lerp(first, second, after.share)
+
+    def _places(self, before: Tensor, file: str) -> Tensor:
+        after = read_point_file(file).positions.double()
         if len(before) != len(after):
             raise EditError(
-                f"{self.after}: expected a new place for each of the {len(before)} points of "
+                f"{file}: expected a new place for each of the {len(before)} points of "
                 f"{self.before}, got {len(after)}"
             )
-        return before, after
+        return after
 
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from pcore.errors import InputError
 from pcore.evaluation.figures import Pixels, color_pixels, depth_pixels, depth_range, sheet
@@ -12,8 +12,9 @@ from pcore.evaluation.runner import Taken
 from pcore.evaluation.states import CANONICAL
 from pcore.render.image import Image
 from pcore.training.config import FinetuneConfig
+from pcore.training.gaussian_config import GaussianFinetuneConfig
 
-VANILLA = "PAPR"
+Settings = TypeVar("Settings", bound=FinetuneConfig | GaussianFinetuneConfig)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,14 +24,14 @@ class Variant:
     Attributes:
         title: column of the paper's figure.
         folder: name of its run folder.
-        changes: fields of `FinetuneConfig` that differ from the full method.
+        changes: fields of the settings that differ from the full method.
     """
 
     title: str
     folder: str
     changes: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
-    def config(self, full: FinetuneConfig) -> FinetuneConfig:
+    def config(self, full: Settings) -> Settings:
         """Settings of this variant; `full` are those of the whole method."""
         return replace(full, **self.changes)
 
@@ -48,6 +49,19 @@ VARIANTS: tuple[Variant, ...] = (
 )
 """The paper's section "Ablation Study", in the order of its figure, and before it what the same
 further steps on the photos do without either loss: the gain of fine-tuning counts from there."""
+GAUSSIAN_VARIANTS: tuple[Variant, ...] = (
+    *VARIANTS[:4],
+    Variant(title="w/o L_geo", folder="without-geometry", changes={"geometry_weight": 0.0}),
+    Variant(title="+ spread", folder="with-spread", changes={"spread_weight": 1.0}),
+    Variant(title="+ needles", folder="with-needles", changes={"needle_weight": 0.01}),
+    Variant(title="Full", folder="full"),
+)
+"""The same for Gaussians, and what their regularisers would do."""
+
+
+def variants_for(full: FinetuneConfig | GaussianFinetuneConfig) -> tuple[Variant, ...]:
+    """Columns of the ablation of an object with these settings."""
+    return GAUSSIAN_VARIANTS if isinstance(full, GaussianFinetuneConfig) else VARIANTS
 
 
 class AblationFigure:

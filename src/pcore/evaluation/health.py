@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +17,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.visibility import cloud_spacing, unseen_pixels, unseen_share
 
 HEALTH = (
+    "mended_frames",
     "strain_median",
     "strain_99",
     "strain_max",
@@ -27,6 +29,8 @@ HEALTH = (
     "without_handle",
 )
 """Names of the figures, as columns of `images.csv`."""
+NO_HEALTH: Mapping[str, float | None] = dict.fromkeys(HEALTH)
+"""Figures of what has no points."""
 
 _TINT = (0.98, 0.74, 0.02)
 _DOT = 2
@@ -42,6 +46,8 @@ class Health:
         unseen: (N,) bool, which of them no training view saw; None where that is not known.
         diagnosis: strain, holes and self-intersection against the rest state.
         handles: of the edits by anchors that made the state; empty for other states.
+        mended: how many local maps were replaced because they turned space inside out; None where
+            there are none.
     """
 
     moved: Tensor = field(repr=False)
@@ -49,6 +55,7 @@ class Health:
     unseen: Tensor | None = field(repr=False)
     diagnosis: Diagnosis = field(repr=False)
     handles: tuple[HandleDiagnosis, ...] = field(repr=False, default=())
+    mended: int | None = None
 
     def shows_unseen(self, camera: Camera, alpha: Tensor) -> Tensor | None:
         """Pixels (H, W) of a rendering that show unseen points; None where that is not known."""
@@ -65,6 +72,7 @@ class Health:
         """
         unseen = None if shown is None else unseen_share(shown, alpha)
         known = {**self.diagnosis.numbers(), **handle_numbers(self.handles), "unseen": unseen}
+        known["mended_frames"] = self.mended
         return {name: known.get(name) for name in HEALTH}
 
     def strain_pixels(self, camera: Camera) -> Pixels:

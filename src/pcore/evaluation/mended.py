@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pcore.evaluation.runner import ImageRow, Method, carry
+from pcore.evaluation.asset_method import AssetMethod
+from pcore.evaluation.runner import ImageRow
 from pcore.evaluation.states import State
 
 _LISTED = 20
 
 
 def mended_notes(
-    rows: Sequence[ImageRow], methods: Sequence[Method], states: Sequence[State]
+    rows: Sequence[ImageRow], methods: Sequence[AssetMethod], states: Sequence[State]
 ) -> list[str]:
     """Say at which points estimated frames had to be replaced, once per state and cloud."""
     named = {method.name: method for method in methods}
@@ -25,7 +26,7 @@ def mended_notes(
     for (state, _), names in found.items():
         # Moved once more: the rows hold numbers only, and few states come here.
         one = named[next(iter(names))]
-        maps = carry([one], places[state])[one.name].local_maps
+        maps = one.pose(places[state]).local_maps
         numbers = [] if maps is None else maps.mended.tolist()
         notes.append(
             f"state {state}, {', '.join(names)}: {len(numbers)} of {len(one.asset):,} local frames "

@@ -13,10 +13,10 @@ from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.saving import load
 from pcore.data.scene import Scene
 from pcore.errors import CheckpointError
-from pcore.evaluation.runner import Method
+from pcore.evaluation.asset_method import AssetMethod, Draw, draw_asset
 from pcore.geometry.visibility import seen_by
 
-UNTUNED, GAUSSIANS = "PAPR", "Gaussians"
+UNTUNED, GAUSSIANS, TUNED_GAUSSIANS = "PAPR", "Gaussians", "Gaussians + P-CORE"
 _LABELS = {"finetune": "P-CORE"}
 _WAYS: tuple[tuple[RaysName, LightName], ...] = (
     ("plain", "baked"),
@@ -55,9 +55,9 @@ def baseline_of(asset: Asset, given: Path | None, *, device: str = "cpu") -> Ass
 
 
 def label_of(asset: Asset) -> str:
-    """What made it, in tables: `Gaussians`; `PAPR`, or `P-CORE` after fine-tuning."""
+    """What made it, in tables: `PAPR` or `Gaussians`; `P-CORE` was fine-tuned."""
     if isinstance(asset.content, GaussianContent):
-        return GAUSSIANS
+        return TUNED_GAUSSIANS if asset.provenance.stage == "finetune" else GAUSSIANS
     return _LABELS.get(asset.provenance.stage, UNTUNED)
 
 
@@ -70,16 +70,22 @@ def never_seen(points: Tensor, scene: Scene) -> Tensor:
     return ~seen_by(points, [view.camera for view in scene.split("train")])
 
 
-def plain_method(name: str, asset: Asset, scene: Scene) -> Method:
-    """The method that draws a run with plain rays, as the paper does."""
-    return Method(
-        name=name, asset=asset.over(WHITE), rays="plain", unseen=never_seen(asset.points, scene)
+def plain_method(name: str, asset: Asset, scene: Scene) -> AssetMethod:
+    """The method that draws a run with plain rays, as the paper does; Gaussians are carried."""
+    rays: RaysName = "aware" if isinstance(asset.content, GaussianContent) else "plain"
+    return AssetMethod(
+        name=name, asset=asset.over(WHITE), rays=rays, unseen=never_seen(asset.points, scene)
     )
 
 
 def methods_of(
-    subjects: Sequence[Asset], scene: Scene, *, rays: str, light: LightName | None
-) -> list[Method]:
+    subjects: Sequence[Asset],
+    scene: Scene,
+    *,
+    rays: str,
+    light: LightName | None,
+    take: Draw = draw_asset,
+) -> list[AssetMethod]:
     """All methods of runs, the baseline first; equal names are told apart by their folders.
 
     Where a run has a light, aware rays come with it as well, unless the light is to be baked.
@@ -89,13 +95,14 @@ def methods_of(
         scene: their scene, whose training views say what was never seen.
         rays: "plain", "aware" or "both".
         light: as for `Asset.pose`.
+        take: takes the pictures.
 
     Raises:
         CheckpointError: a light is damaged or belongs to other points.
         InputError: a light is asked for and there is none.
     """
     labels = [label_of(one) for one in subjects]
-    found: list[Method] = []
+    found: list[AssetMethod] = []
     for asset, label in zip(subjects, labels, strict=True):
         unseen = never_seen(asset.points, scene)
         wanted = rays != "plain" and light != "baked"
@@ -105,12 +112,13 @@ def methods_of(
         ways = _WAYS if lit else _WAYS[:2]
         alike = f" ({asset.path.resolve().name})" if labels.count(label) > 1 else ""
         found += [
-            Method(
+            AssetMethod(
                 name=_name(label, way, lamp) + alike,
                 asset=asset,
                 rays=way,
                 light=lamp,
                 unseen=unseen,
+                take=take,
             )
             for way, lamp in ways
             if rays in ("both", way)
@@ -122,9 +130,9 @@ def methods_of(
 def _name(label: str, rays: RaysName, light: LightName) -> str:
     if rays == "plain":
         return label
-    if label == GAUSSIANS:
+    if label in (GAUSSIANS, TUNED_GAUSSIANS):
         # Shapes are carried by the affine map around each mean.
-        name = "Gaussians affine"
+        name = label.replace(GAUSSIANS, "Gaussians affine")
     else:
         name = "aware" if label == UNTUNED else f"aware + {label}"
     return f"{name} + light" if light == "still" else name

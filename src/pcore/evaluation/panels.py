@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from pcore.evaluation.figures import (
     sheet,
     truth_pixels,
 )
-from pcore.evaluation.health import tinted_pixels
+from pcore.evaluation.health import Health, tinted_pixels
 from pcore.evaluation.runner import Taken
+from pcore.geometry.camera import Camera
 
 TRUTH = "truth"
 Window = tuple[slice, slice]
@@ -47,17 +48,25 @@ def depth_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
 
 def strain_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
     """Points of every method in the colours of their strain; None in the place of the truth."""
-    return [None, *(taken.health[name].strain_pixels(taken.camera) for name in names)]
+    return _of_points(taken, names, Health.strain_pixels)
 
 
 def hole_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
     """Points of every method in the colours of their tearing; None in the place of the truth."""
-    return [None, *(taken.health[name].hole_pixels(taken.camera) for name in names)]
+    return _of_points(taken, names, Health.hole_pixels)
 
 
 def handle_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
     """Points in the colours of too few handles; None without edits by anchors."""
-    return [None, *(taken.health[name].handle_pixels(taken.camera) for name in names)]
+    return _of_points(taken, names, Health.handle_pixels)
+
+
+def _of_points(
+    taken: Taken, names: Sequence[str], draw: Callable[[Health, Camera], Pixels | None]
+) -> list[Pixels | None]:
+    """Drawings of the points of methods that have some, after the truth, which has none."""
+    known = [taken.health[name] for name in names]
+    return [None, *(None if one is None else draw(one, taken.camera) for one in known)]
 
 
 def unseen_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:

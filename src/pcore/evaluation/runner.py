@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from pcore.asset.asset import Asset, Posed
-from pcore.asset.content import LightName, MovedPoints, RaysName
-from pcore.errors import EditError, InputError
-from pcore.evaluation.health import Health, health_of
+from pcore.errors import InputError
+from pcore.evaluation.health import NO_HEALTH, Health
 from pcore.evaluation.protocol import PAPR, STANDARD, Perceptual, Protocol, measure
 from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
@@ -22,33 +22,46 @@ from pcore.render.image import Image
 Value = float | int | None
 Progress = Callable[[int, int], None]
 
-
-Draw = Callable[[Asset, Posed, Camera], Image]
-"""Takes a picture of a posed asset."""
-
-
-def draw_asset(asset: Asset, posed: Posed, camera: Camera) -> Image:
-    """Take it as `Asset.render` does."""
-    return asset.render(posed, camera)
+Tells = Literal["depth", "opacity", "colour"]
+"""What pictures of a method say: also how far away surfaces are, opacity alone, or neither."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Method:
-    """One of the methods that are compared.
+class Method(typing.Protocol):
+    """One of the methods that are compared, whatever draws its pictures.
 
     Attributes:
         name: for tables; unique among the methods.
-        asset: what is drawn, on white.
-        rays: how deformed states are seen.
-        light: what the light does while points move; "still" needs aware rays.
-        unseen: (N,) bool, which points no training view saw; None where that is not known.
+        tells: what its pictures say.
     """
 
-    name: str
-    asset: Asset
-    rays: RaysName
-    light: LightName = "baked"
-    unseen: Tensor | None = None
+    @property
+    def name(self) -> str:
+        """See the class."""
+        ...
+
+    @property
+    def tells(self) -> Tells:
+        """See the class."""
+        ...
+
+    def pose(self, state: State) -> Any:
+        """Move what is drawn to a state.
+
+        Raises:
+            PcoreError: it cannot be moved there, as where a field folds space.
+        """
+        ...
+
+    def draw(self, posed: Any, camera: Camera) -> Image:
+        """Take a picture of what was posed, on white, on any device.
+
+        What `tells` leaves out may be anything in it.
+        """
+        ...
+
+    def health(self, posed: Any, state: State) -> Health | None:
+        """What the state does to its points; None where it has none to speak of."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +97,7 @@ class Taken:
         depth: (H, W) true camera z, infinite on the background; None when not known.
         photos: method -> what it rendered.
         camera: where the pictures were taken from.
-        health: method -> what the state does to its points.
+        health: method -> what the state does to its points; None where it has none.
         unseen: method -> pixels (H, W) bool that show points which no training view saw; None
             where that is not known.
         valid: (H, W) pixels that the truth shows; None: all.
@@ -97,7 +110,7 @@ class Taken:
     depth: Tensor | None
     photos: Mapping[str, Image]
     camera: Camera
-    health: Mapping[str, Health]
+    health: Mapping[str, Health | None]
     unseen: Mapping[str, Tensor | None]
     valid: Tensor | None = None
 
@@ -106,7 +119,6 @@ def evaluate(
     methods: Sequence[Method],
     states: Sequence[State],
     *,
-    draw: Draw = draw_asset,
     protocols: Sequence[Protocol] = (PAPR, STANDARD),
     perceptual: Perceptual | None = None,
     progress: Progress | None = None,
@@ -117,7 +129,6 @@ def evaluate(
     Args:
         methods: at least one, names unique.
         states: from `SceneStates.select`.
-        draw: takes the pictures.
         protocols: ways to score images; every picture is taken once and scored by each.
         perceptual: LPIPS networks; None leaves LPIPS out.
         progress: called with (pictures done, pictures in all).
@@ -135,14 +146,12 @@ def evaluate(
     rows: list[ImageRow] = []
     done = 0
     # All poses first: a state that cannot be drawn must not cost the pictures of those before.
-    carried = [carry(methods, state) for state in states]
+    carried = [{method.name: method.pose(state) for method in methods} for state in states]
     for state, poses in zip(states, carried, strict=True):
-        maps = {name: one.local_maps for name, one in poses.items()}
-        mended = {name: None if one is None else len(one.mended) for name, one in maps.items()}
-        health = _health(methods, poses, state)
+        health = {method.name: method.health(poses[method.name], state) for method in methods}
         for index in range(len(state.shots)):
-            taken = _take(methods, poses, health, state, index, draw)
-            rows += _score(taken, state, protocols, perceptual, mended)
+            taken = _take(methods, poses, health, state, index)
+            rows += _score(methods, taken, state, protocols, perceptual)
             done += len(methods)
             if progress is not None:
                 progress(done, total)
@@ -153,16 +162,19 @@ def evaluate(
 
 def _take(
     methods: Sequence[Method],
-    poses: Mapping[str, Posed],
-    health: Mapping[str, Health],
+    poses: Mapping[str, Any],
+    health: Mapping[str, Health | None],
     state: State,
     index: int,
-    draw: Draw,
 ) -> Taken:
     """Render one shot with every method."""
     shot = state.shots[index]
     with torch.no_grad():
-        photos = {m.name: draw(m.asset, poses[m.name], shot.camera).cpu() for m in methods}
+        photos = {m.name: m.draw(poses[m.name], shot.camera).cpu() for m in methods}
+    unseen = {
+        name: None if one is None else one.shows_unseen(shot.camera, photos[name].alpha)
+        for name, one in health.items()
+    }
     return Taken(
         state=state.name,
         view=shot.view.name,
@@ -172,35 +184,38 @@ def _take(
         photos=photos,
         camera=shot.camera,
         health=health,
-        unseen={n: health[n].shows_unseen(shot.camera, p.alpha) for n, p in photos.items()},
+        unseen=unseen,
         valid=shot.view.valid() if state.has_truth else None,
     )
 
 
 def _score(
+    methods: Sequence[Method],
     taken: Taken,
     state: State,
     protocols: Sequence[Protocol],
     perceptual: Perceptual | None,
-    mended: Mapping[str, Value],
 ) -> list[ImageRow]:
     """One row per method and protocol."""
     rows: list[ImageRow] = []
-    for name, photo in taken.photos.items():
-        own = taken.health[name].row(taken.unseen[name], photo.alpha)
-        geometry = {} if taken.rgba is None else _geometry(photo, taken.rgba, taken, state)
+    for method in methods:
+        photo, health = taken.photos[method.name], taken.health[method.name]
+        own = NO_HEALTH if health is None else health.row(taken.unseen[method.name], photo.alpha)
+        geometry: Mapping[str, Value] = {}
+        if taken.rgba is not None:
+            geometry = _geometry(photo, taken.rgba, taken, state, method.tells)
         for protocol in protocols:
             images: Mapping[str, Value] = {}
             if taken.rgba is not None:
                 valid = None if taken.valid is None else taken.valid.numpy()
                 images = measure(protocol, photo.rgb, taken.rgba, perceptual, valid).row()
             row = ImageRow(
-                method=name,
+                method=method.name,
                 state=taken.state,
                 kind=state.kind,
                 protocol=protocol.name,
                 view=taken.view,
-                scores={**images, **geometry, "mended_frames": mended[name], **own},
+                scores={**images, **geometry, **own},
             )
             rows.append(row)
     return rows
@@ -215,55 +230,15 @@ def _check_names(methods: Sequence[Method]) -> None:
         )
 
 
-def carry(methods: Sequence[Method], state: State) -> dict[str, Posed]:
-    """Move every method's asset to the state; methods of one run share the work.
-
-    All methods are measured by one kind of depth, that of the surface where a run knows it,
-    whatever their rays and their light.
-    """
-    motions: dict[int, tuple[MovedPoints, EditError | None]] = {}
-    poses: dict[str, Posed] = {}
-    for method in methods:
-        asset, key = method.asset, id(method.asset)
-        if key not in motions:
-            motions[key] = _moved(state, asset.points.detach().cpu())
-        motion, error = motions[key]
-        if error is not None and method.rays == "aware":
-            raise EditError(f"state {state.name}: {error}; plain rays can draw it") from error
-        poses[method.name] = asset.pose(motion, rays=method.rays, light=method.light)
-    return poses
-
-
-def _moved(state: State, rest: Tensor) -> tuple[MovedPoints, EditError | None]:
-    """Where a state takes canonical points (N, 3), and why there may be no local maps."""
-    positions = state.move(rest)
-    try:
-        maps = state.local_maps(rest, positions)
-    except EditError as error:
-        return MovedPoints(positions=positions, world=state.world), error
-    return MovedPoints(positions=positions, local_maps=maps, world=state.world), None
-
-
-def _health(
-    methods: Sequence[Method], poses: Mapping[str, Posed], state: State
-) -> dict[str, Health]:
-    """Diagnose every method's points; methods of one run share the work."""
-    known: dict[int, Health] = {}
-    for method in methods:
-        if id(method.asset) not in known:
-            rest, moved = method.asset.points, poses[method.name].points
-            handles = () if state.handles is None else state.handles(rest.detach().cpu())
-            known[id(method.asset)] = health_of(rest, moved, method.unseen, handles)
-    return {method.name: known[id(method.asset)] for method in methods}
-
-
-def _geometry(photo: Image, rgba: Tensor, taken: Taken, state: State) -> Mapping[str, Value]:
-    """Geometry metrics; without a true shape only those that need the opacity alone."""
+def _geometry(
+    photo: Image, rgba: Tensor, taken: Taken, state: State, tells: Tells
+) -> Mapping[str, Value]:
+    """Geometry metrics; without a true shape, or depth, only those that need the opacity alone."""
     alpha, size = rgba[..., 3], state.object_size
-    if taken.depth is not None and size is not None:
+    if tells == "depth" and taken.depth is not None and size is not None:
         truth = TrueGeometry(alpha=alpha, depth=taken.depth, object_size=size)
         return measure_geometry(photo.alpha, photo.depth, truth).row()
-    if not state.shots[taken.index].view.has_alpha:
+    if tells == "colour" or not state.shots[taken.index].view.has_alpha:
         return _NO_GEOMETRY
     # No pixel has a true depth: only coverage is judged, and nothing may claim more than that.
     unknown = torch.full_like(alpha, torch.inf)

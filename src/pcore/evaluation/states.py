@@ -234,18 +234,19 @@ class _Carrier:
         return self._truth.follow(anchors, state)
 
 
-def open_states(path: Path, *, factor: int = 1) -> SceneStates:
+def open_states(path: Path, *, factor: int = 1, masks: Path | None = None) -> SceneStates:
     """Open a scene folder for scoring.
 
     Args:
         path: the folder, as for `load_scene`; true meshes are used when it holds `meshes.npz`.
         factor: whole number by which all true images are down-scaled.
+        masks: folder of masks of the canonical photos that were made elsewhere.
 
     Raises:
         SceneError: no scene there, or files missing, damaged or inconsistent.
         InputError: a factor that does not divide the image size.
     """
-    scene = load_scene(path, factor=factor)
+    scene = load_scene(path, factor=factor, masks=masks)
     truth = load_truth(path) if (path / MESHES).is_file() else None
     return SceneStates(path=path, scene=scene, factor=factor, truth=truth)
 

@@ -125,8 +125,8 @@ def to_official_state(papr: Papr, cloud: PointCloud) -> dict[str, Tensor]:
     files; the cut-off has no counterpart there.
 
     Raises:
-        InputError: the model uses a cut-off, encodes with several numbers of octaves, or has a
-            frame of its own.
+        InputError: the model uses a cut-off, encodes with several numbers of octaves, has a frame
+            of its own, or points with colours.
     """
     octaves = papr.config.octaves
     if octaves != Octaves.all(octaves.point):
@@ -137,6 +137,11 @@ def to_official_state(papr: Papr, cloud: PointCloud) -> dict[str, Tensor]:
         raise InputError(
             "official checkpoint: expected a model without a cut-off, got cutoff = "
             f"{papr.config.cutoff}; the original lets every point answer every ray"
+        )
+    if papr.config.point_colors:
+        raise InputError(
+            "official checkpoint: expected networks that make all of a colour, got points with "
+            "colours of their own; train with PaprConfig.point_colors = False"
         )
     frame = papr.config.frame
     if frame is not None:

@@ -45,6 +45,10 @@ def bytes_needed(numbers: int, *, renders: int = 0) -> int:
     return 2 * (state + model) * _BYTES_PER_NUMBER + 16_000_000 + renders
 
 
+MASKS = "masks"
+"""Folder of the masks that were made for a run."""
+
+
 class RunFolder(Closing):
     """A folder that holds one run: `run.json`, weights, state, logs, pictures.
 
@@ -265,8 +269,8 @@ def _check_content(path: Path, *, resume: bool) -> None:
 
 
 def _is_leftover(item: Path) -> bool:
-    """Whether a process killed right after it made the folder left this behind."""
-    return item.name == LOCK_FILE or item.name.endswith(PARTIAL_SUFFIX)
+    """Whether it stands before a run: masks made for it, or what a killed process left behind."""
+    return item.name == MASKS or item.name == LOCK_FILE or item.name.endswith(PARTIAL_SUFFIX)
 
 
 def _check_space(path: Path, needed: int) -> None:

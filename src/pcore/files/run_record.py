@@ -6,13 +6,17 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import torch
+
+from pcore.data.scene import Scene
 from pcore.errors import InputError
 from pcore.files.gaussian_file import GAUSSIANS_FILE
 from pcore.files.manifest import MANIFEST_FILE, read_manifest
 from pcore.files.model_file import MODEL_FILE
 from pcore.files.provenance import Stage
+from pcore.geometry.object_region import Region
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +52,26 @@ class RunRecord:
         return found if isinstance(found, int) and found > 0 else 1
 
     @property
+    def masks(self) -> Path | None:
+        """Folder of masks that the training took besides the photos; None: it took none."""
+        found = self.config.get("masks")
+        return None if found is None else (self.path or Path()) / str(found)
+
+    @property
+    def region(self) -> Region | None:
+        """Where the object was found; None where the viewing axes told it, or nobody looked."""
+        found = self.config.get("region")
+        if not isinstance(found, dict):
+            return None
+        kept = cast("dict[str, Any]", found)
+        box = kept.get("box")
+        return Region(
+            center=torch.tensor(kept["center"]),
+            radius=float(kept["radius"]),
+            box=None if box is None else torch.tensor(box),
+        )
+
+    @property
     def base(self) -> Path | None:
         """Folder of the run that this one was fine-tuned from; None for other runs."""
         found = self.config.get("base")
@@ -78,6 +102,21 @@ class RunRecord:
                 "with --scene"
             )
         return folder
+
+
+def of_scene(scene: Scene, run: Path | None) -> dict[str, Any]:
+    """What a record says of a scene beside its folder: factor, masks from elsewhere, region."""
+    known: dict[str, Any] = {"factor": scene.factor}
+    if scene.masks is not None:
+        known["masks"] = str(scene.masks) if run is None else relative(scene.masks, run)
+    if scene.region is not None:
+        region = scene.region
+        known["region"] = {
+            "center": region.center.tolist(),
+            "radius": region.radius,
+            "box": None if region.box is None else region.box.tolist(),
+        }
+    return known
 
 
 def begun(path: Path) -> bool:

@@ -14,9 +14,10 @@ from torch import Tensor
 
 from pcore.deform.base import Deformation
 from pcore.errors import EditError
-from pcore.gaussians.covariance import covariances, quaternions, rotations
+from pcore.gaussians.covariance import covariances, quaternions
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.spherical_harmonics import rotated
+from pcore.geometry.rotation import rotations
 
 _SWEEPS = 12
 _ORTHOGONAL = 1e-15
@@ -78,10 +79,10 @@ def polar(matrices: Tensor) -> Tensor:
     They mirror where J does. Of a singular J one of the rotations that are possible.
     """
     wide = matrices.detach().double()
-    left, _, right = _singular(wide)
+    left, sizes, right = _singular(wide)
     determinant = torch.linalg.cross(wide[..., 0], wide[..., 1]).mul(wide[..., 2]).sum(dim=-1)
     # `left` never mirrors: where J does, its axis of the smallest size points the other way.
-    smallest = (wide @ right).norm(dim=-2).argmin(dim=-1)
+    smallest = sizes.argsort(dim=-1, descending=True, stable=True)[..., -1]
     flip = torch.ones_like(wide[..., 0])
     flip.scatter_(
         -1, smallest[..., None], torch.where(determinant < 0, -1.0, 1.0)[..., None].to(flip)

@@ -5,22 +5,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pcore.geometry.rotation import rotations
+
 _SMALLEST = 1e-12
 """Share of the longest standard deviation that is kept of a direction with none at all."""
-
-
-def rotations(quats: Tensor) -> Tensor:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4) w, x, y, z of any length but 0.
-
-    Columns are the axes. Differentiable.
-    """
-    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(dim=-1)
-    entries = [
-        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    ]
-    return torch.stack(entries, dim=-1).unflatten(-1, (3, 3))
 
 
 def quaternions(matrices: Tensor) -> Tensor:

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from pcore.deform.base import Deformation
 from pcore.errors import InputError
-from pcore.gaussians.covariance import rotations
 from pcore.gaussians.gaussians import Gaussians
+from pcore.geometry.rotation import rotations
 
 FINEST = 12.0
 """Along an axis no piece is smaller by more than this factor in one pass."""

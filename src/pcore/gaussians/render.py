@@ -146,6 +146,7 @@ def render_views(
     *,
     footprint: Footprint,
     background: Tensor | None = None,
+    depth: bool = True,
 ) -> GaussianPictures:
     """Draw as `render`, by matrices, which gradients reach: pose and focal length.
 
@@ -156,6 +157,7 @@ def render_views(
         size: width and height, pixels.
         footprint: as the Gaussians were trained.
         background: (3,) or (C, 3) colours; None is white.
+        depth: whether depths are asked for, a fourth colour to blend; without, they are all 0.
     """
     gaussians, gains = posed.gaussians, posed.gains
     rotation, shift = viewmats[:, :3, :3], viewmats[:, :3, 3:]
@@ -185,11 +187,15 @@ def render_views(
         eps2d=footprint.variance,
         rasterize_mode=_mode(footprint),
         backgrounds=background.to(gaussians.means).expand(len(viewmats), 3),
-        render_mode="RGB+ED",
+        render_mode="RGB+ED" if depth else "RGB",
         covars=posed.covariances,
     )
+    alpha = alpha[..., 0]
     return GaussianPictures(
-        rgb=image[..., :3], alpha=alpha[..., 0], depth=image[..., 3], means2d=meta["means2d"]
+        rgb=image[..., :3],
+        alpha=alpha,
+        depth=image[..., 3] if depth else torch.zeros_like(alpha),
+        means2d=meta["means2d"],
     )
 
 

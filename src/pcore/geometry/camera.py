@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.rays import RayBundle
+from pcore.geometry.rotation import rotations
 
 _RIGID_TOLERANCE = 1e-3
 
@@ -142,6 +143,36 @@ class Camera:
             cx=0.5 * width,
             cy=0.5 * height,
         )
+
+    @classmethod
+    def from_view(
+        cls, position: Tensor, wxyz: Tensor, fov_y: float, *, width: int, height: int
+    ) -> Camera:
+        """Camera with square pixels as viewers describe theirs, such as viser.
+
+        Args:
+            position: (3,) world units.
+            wxyz: (4,) quaternion of `world_from_camera` with OpenCV axes: y down, looking along +z.
+            fov_y: vertical field of view, radians.
+            width: in pixels.
+            height: in pixels.
+
+        Raises:
+            InputError: a field of view of nothing or of all there is, or a quaternion of length 0.
+        """
+        if not 0 < fov_y < math.pi:
+            raise InputError(
+                f"camera: expected a vertical field of view between 0 and pi radians, got {fov_y}"
+            )
+        turn = rotations(torch.as_tensor(wxyz).double()) * torch.tensor([1.0, -1.0, -1.0])
+        pose = torch.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, torch.as_tensor(position)
+        angle_x = 2 * math.atan(math.tan(0.5 * fov_y) * width / height)
+        return cls.from_fov(pose, width=width, height=height, angle_x=angle_x)
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """Return the camera of a rectangle of the picture, pixels."""
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     @property
     def center(self) -> Tensor:

@@ -38,3 +38,30 @@ class Region:
                 "region: expected a box of a lower and an upper corner, 3 numbers each, got "
                 f"{self.box.tolist()}"
             )
+
+    @property
+    def bounds(self) -> tuple[Tensor, Tensor]:
+        """(3,) lower and upper corner of the box, or of the cube around the sphere."""
+        if self.box is not None:
+            return self.box[0], self.box[1]
+        return self.center - self.radius, self.center + self.radius
+
+    @property
+    def corners(self) -> Tensor:
+        """(8, 3) of the box that `bounds` gives."""
+        lower, upper = self.bounds
+        return torch.cartesian_prod(*torch.stack([lower, upper]).unbind(dim=-1))
+
+    def contains(self, points: Tensor) -> Tensor:
+        """Which points (..., 3) lie in the sphere, and in the box where there is one: (...)."""
+        inside = (points - self.center).norm(dim=-1) <= self.radius
+        if self.box is None:
+            return inside
+        return inside & ((points >= self.box[0]) & (points <= self.box[1])).all(dim=-1)
+
+
+def region_of_box(lower: Tensor, upper: Tensor) -> Region:
+    """Return the region of a box along the axes, (3,) each: with the sphere through its corners."""
+    box = torch.stack([lower, upper]).float()
+    center = box.mean(dim=0)
+    return Region(center=center, radius=float((box[1] - center).norm()), box=box)

@@ -1,4 +1,4 @@
-"""Rotations that fit best: to a matrix, and to how neighbours moved. None carries a gradient."""
+"""Rotations by quaternion, and those that fit best to a matrix and to how neighbours moved."""
 
 from __future__ import annotations
 
@@ -9,11 +9,26 @@ from torch import Tensor
 _FLATNESS = 1e-9
 
 
+def rotations(quaternion: Tensor) -> Tensor:
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4) w, x, y, z of any length but 0.
+
+    Columns are the axes. Differentiable.
+    """
+    w, x, y, z = torch.nn.functional.normalize(quaternion, dim=-1).unbind(dim=-1)
+    entries = [
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    ]
+    return torch.stack(entries, dim=-1).unflatten(-1, (3, 3))
+
+
 def nearest_rotation(matrices: Tensor) -> Tensor:
     """Rotations (..., 3, 3) nearest to matrices (..., 3, 3) in the Frobenius norm, det = +1.
 
     With matrix = U S V^T it is U diag(1, 1, det(U V^T)) V^T: the smallest singular direction is
-    flipped where the nearest orthogonal matrix would be a mirror. Computed in float64.
+    flipped where the nearest orthogonal matrix would be a mirror. Computed in float64, without a
+    gradient.
     """
     # NumPy's batched SVD of small matrices takes half the time of torch's.
     left, _, right = np.linalg.svd(matrices.detach().cpu().double().numpy())
@@ -23,7 +38,7 @@ def nearest_rotation(matrices: Tensor) -> Tensor:
 
 @torch.no_grad()
 def procrustes(before: Tensor, after: Tensor, weights: Tensor) -> Tensor:
-    """Rotations (..., 3, 3) that best turn offsets `before` into offsets `after`.
+    """Rotations (..., 3, 3) that best turn offsets `before` into offsets `after`; no gradient.
 
     R minimises sum_k w_k |R before_k - after_k|^2 (Kabsch, Umeyama): the rotation nearest to
     sum_k w_k after_k before_k^T. Offsets along one line leave the turn about it open; a vanishing

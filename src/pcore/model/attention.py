@@ -16,7 +16,7 @@ from pcore.kernels.networks import Layers
 from pcore.kernels.reference import encode
 from pcore.model.encoding import Normalisation, encoded_size
 from pcore.model.hits import Hits
-from pcore.model.papr_config import MlpConfig, PaprConfig
+from pcore.model.papr_config import COLOR_CHANNELS, MlpConfig, PaprConfig
 
 
 class Mlp(nn.Module):
@@ -129,6 +129,8 @@ class ProximityAttention(nn.Module):
                 stop_encoding=stop_encoding,
             ),
         )
+        if self.config.point_colors:
+            features = _with_colors(features, posed.cloud.features, weights, neighbours)
         positions = posed.positions.index_select(0, neighbours.flatten()).unflatten(
             0, weights.shape
         )
@@ -157,6 +159,13 @@ class ProximityAttention(nn.Module):
         folded = query @ self.w_key.weight
         constants = query @ self.w_key.bias + folded @ outside.offset
         return folded * (outside.gain * outside.unbias), constants
+
+
+def _with_colors(features: Tensor, mu: Tensor, weights: Tensor, neighbours: Tensor) -> Tensor:
+    """Features (R, C) whose first channels are the colours of points (N, F) by weights (R, k)."""
+    colors = mu[:, :COLOR_CHANNELS].index_select(0, neighbours.flatten())
+    blend = (weights.unsqueeze(-1) * colors.unflatten(0, weights.shape)).sum(dim=1)
+    return torch.cat([blend.to(features), features[:, COLOR_CHANNELS:]], dim=1)
 
 
 def _of_query(directions: Tensor) -> Tensor:

@@ -10,6 +10,9 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.geometry.pixel_samples import check_samples
 
+COLOR_CHANNELS = 3
+"""Features of a point that are its colour (`PaprConfig.point_colors`)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class MlpConfig:
@@ -124,6 +127,10 @@ class PaprConfig:
     """Octaves of the positional encodings."""
     feature_size: int = 64
     """Length of a point's feature vector mu."""
+    point_colors: bool = False
+    """The first three features of a point are its colour, which goes around the networks: the
+    renderer network sees the blend of colours in the place of its first three channels, and adds
+    to it. False (the original): networks make all of a colour."""
     key: MlpConfig = field(default_factory=lambda: MlpConfig(layers=5))
     """Network that embeds a point as seen from a ray; normalised before and after."""
     query: MlpConfig = field(default_factory=lambda: MlpConfig(layers=5))
@@ -165,6 +172,11 @@ class PaprConfig:
         if min(self.unet_channels) < 1:
             raise InputError(
                 f"PAPR: expected unet_channels of at least 1, got {self.unet_channels}"
+            )
+        if self.point_colors and min(self.feature_size, self.value.size) < COLOR_CHANNELS:
+            raise InputError(
+                f"PAPR: expected features and values of at least {COLOR_CHANNELS} numbers where "
+                f"points have colours, got {self.feature_size} and {self.value.size}"
             )
         check_samples("PAPR", self.samples)
         if self.pixel is not None and not (math.isfinite(self.pixel) and self.pixel > 0):

@@ -265,6 +265,9 @@ def _drawn(
 ) -> IntArray:
     """For every row of values (N, C) so many of the rows that are nearest to it."""
     among = min(among, len(values))
+    # Away from zero: where many hues are that of white, 0 exactly, the tree splits at the next
+    # number, which is flushed to 0 in our processes (`set_flush_denormal`), and recurses for ever.
+    values = values - values.min(axis=0) + np.ptp(values)
     near = KDTree(values).query(values, k=among)[1]
     slots = random.integers(1, among, size=(len(values), count))
     return np.take_along_axis(near, slots, axis=1)

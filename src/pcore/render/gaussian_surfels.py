@@ -15,9 +15,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.data.scene import View
-from pcore.gaussians.covariance import rotations
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, blended, surface_points
+from pcore.geometry.rotation import rotations
 from pcore.geometry.surfels import known_normals, spacing_of
 from pcore.render.image import Image
 from pcore.render.surfel_fit import Observed, Progress, Shown, colors_at, compared, small, told

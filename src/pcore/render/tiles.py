@@ -24,7 +24,9 @@ from pcore.model.hits import Hits
 from pcore.model.papr import Papr, constant
 from pcore.model.unet import ALIGNMENT
 from pcore.render.image import Image
+from pcore.render.means import mean_around
 from pcore.render.raster import Raster
+from pcore.render.reachable import reachable
 from pcore.render.surface import middle_surface, surface_of
 from pcore.render.trace import trace
 
@@ -115,8 +117,15 @@ def paint(
     """
     height, width = raster.size
     waiting, complete = deque(windows(raster)), 0
+    shown = reachable(posed, raster.camera, papr.config.cutoff)
     for wanted in torch.arange(height * width).split(chunk):
-        trace_pixels(canvas, papr, posed, _rays_of(raster, wanted), wanted, threshold)
+        rays, sent = _rays_of(raster, wanted), wanted
+        if shown is not None:
+            met = shown.view(-1)[wanted]
+            _leave_out(canvas, wanted[~met])
+            rays, sent = rays[met], wanted[met]
+        if len(sent):
+            trace_pixels(canvas, papr, posed, rays, sent, threshold)
         yield complete
         while waiting and waiting[0][0][0].stop * width <= wanted[-1] + 1:
             window = waiting.popleft()
@@ -124,6 +133,15 @@ def paint(
             rows, columns = window[2]
             complete = rows.stop if columns.stop == width else complete
             yield complete
+
+
+def _leave_out(canvas: Canvas, pixels: Tensor) -> None:
+    """Fill pixels (M,), given by their numbers, with what rays have that hit nothing."""
+    flat = pixels.to(canvas.alpha.device)
+    rows, width, channels = canvas.features.shape
+    canvas.features.view(-1, channels)[flat % (rows * width)] = 0.0
+    canvas.alpha.view(-1)[flat] = 0.0
+    canvas.surface.view(-1, 3)[flat] = math.nan
 
 
 def _rays_of(raster: Raster, wanted: Tensor) -> RayBundle:
@@ -245,22 +263,6 @@ def _laced(papr: Papr, features: Tensor, alpha: Tensor, gain: Tensor, step: int)
         lattice = (slice(row, None, step), slice(column, None, step))
         colours[lattice] = colour(papr, features[lattice], alpha[lattice], gain=gain[lattice])
     return colours[rim:-rim, rim:-rim]
-
-
-def mean_around(features: Tensor, width: int) -> Tensor:
-    """Means (H, W, C) over squares of so many pixels around every pixel, zeros beyond the rim.
-
-    Where the number is even the outermost pixels of a square count half.
-    """
-    reach = width // 2
-    weights = features.new_ones(2 * reach + 1)
-    if width % 2 == 0:
-        weights[[0, -1]] = 0.5
-    weights = weights / width
-    planes = features.permute(2, 0, 1).unsqueeze(1)
-    planes = F.conv2d(planes, weights.reshape(1, 1, -1, 1), padding=(reach, 0))
-    planes = F.conv2d(planes, weights.reshape(1, 1, 1, -1), padding=(0, reach))
-    return planes.squeeze(1).permute(1, 2, 0)
 
 
 def pooled(image: Image, pool: int, camera: Camera) -> Image:

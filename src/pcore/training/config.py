@@ -11,12 +11,13 @@ from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
 from pcore.geometry.farthest_points import ANCHORS
 from pcore.model.papr_config import PaprConfig
-from pcore.training.schedule import Schedule
+from pcore.training.schedule import Level, Schedule, check_levels
 from pcore.validation import check_count
 
 PresetName = Literal["tiny", "fast", "paper"]
 TrunkName = Literal["alex", "squeeze", "vgg"]
 Background = Literal["white", "black", "random"]
+Exposure = Literal["per-view"] | None
 Origin = Literal["camera", "reference"]
 
 
@@ -139,8 +140,15 @@ class PretrainConfig:
     """Half precision on a GPU; the CPU always computes in float32."""
     seed: int = 0
     """Of every random draw."""
+    levels: tuple[Level, ...] | None = None
+    """Coarse to fine; None: photos are whole from the start."""
+    exposure: Exposure = None
+    """"per-view" learns an affine map of colours for every photo along."""
+    seconds: float | None = None
+    """Promised for all steps, validations and saves; `steps` is then what is foreseen."""
 
     def __post_init__(self) -> None:
+        check_levels(self.levels)
         _check_positive(self, "steps", "points", "validate_every", "save_every")
         if self.hold_out < 2:
             raise InputError(f"pre-training: expected hold_out of at least 2, got {self.hold_out}")

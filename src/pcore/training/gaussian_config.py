@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
 from pcore.gaussians.render import Footprint
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE
-from pcore.training.config import Background
-from pcore.training.schedule import Schedule
+from pcore.training.config import Background, Exposure
+from pcore.training.schedule import Level, Schedule, check_levels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +43,13 @@ class GaussianRates:
             "colors": self.colors,
             "harmonics": self.harmonics,
         }
+
+    def times(self, factor: float) -> GaussianRates:
+        """Return `factor` times these rates."""
+        named = self.named().items()
+        return GaussianRates(
+            **{name: replace(rate, base=factor * rate.base) for name, rate in named}
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +84,9 @@ class GaussianConfig:
     points: int = 4000
     """Gaussians at the start."""
     start: str = "auto"
-    """"hull" (visual hull of the training masks), "views" (in front of the cameras, near ones and
-    far ones), a PLY or NPY file of points, or "auto": hull where there are masks, else views."""
+    """"hull" (visual hull of the training masks), "sparse" (points of the reconstruction that posed
+    the photos, and far ones), "views" (where neighbouring photos agree, and far ones), a PLY or NPY
+    file of points, or "auto": the first of these that the scene has."""
     degree: int = 3
     """Of the spherical harmonics."""
     degree_every: float = 1 / 6
@@ -102,6 +111,14 @@ class GaussianConfig:
     """Steps between saves."""
     seed: int = 0
     """Of every random draw."""
+    levels: tuple[Level, ...] | None = None
+    """Coarse to fine; from the end of the last one on the photos are whole. None: always."""
+    exposure: Exposure = None
+    """"per-view" learns an affine map of colours for every photo along; None takes them as they
+    are."""
+    seconds: float | None = None
+    """Promised for all steps, validations and saves; `steps` is then what is foreseen. None makes
+    the steps and promises nothing."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "points", "validate_every", "save_every"):
@@ -123,7 +140,90 @@ class GaussianConfig:
                 "training of Gaussians: expected an opacity between 0 and 1 and a weight of the "
                 f"SSIM from 0 to 1, got {self.opacity_start} and {self.ssim_weight}"
             )
+        check_levels(self.levels)
         if not 0 <= self.seed < 2**63 - 1 or not math.isfinite(self.degree_every):
             raise InputError(
                 f"training of Gaussians: expected a seed from 0 to 2**63 - 2, got {self.seed}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussianFinetuneConfig:
+    """Self-supervised fine-tuning of Gaussians (P-CORE on Gaussians, ADR 24)."""
+
+    steps: int = 300
+    """Optimiser steps, one photo and one random field each."""
+    rays: int = 128
+    """Deformed rays of a step."""
+    rates: GaussianRates = field(default_factory=lambda: GaussianRates().times(0.1))
+    """Learning rates: a tenth of those of the training, which would undo what is learned."""
+    points_only: bool = True
+    """Use the mode that deforms Gaussians and keeps the camera."""
+    rays_and_points: bool = True
+    """Use the mode that deforms Gaussians and ray origins; with both, they take turns."""
+    origin_distance: float = 0.1
+    """Rays-and-points mode: how far before the surface the moved origins lie, as a fraction of the
+    distance between camera and surface."""
+    geometry_weight: float = 0.1
+    """lambda_geo; L_geo is measured in units of the bounding box's diagonal."""
+    texture_weight: float = 0.1
+    """lambda_tex; L_tex is the absolute error of the colours against the photo."""
+    spread_weight: float = 0.0
+    """Of the variance of depth along deformed rays: nothing inside. Off: it costs more than it
+    brings (ADR 24)."""
+    needle_weight: float = 0.0
+    """Of Gaussians longer than `needle` times their second axis; off."""
+    needle: float = 4.0
+    """See `needle_weight`."""
+    foreground_alpha: float = 0.5
+    """Rays whose canonical opacity is above this are foreground."""
+    reach: float = 0.02
+    """Rays that see something farther than this from their target, in diagonals, count nothing:
+    the deformation put another part before it."""
+    ranges: DeformationRanges = field(default_factory=DeformationRanges)
+    """What is drawn."""
+    largest_loss: float | None = 0.3
+    """The budget: how many dB the PSNR of held-out training views may lose; as for PAPR."""
+    ssim_weight: float = 0.2
+    """L_rgb: share of 1 - SSIM; the rest is the absolute error."""
+    background: Background = "random"
+    """Behind images with alpha."""
+    hold_out: int = 10
+    """Every so-manieth training view is kept for validation."""
+    validate_every: int = 100
+    """Steps between validations."""
+    save_every: int = 100
+    """Steps between saves."""
+    seed: int = 0
+    """Of every random draw."""
+
+    @property
+    def consistent(self) -> bool:
+        """Whether any loss looks at a deformed state."""
+        return max(self.geometry_weight, self.texture_weight, self.spread_weight) > 0
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "rays", "validate_every", "save_every"):
+            if getattr(self, name) < 1:
+                raise InputError(
+                    f"fine-tuning of Gaussians: expected {name} >= 1, got {getattr(self, name)}"
+                )
+        for name in ("geometry_weight", "texture_weight", "spread_weight", "needle_weight"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise InputError(
+                    f"fine-tuning of Gaussians: expected {name} to be a finite number of 0 or "
+                    f"more, got {getattr(self, name)}; 0 leaves this loss out"
+                )
+        if not (self.points_only or self.rays_and_points):
+            raise InputError(
+                "fine-tuning of Gaussians: expected at least one of points_only and rays_and_points"
+            )
+        if not (0 < self.origin_distance <= 1 and 0 <= self.ssim_weight <= 1):
+            raise InputError(
+                "fine-tuning of Gaussians: expected origin_distance above 0 and at most 1 and "
+                f"ssim_weight from 0 to 1, got {self.origin_distance} and {self.ssim_weight}"
+            )
+        if not 0 <= self.seed < 2**63 - 1:
+            raise InputError(
+                f"fine-tuning of Gaussians: expected a seed from 0 to 2**63 - 2, got {self.seed}"
             )

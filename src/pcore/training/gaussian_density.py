@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pcore.gaussians.covariance import rotations
+from pcore.geometry.rotation import rotations
 from pcore.training.gaussian_config import DensityConfig
 
 Rows = dict[str, Tensor]

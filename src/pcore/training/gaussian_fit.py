@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import time
+from dataclasses import replace
 
-from pcore.data.images import background_color
+import torch
+
+from pcore.data.images import background_color, composite
 from pcore.data.scene import Scene, check_images, hold_out
 from pcore.errors import TrainingError
 from pcore.files.run_folder import RunFolder
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import GaussianPictures, PosedGaussians, render_views, view_matrices
 from pcore.training.events import Listener, PopulationReport, silent
-from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.exposure import ViewExposure
+from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from pcore.training.gaussian_density import changes
 from pcore.training.gaussian_start import camera_distance, start_gaussians
 from pcore.training.loop import Plan, run_loop
 from pcore.training.losses import Losses
-from pcore.training.ssim import ssim
+from pcore.training.pace import Clock, Leg, Pace
+from pcore.training.reduced_view import PhotosInTurn
+from pcore.training.schedule import Level, reduction_at
+from pcore.training.speed import Speed
+from pcore.training.ssim import picture_losses
 from pcore.training.trainable_gaussians import (
+    Bound,
     TrainableGaussians,
     TrainedGaussians,
-    photo_on,
     trainable_gaussians,
+    valid_only,
 )
 
 
@@ -34,6 +42,8 @@ def fit_gaussians(
     folder: RunFolder | None = None,
     listener: Listener = silent,
     device: str = "cpu",
+    bound: Bound | None = None,
+    clock: Clock = time.monotonic,
 ) -> TrainedGaussians:
     """Learn Gaussians from the training views.
 
@@ -46,6 +56,8 @@ def fit_gaussians(
         folder: where to save and what to continue from; None keeps everything in memory.
         listener: told of steps, validations, changes of the population, saves.
         device: "cpu", or "cuda" with gsplat.
+        bound: what the Gaussians hang on, and their start; None trains free ones.
+        clock: tells the time to a training that has promised one.
 
     Raises:
         InputError: no silhouettes for a visual hull, or a bad file of points.
@@ -57,51 +69,60 @@ def fit_gaussians(
     check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     masked = all(view.has_alpha for view in views)
+    if bound is not None:
+        start = bound.start
     if start is None:
         generator = torch.Generator().manual_seed(config.seed)
         start = start_gaussians(scene, views, config, generator)
+    exposure = ViewExposure(len(views), where) if config.exposure else None
     work = trainable_gaussians(
         start.to(where),
         distance=camera_distance(scene),
         footprint=config.footprint,
         backdrop=config.background,
         seed=config.seed + 1,
+        place=None if bound is None else bound.place,
+        fits_exposure=exposure is not None,
     )
-    matrices = [
-        (*view_matrices([view.camera], work.raw["means"]), (view.camera.width, view.camera.height))
-        for view in views
-    ]
+    pace = _pace(config, scene, clock)
+    photos = PhotosInTurn(views)
     shown: list[GaussianPictures] = []
 
     def losses() -> Losses:
         index = _turn(work.step, len(views), config.seed)
         color = background_color(config.background, work.generator)
-        viewmat, intrinsics, size = matrices[index]
+        progress = pace.progress(work.step)
+        photo = photos.at(reduction_at(config.levels, progress))[index]
+        camera = photo.camera
+        viewmat, intrinsics = view_matrices([camera], work.raw["means"])
         found = render_views(
-            PosedGaussians(gaussians=work.gaussians(_degree(work.step, config))),
+            PosedGaussians(gaussians=work.gaussians(_degree(progress, config))),
             viewmat,
             intrinsics,
-            size,
+            (camera.width, camera.height),
             footprint=config.footprint,
+            depth=False,
             background=color.to(where),
         )
-        if _grows(work.step, config):
+        if progress <= config.density.last:
             found.means2d.retain_grad()
         shown[:] = [found]
-        photo = photo_on(views[index], color, where)
-        valid = views[index].valid()
-        if valid is None:
-            return _photometric(found.rgb, photo, config.ssim_weight)
-        # Where the photo shows nothing, rendering is neither right nor wrong.
-        rgb = torch.where(valid.to(where)[..., None], found.rgb, photo)
-        return _photometric(rgb, photo, config.ssim_weight)
+        rgb = found.rgb
+        if exposure is not None:
+            rgb = exposure.applied(index, rgb, found.alpha, color.to(where))
+        target = composite(photo.rgba(), color).to(where).unsqueeze(0)
+        rgb = valid_only(rgb, target, photo.valid())
+        return picture_losses(rgb, target, config.ssim_weight)
 
     def after_step(tell: Listener) -> None:
         _observe(work, shown.pop())
         density = config.density
         due = work.step % density.every == 0 and work.step >= density.first
-        if due and _grows(work.step, config):
-            _change_population(work, config, masked, tell)
+        progress = pace.progress(work.step)
+        if due and progress <= density.last:
+            room = density.limit // reduction_at(config.levels, progress)
+            most = replace(density, limit=max(config.points, room))
+            _change_population(work, most, masked, tell)
 
     return run_loop(
         work,
@@ -113,6 +134,8 @@ def fit_gaussians(
             validation=validation,
             background=config.background,
             scene=scene.name,
+            pace=pace,
+            exposure=exposure,
         ),
         losses,
         after_step=after_step,
@@ -128,21 +151,31 @@ def _turn(step: int, views: int, seed: int) -> int:
     return int(torch.randperm(views, generator=generator)[step % views])
 
 
-def _degree(step: int, config: GaussianConfig) -> int:
-    return min(config.degree, int(step / (config.degree_every * config.steps)))
+def _pace(config: GaussianConfig, scene: Scene, clock: Clock) -> Pace:
+    camera = scene.split("train")[0].camera
+    speed = Speed()
+    legs = [
+        Leg(
+            end=level.until,
+            cost=speed.seconds(
+                camera.width * camera.height / level.reduction**2,
+                max(config.points, config.density.limit // level.reduction),
+            ),
+        )
+        for level in (*(config.levels or ()), Level(until=1.0, reduction=1))
+    ]
+    return Pace(
+        config.steps,
+        validate_every=config.validate_every,
+        save_every=config.save_every,
+        seconds=config.seconds,
+        legs=legs,
+        clock=clock,
+    )
 
 
-def _grows(step: int, config: GaussianConfig) -> bool:
-    return step <= config.density.last * config.steps
-
-
-def _photometric(rgb: Tensor, photo: Tensor, ssim_weight: float) -> Losses:
-    """(1 - w) L1 + w (1 - SSIM)."""
-    error = rgb - photo
-    terms = {"l1": (1 - ssim_weight) * error.abs().mean()}
-    if ssim_weight > 0:
-        terms["ssim"] = ssim_weight * (1 - ssim(rgb, photo))
-    return Losses(terms=terms, squared_error=error.detach().square().mean())
+def _degree(progress: float, config: GaussianConfig) -> int:
+    return min(config.degree, int(progress / config.degree_every))
 
 
 @torch.no_grad()
@@ -161,13 +194,13 @@ def _observe(work: TrainableGaussians, shown: GaussianPictures) -> None:
 
 @torch.no_grad()
 def _change_population(
-    work: TrainableGaussians, config: GaussianConfig, masked: bool, tell: Listener
+    work: TrainableGaussians, config: DensityConfig, masked: bool, tell: Listener
 ) -> None:
     before = work.points
     change = changes(
         work.weights(),
         work.slopes / work.seen.clamp_min(1),
-        config.density,
+        config,
         work.distance,
         masked=masked,
         generator=work.generator,

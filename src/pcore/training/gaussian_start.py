@@ -9,16 +9,22 @@ from pathlib import Path
 import torch
 from scipy.spatial import KDTree
 from torch import Tensor
+from torch.nn import functional as F
 
 from pcore.data.scene import Scene, View
 from pcore.errors import InputError
 from pcore.gaussians.gaussians import Gaussians
 from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.photo_consistency import consistent_points
 from pcore.training.population import hull_points
 
 _NEIGHBOURS = 3
 _NEAREST, _FARTHEST = 0.3, 30.0
 """Depths of the start "views", in distances of the cameras."""
+_BEHIND, _FAR_SHARE = 1.0, 0.3
+"""Beside the points of a reconstruction: depth from which on, and share of, points farther away."""
+_FEW = 100
+"""Fewer points of a reconstruction do not say where things are."""
 _CONSTANT = 0.28209479177387814
 """The harmonic of degree 0."""
 
@@ -27,6 +33,15 @@ def camera_distance(scene: Scene) -> float:
     """Median distance of the training cameras from the scene's centre, world units."""
     distances = [float((view.camera.center - scene.center).norm()) for view in scene.split("train")]
     return statistics.median(distances)
+
+
+def chosen_start(scene: Scene, start: str) -> str:
+    """Where Gaussians begin: "auto" is the best of what the training views and the scene have."""
+    if start != "auto":
+        return start
+    if all(view.has_alpha for view in scene.split("train")):
+        return "hull"
+    return "views" if scene.sparse is None or len(scene.sparse) < _FEW else "sparse"
 
 
 def start_gaussians(
@@ -44,25 +59,27 @@ def start_gaussians(
         InputError: "hull" without masks, or a bad file of points.
         TrainingError: masks without a common inside.
     """
-    masked = all(view.has_alpha for view in views)
-    start = config.start
-    if start == "auto":
-        start = "hull" if masked else "views"
+    start = chosen_start(scene, config.start)
+    distance = camera_distance(scene)
     if start == "hull":
-        if not masked:
+        if not all(view.has_alpha for view in views):
             raise InputError(
                 f"scene {scene.name}: expected images with an alpha channel for a visual hull, got "
                 'photos without one; start from "views" or from a PLY or NPY file of points'
             )
-        positions = hull_points(config.points, views, scene.lower, scene.upper, generator=generator)
+        positions = hull_points(
+            config.points, views, scene.lower, scene.upper, generator=generator, region=scene.region
+        )
     elif start == "views":
-        positions = _before_cameras(config.points, views, camera_distance(scene), generator)
+        positions = _consistent_and_far(config.points, views, distance, generator)
+    elif start == "sparse":
+        positions = _sparse_and_far(scene, config.points, views, distance, generator)
     else:
         # Reading such files takes a package that no other training needs.
         from pcore.data.points import load_points
 
         positions = load_points(Path(start))
-    spacing = _spacing(positions).clamp_min(1e-6 * camera_distance(scene))
+    spacing = _spacing(positions).clamp_min(1e-6 * distance)
     count, coefficients = len(positions), (config.degree + 1) ** 2
     sh = torch.zeros(count, coefficients, 3)
     sh[:, 0] = (mean_colors(positions, views) - 0.5) / _CONSTANT
@@ -78,21 +95,75 @@ def start_gaussians(
 
 
 def mean_colors(positions: Tensor, views: Sequence[View]) -> Tensor:
-    """Mean colour (N, 3) of the pixels that points project to, weighted by alpha; grey for none."""
+    """Mean colour (N, 3) of the photos where points project to, weighted by alpha; grey for none.
+
+    Colours between pixels are bilinear, so that rounding of the points changes them by rounding.
+    """
     total, weight = torch.zeros(len(positions), 3), torch.zeros(len(positions), 1)
     for view in views:
         camera = view.camera
         across, down, depth = camera.project(positions)
         seen = (depth > 0) & (across >= 0) & (across < camera.width)
         seen &= (down >= 0) & (down < camera.height)
-        pixels = view.rgba()[down[seen].long(), across[seen].long()]
-        total[seen] += pixels[:, :3] * pixels[:, 3:]
+        rgba = view.rgba()
+        planes = torch.cat([rgba[..., :3] * rgba[..., 3:], rgba[..., 3:]], dim=-1).permute(2, 0, 1)
+        size = torch.tensor([camera.width, camera.height])
+        places = 2 * torch.stack([across[seen], down[seen]], dim=-1) / size - 1
+        pixels = F.grid_sample(
+            planes[None], places[None, None].to(planes), padding_mode="border", align_corners=False
+        )[0, :, 0].T
+        total[seen] += pixels[:, :3]
         weight[seen] += pixels[:, 3:]
     return torch.where(weight > 0, total / weight.clamp_min(1e-6), 0.5)
 
 
-def _before_cameras(
+def _sparse_and_far(
+    scene: Scene,
+    count: int,
+    views: Sequence[View],
+    distance: float,
+    generator: torch.Generator,
+) -> Tensor:
+    """Points (count, 3) of the reconstruction, and some beyond the object where it has none.
+
+    Raises:
+        InputError: the scene has no such points.
+    """
+    if scene.sparse is None or not len(scene.sparse):
+        raise InputError(
+            f"scene {scene.name}: expected points of a reconstruction to start at, got a scene "
+            'without; start from "views" or from a PLY or NPY file of points'
+        )
+    known = scene.sparse.positions
+    most = min(len(known), int((1 - _FAR_SHARE) * count))
+    known = known[torch.randperm(len(known), generator=generator)[:most]]
+    far = _before_cameras(count - most, views, distance, generator, nearest=_BEHIND)
+    return torch.cat([known, far])
+
+
+def _consistent_and_far(
     count: int, views: Sequence[View], distance: float, generator: torch.Generator
+) -> Tensor:
+    """Points (count, 3) where neighbouring photos agree, and some far away."""
+    near = torch.empty(0, 3)
+    if len(views) > 2:
+        near = consistent_points(
+            int((1 - _FAR_SHARE) * count),
+            views,
+            _NEAREST * distance,
+            _FARTHEST * distance,
+            generator,
+        )
+    far = _before_cameras(count - len(near), views, distance, generator, nearest=_BEHIND)
+    return torch.cat([near, far])
+
+
+def _before_cameras(
+    count: int,
+    views: Sequence[View],
+    distance: float,
+    generator: torch.Generator,
+    nearest: float = _NEAREST,
 ) -> Tensor:
     """Points (count, 3) on random rays of random views, evenly in the inverse of the depth."""
     which = torch.randint(len(views), (count,), generator=generator)
@@ -100,7 +171,7 @@ def _before_cameras(
         torch.rand(count, 2, generator=generator),
         torch.rand(count, generator=generator),
     )
-    depths = distance / (1 / _FARTHEST + inverse * (1 / _NEAREST - 1 / _FARTHEST))
+    depths = distance / (1 / _FARTHEST + inverse * (1 / nearest - 1 / _FARTHEST))
     positions = torch.empty(count, 3)
     for index, view in enumerate(views):
         chosen, camera = which == index, view.camera

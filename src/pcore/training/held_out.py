@@ -12,18 +12,29 @@ from pcore.data.scene import View
 from pcore.geometry.posed import PosedCloud
 from pcore.render.picture import render
 from pcore.training.config import Background
+from pcore.training.exposure import fitted_exposure
 from pcore.training.trained import Trained
 
 
-def validate(model: Trained, views: Sequence[View], background: Background) -> dict[str, float]:
+def validate(
+    model: Trained, views: Sequence[View], background: Background, *, fitted: bool = False
+) -> dict[str, float]:
     """Mean PSNR over the views, and of foreground pixels (alpha > 0.5) where there is alpha, dB."""
     color = background_color("white" if background == "random" else background)
     posed = PosedCloud.at_rest(model.cloud)
-    return mean_scores(views, color, lambda view: render(model.papr, posed, view.camera).rgb.cpu())
+
+    def draw(view: View) -> Tensor:
+        return render(model.papr, posed, view.camera).rgb.cpu()
+
+    return mean_scores(views, color, draw, fitted=fitted)
 
 
 def mean_scores(
-    views: Sequence[View], color: Tensor, draw: Callable[[View], Tensor]
+    views: Sequence[View],
+    color: Tensor,
+    draw: Callable[[View], Tensor],
+    *,
+    fitted: bool = False,
 ) -> dict[str, float]:
     """Figures of `validate` for pictures of any kind.
 
@@ -31,16 +42,23 @@ def mean_scores(
         views: what is compared with.
         color: (3,) background of the photos.
         draw: renders a view over that background, (H, W, 3).
+        fitted: also give `fitted_psnr`, under the map of colours that brings every picture closest
+            to its photo (`fitted_exposure`); of the object alone where there are masks.
     """
-    found: dict[str, list[float]] = {"psnr": [], "foreground_psnr": []}
+    found: dict[str, list[float]] = {"psnr": [], "foreground_psnr": [], "fitted_psnr": []}
     for view in views:
-        rgba = view.rgba()
-        error = (draw(view).clamp(0, 1) - composite(rgba, color)).square().mean(dim=-1)
-        valid = view.valid()
-        found["psnr"].append(_decibels(error.mean() if valid is None else error[valid].mean()))
+        rgba, rgb, valid = view.rgba(), draw(view).clamp(0, 1), view.valid()
+        photo = composite(rgba, color)
+        error = (rgb - photo).square().mean(dim=-1)
+        known = torch.ones_like(error, dtype=torch.bool) if valid is None else valid
+        found["psnr"].append(_decibels(error[known].mean()))
         solid = rgba[..., 3] > 0.5
         if view.has_alpha and bool(solid.any()):
             found["foreground_psnr"].append(_decibels(error[solid].mean()))
+        known = known & solid
+        if fitted and bool(known.any()):
+            closest = fitted_exposure(rgb[known], photo[known]).clamp(0, 1)
+            found["fitted_psnr"].append(_decibels((closest - photo[known]).square().mean()))
     return {name: sum(values) / len(values) for name, values in found.items() if values}
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import torch
@@ -25,8 +24,10 @@ from pcore.training.events import (
     Stopped,
     ValidationReport,
 )
+from pcore.training.exposure import ViewExposure
 from pcore.training.interrupt import deferred_interrupt
 from pcore.training.losses import Losses
+from pcore.training.pace import Pace
 from pcore.training.schedule import Schedule
 from pcore.training.work import Work
 
@@ -47,6 +48,8 @@ class Plan:
         validation: held-out training views.
         background: behind images with alpha.
         scene: name of the scene, for the model file.
+        pace: of a training that has promised a time; None makes the steps and no promise.
+        exposure: of the photos, where it is learned along.
     """
 
     steps: int
@@ -56,6 +59,8 @@ class Plan:
     validation: Sequence[View]
     background: Background
     scene: str
+    pace: Pace | None = None
+    exposure: ViewExposure | None = None
 
 
 def run_loop(
@@ -90,25 +95,28 @@ def run_loop(
     """
     if budget is not None:
         work.best = {"weights": {k: t.clone() for k, t in budget.before.items()}, "kept_step": 0}
-    _resume(work, folder)
-    if work.step >= plan.steps:
+    pace = plan.pace or Pace(
+        plan.steps, validate_every=plan.validate_every, save_every=plan.save_every
+    )
+    _resume(work, plan, pace, folder)
+    if pace.done(work.step):
         # Killed between the files of the last save: complete them.
         finish(listener)
-        _save(work, plan, folder, listener, finished=True)
-    clock = _Clock(work.step, plan.steps)
+        _save(work, plan, pace, folder, listener, finished=True)
     with deferred_interrupt() as interrupted:
-        while work.step < plan.steps:
-            found = _step(work, plan, losses)
+        while not pace.done(work.step):
+            found = _step(work, plan, pace, losses)
             after_step(listener)
-            if work.step % _REPORT_EVERY == 0 or work.step == plan.steps:
-                listener(_report(work, plan, found, clock))
-            if work.step % plan.validate_every == 0 or work.step == plan.steps:
-                _validate(work, plan, budget, listener)
-            last = work.step == plan.steps or bool(interrupted)
+            pace.after(work.step)
+            if work.step % _REPORT_EVERY == 0 or pace.done(work.step):
+                listener(_report(work, pace, found))
+            if pace.validates(work.step):
+                _validate(work, plan, budget, listener, last=pace.done(work.step))
+            last = pace.done(work.step) or bool(interrupted)
             if last and not interrupted:
                 finish(listener)
-            if last or work.step % plan.save_every == 0:
-                _save(work, plan, folder, listener, finished=last and not interrupted)
+            if last or pace.saves(work.step):
+                _save(work, plan, pace, folder, listener, finished=last and not interrupted)
             if interrupted:
                 _stop(work, folder, listener)
     listener(_finished(work))
@@ -126,18 +134,20 @@ def _finished(work: Work[Any]) -> Stopped:
     return Stopped(stage=work.stage, step=work.step, reason="finished", message=message)
 
 
-def _step(work: Work[Any], plan: Plan, losses: Callable[[], Losses]) -> Losses:
-    work.set_rates(plan.rates, plan.steps)
+def _step(work: Work[Any], plan: Plan, pace: Pace, losses: Callable[[], Losses]) -> Losses:
+    work.set_rates(plan.rates, pace.length(work.step))
     work.optimizer.zero_grad(set_to_none=True)
     with compiler_errors_explained():
         found = losses()
         found.total.backward()
     work.optimizer.step()
+    if plan.exposure is not None:
+        plan.exposure.step(pace.progress(work.step))
     work.step += 1
     return found
 
 
-def _report(work: Work[Any], plan: Plan, found: Losses, clock: _Clock) -> StepReport:
+def _report(work: Work[Any], pace: Pace, found: Losses) -> StepReport:
     figures = [found.total, found.squared_error, *found.terms.values()]
     # All at once: every transfer from a GPU waits for it.
     loss, error, *terms = torch.stack(figures).detach().tolist()
@@ -149,17 +159,19 @@ def _report(work: Work[Any], plan: Plan, found: Losses, clock: _Clock) -> StepRe
     return StepReport(
         stage=work.stage,
         step=work.step,
-        steps=plan.steps,
+        steps=pace.steps,
         loss=loss,
         losses=dict(zip(found.terms, terms, strict=True)),
         psnr=-10 * math.log10(max(error, 1e-12)),
         points=work.points,
-        seconds_left=clock.seconds_left(work.step),
+        seconds_left=pace.seconds_left(work.step),
         rates={group["name"]: group["lr"] for group in work.optimizer.param_groups},
     )
 
 
-def _validate(work: Work[Any], plan: Plan, budget: Budget | None, listener: Listener) -> None:
+def _validate(
+    work: Work[Any], plan: Plan, budget: Budget | None, listener: Listener, *, last: bool
+) -> None:
     if not plan.validation:
         return
     scores = work.scores(plan.validation, plan.background)
@@ -179,12 +191,13 @@ def _validate(work: Work[Any], plan: Plan, budget: Budget | None, listener: List
         )
     )
     if budget is not None:
-        _keep(work, plan, budget, psnr, listener)
+        _keep(work, plan, budget, psnr, listener, last=last)
 
 
-def _keep(work: Work[Any], plan: Plan, budget: Budget, psnr: float, listener: Listener) -> None:
+def _keep(
+    work: Work[Any], plan: Plan, budget: Budget, psnr: float, listener: Listener, *, last: bool
+) -> None:
     """Keep weights that meet the budget: these or, at the end, a part of the way to them."""
-    last = work.step == plan.steps
     if not (last or budget.met_by(psnr)):
         return
 
@@ -205,19 +218,32 @@ def _result(work: Work[Result]) -> Result:
     return work.result(work.best.get("weights"))
 
 
-def _resume(work: Work[Any], folder: RunFolder | None) -> None:
+def _resume(work: Work[Any], plan: Plan, pace: Pace, folder: RunFolder | None) -> None:
     state = folder.load_state() if folder is not None else None
     if state is not None:
         work.restore(state)
+        pace.restore(state.optimisers.get("pace", {}), work.step)
+        if plan.exposure is not None:
+            plan.exposure.restore(state.optimisers.get("exposure", {}))
 
 
 def _save(
-    work: Work[Any], plan: Plan, folder: RunFolder | None, listener: Listener, *, finished: bool
+    work: Work[Any],
+    plan: Plan,
+    pace: Pace,
+    folder: RunFolder | None,
+    listener: Listener,
+    *,
+    finished: bool,
 ) -> None:
     _check_finite(work)
     if folder is None:
         return
-    folder.save_state(work.state())
+    state = work.state()
+    more = {"pace": pace.state()}
+    if plan.exposure is not None:
+        more["exposure"] = plan.exposure.state()
+    folder.save_state(replace(state, optimisers={**state.optimisers, **more}))
     listener(Saved(stage=work.stage, step=work.step, path=str(folder.state)))
     for path in work.save(folder, plan.scene):
         listener(Saved(stage=work.stage, step=work.step, path=path))
@@ -247,17 +273,6 @@ def _stop(work: Work[Any], folder: RunFolder | None, listener: Listener) -> None
         f"step {work.step} is saved in {folder.path}; the same command goes on from there "
         "(`pcore train` and `pcore finetune` with --resume)"
     )
-
-
-class _Clock:
-    """Estimates the time that is left from the steps of this process."""
-
-    def __init__(self, first: int, steps: int) -> None:
-        self._first, self._steps, self._start = first, steps, time.monotonic()
-
-    def seconds_left(self, step: int) -> float | None:
-        done = step - self._first
-        return (time.monotonic() - self._start) * (self._steps - step) / done if done else None
 
 
 def autocast(device: torch.device, *, enabled: bool) -> torch.autocast:

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from pcore.data.images import background_color, composite
-from pcore.data.scene import View
 from pcore.geometry.pixel_samples import drawn_places
 from pcore.geometry.rays import RayBundle
 from pcore.training.config import Background, PatchConfig
+from pcore.training.reduced_view import Photo
 
 _TRIES = 20
 _LEAST_COVERAGE = 0.02
@@ -28,6 +28,7 @@ class Patch:
         alpha: (H, W) coverage, None for photos without an alpha channel.
         background: (3,) colour behind the object.
         valid: (H, W) pixels that the photo shows; None: all of them.
+        view: number of the view.
     """
 
     rays: RayBundle
@@ -35,6 +36,7 @@ class Patch:
     alpha: Tensor | None
     background: Tensor
     valid: Tensor | None = None
+    view: int = 0
 
     def told(self, rendered: Tensor, photo: Tensor) -> Tensor:
         """The rendered values (H, W, ...), and the photo's where it shows nothing.
@@ -48,7 +50,7 @@ class Patch:
 
 
 def draw_patch(
-    views: Sequence[View],
+    views: Sequence[Photo],
     config: PatchConfig,
     background: Background,
     generator: torch.Generator,
@@ -59,7 +61,8 @@ def draw_patch(
     Returns:
         The patch on `device`; every draw comes from `generator`.
     """
-    view = views[_draw(len(views), generator)]
+    index = _draw(len(views), generator)
+    view = views[index]
     camera = view.camera
     height, width = min(config.side, camera.height), min(config.side, camera.width)
     rgba = view.rgba()
@@ -85,6 +88,7 @@ def draw_patch(
         alpha=_sent(crop[..., 3], device) if view.has_alpha else None,
         background=_sent(color, device),
         valid=valid,
+        view=index,
     )
 
 

@@ -14,12 +14,16 @@ from torch import Tensor, nn
 
 from pcore.errors import InputError, TrainingError
 from pcore.geometry.camera import Camera
+from pcore.geometry.object_region import Region
 
 _NEIGHBOURS_OF_SPREAD = 10
 _PARENTS = 3
 _SOLID = 0.5
 _TRACE = 0.05
 """A pixel that an object covers by less shows none of it. Chosen on held-out views (ADR 12)."""
+_SEEN, _SEEN_IN_REGION = 0.5, 0.15
+"""Share of the views that must see a part of the hull: in a region that every view sees whole, and
+in one that is known, parts of which only few views may see."""
 
 
 class MaskedView(Protocol):
@@ -71,6 +75,7 @@ def hull_points(
     *,
     generator: torch.Generator,
     resolution: int = 128,
+    region: Region | None = None,
 ) -> Tensor:
     """Points on the surface of the visual hull of the training masks.
 
@@ -85,6 +90,7 @@ def hull_points(
         upper: (3,) corner of the region.
         generator: draws among the surface voxels and jitters inside them.
         resolution: voxels along the longest side of the hull's bounding box.
+        region: where the object is known to be: nothing outside of it belongs to the hull.
 
     Returns:
         (count, 3).
@@ -95,7 +101,7 @@ def hull_points(
     solid = [_Mask(view.camera, view.alpha() > _SOLID, view.valid()) for view in views]
     trace = [_Mask(view.camera, view.alpha() > _TRACE, view.valid()) for view in views]
     coarse, size = _voxels(lower, upper, 64)
-    inside = _inside_all(coarse, trace)
+    inside = _inside_all(coarse, trace, region)
     if not bool(inside.any()):
         raise TrainingError(
             "visual hull: the training masks have no common inside; expected silhouettes of one "
@@ -104,13 +110,13 @@ def hull_points(
         )
     kept = coarse[inside]
     fine, size = _voxels(kept.amin(dim=0) - size, kept.amax(dim=0) + size, resolution)
-    core = _inside_all(fine, solid)
+    core = _inside_all(fine, solid, region)
     middle = kept.mean(dim=0)
     pixel = statistics.median_high(view.camera.pixel_width(middle) for view in views)
     reach = math.ceil(pixel / size)
     outside = ~_widened(core, reach)
     inside = core.clone()
-    inside[outside] = _inside_all(fine[outside], trace)
+    inside[outside] = _inside_all(fine[outside], trace, region)
     surface = _surface_voxels(fine, inside, size)
     chosen = torch.randint(len(surface), (count,), generator=generator)
     jitter = torch.rand(count, 3, generator=generator) - 0.5
@@ -144,10 +150,28 @@ def _voxels(lower: Tensor, upper: Tensor, resolution: int) -> tuple[Tensor, floa
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1), size
 
 
-def _inside_all(voxels: Tensor, masks: Sequence[_Mask]) -> Tensor:
-    """Which voxel centres (..., 3) most views see and no view sees outside its mask."""
+def coarse_hull(
+    views: Sequence[MaskedView], lower: Tensor, upper: Tensor, region: Region | None = None
+) -> tuple[Tensor, float]:
+    """Voxels (V, 3) that no mask carves away, 64 along a region's longest side, and their size.
+
+    Args:
+        views: with an alpha channel.
+        lower: (3,) corner of the region that is searched, world units.
+        upper: (3,) corner of the region.
+        region: as for `hull_points`.
+    """
+    voxels, size = _voxels(lower, upper, 64)
+    trace = [_Mask(view.camera, view.alpha() > _TRACE, view.valid()) for view in views]
+    return voxels[_inside_all(voxels, trace, region)], size
+
+
+def _inside_all(voxels: Tensor, masks: Sequence[_Mask], region: Region | None) -> Tensor:
+    """Which voxel centres (..., 3) enough views see and no view sees outside its mask."""
     flat = voxels.reshape(-1, 3)
     alive = torch.arange(len(flat))
+    if region is not None:
+        alive = alive[region.contains(flat)]
     seen = torch.zeros(len(flat), dtype=torch.int64)
     for mask in masks:
         in_view, in_mask = _look_up(flat[alive], mask)
@@ -156,7 +180,8 @@ def _inside_all(voxels: Tensor, masks: Sequence[_Mask]) -> Tensor:
         alive = alive[in_mask | ~in_view]
     inside = torch.zeros(len(flat), dtype=torch.bool)
     # A corner that few views see is hardly carved, but it is no object either.
-    inside[alive] = 2 * seen[alive] >= len(masks)
+    share = _SEEN if region is None else _SEEN_IN_REGION
+    inside[alive] = seen[alive] >= share * len(masks)
     return inside.reshape(voxels.shape[:-1])
 
 

@@ -19,7 +19,12 @@ from pcore.training.config import (
     Rates,
     SkinningTrainConfig,
 )
-from pcore.training.gaussian_config import DensityConfig, GaussianConfig, GaussianRates
+from pcore.training.gaussian_config import (
+    DensityConfig,
+    GaussianConfig,
+    GaussianFinetuneConfig,
+    GaussianRates,
+)
 from pcore.training.schedule import Schedule
 
 _PAPER_RATES = Rates(
@@ -47,6 +52,7 @@ def _small_model(*, neighbours: int, across: int, width: int, unet: int) -> Papr
         query=MlpConfig(layers=3, width=width, size=width),
         value=MlpConfig(layers=4, width=width, size=32),
         unet_channels=(unet, 2 * unet, 4 * unet),
+        point_colors=True,
         cutoff=0.12,
         samples=4,
     )
@@ -159,6 +165,13 @@ def gaussian_preset(name: PretrainName) -> GaussianConfig:
             "the others are PAPR's (--model papr)"
         )
     return _GAUSSIANS[name]
+
+
+def gaussian_finetune_preset(name: PresetName) -> GaussianFinetuneConfig:
+    """Settings of P-CORE on Gaussians: "tiny" (CPU), or "fast" and "paper" (one GPU)."""
+    if name == "tiny":
+        return GaussianFinetuneConfig()
+    return GaussianFinetuneConfig(steps=1500, rays=1024, validate_every=500, save_every=500)
 
 
 def preset_of(config: PretrainConfig) -> PretrainName | None:

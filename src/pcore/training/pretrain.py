@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import statistics
+import time
 from collections.abc import Sequence
 
 import torch
@@ -16,15 +17,27 @@ from pcore.files.run_folder import RunFolder
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
-from pcore.model.papr_config import PaprConfig, ReferenceOrigin
+from pcore.model.papr_config import COLOR_CHANNELS, PaprConfig, ReferenceOrigin
 from pcore.training.compiling import compile_networks
 from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
+from pcore.training.exposure import ViewExposure
+from pcore.training.gaussian_start import mean_colors
 from pcore.training.loop import Plan, autocast, run_loop
-from pcore.training.losses import Losses, mean_of, perceptual_loss, photometric, training_image
+from pcore.training.losses import (
+    Losses,
+    Perceptual,
+    mean_of,
+    perceptual_loss,
+    photometric,
+    training_image,
+)
+from pcore.training.pace import Clock, Pace
 from pcore.training.patches import draw_patch
 from pcore.training.population import growth_mixture, growth_sites, replace_rows
+from pcore.training.reduced_view import Photo, PhotosInTurn
 from pcore.training.scene_frame import in_frame, network_frame
+from pcore.training.schedule import reduction_at
 from pcore.training.start_cloud import start_positions
 from pcore.training.trainable import Trainable, trainable
 from pcore.training.trained import Trained
@@ -38,6 +51,7 @@ def pretrain(
     listener: Listener = silent,
     device: str = "cpu",
     compiled: bool = True,
+    clock: Clock = time.monotonic,
 ) -> Trained:
     """Learn points and attention from the training views.
 
@@ -48,6 +62,7 @@ def pretrain(
         listener: told of steps, validations, saves.
         device: "cpu", "cuda", ...
         compiled: use torch.compile where it pays, on a GPU.
+        clock: tells the time to a training that has promised one.
 
     Returns:
         The networks and the canonical points.
@@ -64,31 +79,23 @@ def pretrain(
     check_images(scene.split("train"))
     check_masks(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
-    work = _begin(scene, views, config, where)
+    work = begin(scene, views, config, where)
+    pace = Pace(
+        config.steps,
+        validate_every=config.validate_every,
+        save_every=config.save_every,
+        seconds=config.seconds,
+        clock=clock,
+    )
+    photos = PhotosInTurn(views)
+    exposure = ViewExposure(len(views), where) if config.exposure else None
+    work.fits_exposure = exposure is not None
     if compiled:
         compile_networks(where, work.papr.unet, perceptual)
 
     def losses() -> Losses:
-        patches = [
-            draw_patch(views, config.patch, config.background, work.generator, where)
-            for _ in range(config.patch.views)
-        ]
-        found: list[Losses] = []
-        for patch in patches:
-            with autocast(where, enabled=config.mixed_precision):
-                posed = PosedCloud.at_rest(work.cloud)
-                image = training_image(work.papr, posed, patch.rays, patch.background)
-            found.append(
-                photometric(
-                    image,
-                    patch,
-                    opacity_weight=config.opacity_weight,
-                    lpips_weight=config.lpips_weight,
-                    perceptual=perceptual,
-                    front_weight=config.front_weight / work.papr.config.unit**2,
-                )
-            )
-        return mean_of(found)
+        shown = photos.at(reduction_at(config.levels, pace.progress(work.step)))
+        return patch_losses(work, shown, config, perceptual, exposure)
 
     return run_loop(
         work,
@@ -100,6 +107,8 @@ def pretrain(
             validation=validation,
             background=config.background,
             scene=scene.name,
+            pace=pace,
+            exposure=exposure,
         ),
         losses,
         after_step=lambda tell: _change_population(work, config, tell),
@@ -109,9 +118,44 @@ def pretrain(
     )
 
 
-def _begin(
+def patch_losses(
+    work: Trainable,
+    views: Sequence[Photo],
+    config: PretrainConfig,
+    perceptual: Perceptual | None = None,
+    exposure: ViewExposure | None = None,
+) -> Losses:
+    """Draw the patches of the coming step and compare them with what the work shows there."""
+    where = work.cloud.positions.device
+    patches = [
+        draw_patch(views, config.patch, config.background, work.generator, where)
+        for _ in range(config.patch.views)
+    ]
+    found: list[Losses] = []
+    for patch in patches:
+        with autocast(where, enabled=config.mixed_precision):
+            posed = PosedCloud.at_rest(work.cloud)
+            image = training_image(work.papr, posed, patch.rays, patch.background)
+        if exposure is not None:
+            rgb = exposure.applied(patch.view, image.rgb, image.alpha, patch.background)
+            image = dataclasses.replace(image, rgb=rgb)
+        found.append(
+            photometric(
+                image,
+                patch,
+                opacity_weight=config.opacity_weight,
+                lpips_weight=config.lpips_weight,
+                perceptual=perceptual,
+                front_weight=config.front_weight / work.papr.config.unit**2,
+            )
+        )
+    return mean_of(found)
+
+
+def begin(
     scene: Scene, views: Sequence[View], config: PretrainConfig, device: torch.device
 ) -> Trainable:
+    """Networks and points before the first step."""
     model = _model_config(config, scene)
     # Weights come from torch's global generator; fork it so that the library leaves it alone.
     with torch.random.fork_rng(devices=[]):
@@ -120,9 +164,12 @@ def _begin(
         generator = torch.Generator().manual_seed(config.seed)
         positions = start_positions(scene, views, config, model.frame, generator)
         features = torch.randn(len(positions), papr.config.feature_size, generator=generator)
+    features = config.feature_spread * features
+    if model.point_colors:
+        features[:, :COLOR_CHANNELS] = mean_colors(positions, views)
     cloud = PointCloud(
         positions=positions.to(device),
-        features=(config.feature_spread * features).to(device),
+        features=features.to(device),
         influence=torch.full((len(positions),), config.influence_start, device=device),
     )
     return trainable("pretrain", papr.to(device), cloud, seed=config.seed + 1)

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from pcore.training.losses import Losses
+
 _WINDOW, _SIGMA = 11, 1.5
 _MEAN_GUARD, _CONTRAST_GUARD = 0.01**2, 0.03**2
 
@@ -29,6 +31,15 @@ def ssim(prediction: Tensor, target: Tensor) -> Tensor:
     means = (2 * product + _MEAN_GUARD) / (squares + _MEAN_GUARD)
     contrasts = (2 * (ab - product) + _CONTRAST_GUARD) / (aa + bb - squares + _CONTRAST_GUARD)
     return (means * contrasts).mean()
+
+
+def picture_losses(rgb: Tensor, photo: Tensor, ssim_weight: float) -> Losses:
+    """(1 - w) L1 + w (1 - SSIM) of pictures (C, H, W, 3), as 3D Gaussian Splatting trains by."""
+    error = rgb - photo
+    terms = {"l1": (1 - ssim_weight) * error.abs().mean()}
+    if ssim_weight > 0:
+        terms["ssim"] = ssim_weight * (1 - ssim(rgb, photo))
+    return Losses(terms=terms, squared_error=error.detach().square().mean())
 
 
 def _blurred(image: Tensor) -> Tensor:

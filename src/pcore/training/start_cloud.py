@@ -68,7 +68,9 @@ def start_positions(
                 f"scene {scene.name}: expected images with an alpha channel for a visual hull, got "
                 'photos without one; start from "grid" or from a PLY or NPY file of points'
             )
-        return hull_points(config.points, views, scene.lower, scene.upper, generator=generator)
+        return hull_points(
+            config.points, views, scene.lower, scene.upper, generator=generator, region=scene.region
+        )
     if config.start == "grid":
         middle, unit = ((0.0, 0.0, 0.0), 1.0) if frame is None else (frame.center, frame.unit)
         center, half = torch.tensor(middle), _GRID_HALF_SIDE * unit

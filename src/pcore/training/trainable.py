@@ -44,6 +44,7 @@ class Trainable:
         step: steps done.
         best: figures of the best validation, and its weights where they are kept.
         observed: what training views say about the points of the result, when it is complete.
+        fits_exposure: whether figures are also given under a fitted map of colours.
     """
 
     stage: str
@@ -55,6 +56,7 @@ class Trainable:
     step: int = 0
     best: dict[str, Any] = field(default_factory=dict[str, Any])
     observed: Observed | None = None
+    fits_exposure: bool = False
 
     @property
     def points(self) -> int:
@@ -73,7 +75,7 @@ class Trainable:
             return {}
         return {name: t.detach() for name, t in self.skinning.network.state_dict().items()}
 
-    def set_rates(self, rates: Mapping[str, Schedule], steps: int) -> None:
+    def set_rates(self, rates: Mapping[str, Schedule], steps: float) -> None:
         """Set the learning rate of every group, by its name, for the coming step."""
         for group in self.optimizer.param_groups:
             group["lr"] = rates[group["name"]].at(self.step, steps)
@@ -102,7 +104,7 @@ class Trainable:
         weights: Mapping[str, Tensor] | None = None,
     ) -> dict[str, float]:
         """Figures on held-out training views, see `held_out.validate`."""
-        return validate(self.result(weights), views, background)
+        return validate(self.result(weights), views, background, fitted=self.fits_exposure)
 
     def save(self, folder: RunFolder, scene: str) -> list[str]:
         """Write the weights that validation accepted last, where those are kept, else the last."""

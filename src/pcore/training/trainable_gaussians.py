@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +13,7 @@ from pcore.data.images import background_color, composite
 from pcore.data.scene import View
 from pcore.errors import CheckpointError
 from pcore.files.gaussian_file import SavedGaussians, save_gaussians
-from pcore.files.provenance import Provenance, pcore_version
+from pcore.files.provenance import Provenance, Stage, pcore_version
 from pcore.files.run_folder import RunFolder, write_guard
 from pcore.files.training_state import TrainingState, generator_states, restore_generators
 from pcore.gaussians.gaussians import Gaussians
@@ -36,13 +36,28 @@ class TrainedGaussians:
         gaussians: at rest, without gradients.
         footprint: how they were trained to meet pixels.
         background: colour that the photos lay on, (3,).
-        step: steps that made them.
+        step: steps of the stage that made them.
+        stage: what made them.
     """
 
     gaussians: Gaussians
     footprint: Footprint
     background: tuple[float, float, float]
     step: int
+    stage: Stage = "pretrain"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bound:
+    """Gaussians that hang on something, such as the triangles of a mesh.
+
+    Attributes:
+        start: in the frames of what they hang on.
+        place: gives them in the world, with gradients.
+    """
+
+    start: Gaussians
+    place: Callable[[Gaussians], Gaussians]
 
 
 @dataclass(kw_only=True)
@@ -59,9 +74,11 @@ class TrainableGaussians:
         backdrop: behind photos with alpha.
         slopes: (N,) sums of the lengths of screen gradients since the number changed last.
         seen: (N,) how many pictures they are of.
-        stage: "pretrain": in a run folder this is what stands in the place of pre-training.
+        place: gives Gaussians in the world of what the parameters say; None where they are that.
+        stage: "pretrain" or "finetune": in a run folder they stand in the place of PAPR's.
         step: steps done.
         best: figures of the best validation.
+        fits_exposure: whether figures are also given under a fitted map of colours.
     """
 
     raw: dict[str, nn.Parameter]
@@ -72,34 +89,44 @@ class TrainableGaussians:
     backdrop: Background
     slopes: Tensor
     seen: Tensor
+    place: Callable[[Gaussians], Gaussians] | None = None
     stage: str = "pretrain"
     step: int = 0
     best: dict[str, Any] = field(default_factory=dict[str, Any])
+    fits_exposure: bool = False
 
     @property
     def points(self) -> int:
         """How many Gaussians there are."""
         return len(self.raw["means"])
 
-    def gaussians(self, degree: int | None = None) -> Gaussians:
-        """Gaussians with gradients to the parameters; harmonics up to a degree, None for all."""
-        raw = self.raw
+    def gaussians(
+        self, degree: int | None = None, weights: Mapping[str, Tensor] | None = None
+    ) -> Gaussians:
+        """Gaussians with gradients to the parameters.
+
+        Args:
+            degree: of the harmonics that are used; None for all.
+            weights: other parameters by name in the place of those that are trained.
+        """
+        raw = self.raw if weights is None else weights
         more = raw["harmonics"]
         if degree is not None:
             more = more[:, : (degree + 1) ** 2 - 1]
-        return Gaussians(
+        found = Gaussians(
             means=raw["means"],
             quats=nn.functional.normalize(raw["quats"], dim=-1),
             scales=raw["scales"].exp(),
             opacities=raw["opacities"].sigmoid(),
             sh=torch.cat([raw["colors"], more], dim=1) if more.shape[1] else raw["colors"],
         )
+        return found if self.place is None else self.place(found)
 
     def weights(self) -> dict[str, Tensor]:
         """All parameters by name, sharing memory with the training."""
         return {name: parameter.detach() for name, parameter in self.raw.items()}
 
-    def set_rates(self, rates: Mapping[str, Schedule], steps: int) -> None:
+    def set_rates(self, rates: Mapping[str, Schedule], steps: float) -> None:
         """Set the learning rate of every group, by its name, for the coming step."""
         for group in self.optimizer.param_groups:
             group["lr"] = rates[group["name"]].at(self.step, steps)
@@ -114,15 +141,15 @@ class TrainableGaussians:
 
     def result(self, weights: Mapping[str, Tensor] | None = None) -> TrainedGaussians:
         """Gaussians to hand over."""
-        assert weights is None, "Gaussians have no other weights than their own"
         with torch.no_grad():
-            gaussians = self.gaussians().each(lambda tensor: tensor.detach().clone())
+            gaussians = self.gaussians(weights=weights).each(lambda tensor: tensor.detach().clone())
         color = background_color("black" if self.backdrop == "black" else "white").tolist()
         return TrainedGaussians(
             gaussians=gaussians,
             footprint=self.footprint,
             background=(color[0], color[1], color[2]),
             step=self.step,
+            stage="pretrain" if self.stage == "pretrain" else "finetune",
         )
 
     @torch.no_grad()
@@ -133,9 +160,8 @@ class TrainableGaussians:
         weights: Mapping[str, Tensor] | None = None,
     ) -> dict[str, float]:
         """Figures on held-out training views, see `held_out.mean_scores`."""
-        assert weights is None, "Gaussians have no other weights than their own"
         device = self.raw["means"].device
-        posed = PosedGaussians(gaussians=self.gaussians())
+        posed = PosedGaussians(gaussians=self.gaussians(weights=weights))
         color = background_color("white" if background == "random" else background)
 
         def draw(view: View) -> Tensor:
@@ -144,11 +170,11 @@ class TrainableGaussians:
             )
             return found.rgb[0].cpu()
 
-        return mean_scores(views, color, draw)
+        return mean_scores(views, color, draw, fitted=self.fits_exposure)
 
     def save(self, folder: RunFolder, scene: str) -> list[str]:
         """Write what users load; return the paths."""
-        found = self.result()
+        found = self.result(self.best.get("weights"))
         saved = SavedGaussians(
             gaussians=found.gaussians,
             footprint=found.footprint,
@@ -202,6 +228,9 @@ def trainable_gaussians(
     footprint: Footprint,
     backdrop: Background,
     seed: int,
+    place: Callable[[Gaussians], Gaussians] | None = None,
+    stage: Stage = "pretrain",
+    fits_exposure: bool = False,
 ) -> TrainableGaussians:
     """Return Gaussians made ready to train, with Adam, on the device where they are."""
     rows = {
@@ -225,6 +254,9 @@ def trainable_gaussians(
         backdrop=backdrop,
         slopes=slopes,
         seen=seen,
+        place=place,
+        stage=stage,
+        fits_exposure=fits_exposure,
     )
 
 
@@ -233,7 +265,7 @@ def provenance_of_gaussians(found: TrainedGaussians, scene: str) -> Provenance:
     means = found.gaussians.means
     return Provenance(
         scene=scene,
-        stage="pretrain",
+        stage=found.stage,
         step=found.step,
         background=found.background,
         extent=(_vector(means.amin(dim=0)), _vector(means.amax(dim=0))),
@@ -244,6 +276,11 @@ def provenance_of_gaussians(found: TrainedGaussians, scene: str) -> Provenance:
 def photo_on(view: View, color: Tensor, device: torch.device) -> Tensor:
     """(1, H, W, 3) the photo over a background colour (3,)."""
     return composite(view.rgba(), color).to(device).unsqueeze(0)
+
+
+def valid_only(rgb: Tensor, photo: Tensor, valid: Tensor | None) -> Tensor:
+    """(1, H, W, 3) a rendering, with the photo where that shows nothing: there nothing is wrong."""
+    return rgb if valid is None else torch.where(valid.to(rgb.device)[..., None], rgb, photo)
 
 
 def _vector(tensor: Tensor) -> tuple[float, float, float]:

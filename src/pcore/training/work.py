@@ -41,7 +41,7 @@ class Work(Protocol[Result]):
         """All weights by name, sharing memory with the training."""
         ...
 
-    def set_rates(self, rates: Mapping[str, Schedule], steps: int) -> None:
+    def set_rates(self, rates: Mapping[str, Schedule], steps: float) -> None:
         """Set the learning rate of every group, by its name, for the coming step."""
         ...
 

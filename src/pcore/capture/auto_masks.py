@@ -1,0 +1,241 @@
+"""Masks of an object in photos that have none: GrabCut within its region, held against one hull.
+
+Every photo is cut by itself (Rother et al. 2004) inside of the outline of what is known to be the
+object. Then the masks of all views vote on a hull in space, and every photo is cut again from the
+outline of that hull: a view whose cut went wrong is corrected by the others.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pcore.capture.voted_hull import Bits, hull_silhouettes, require_opencv
+from pcore.errors import InputError
+from pcore.geometry.camera import Camera
+from pcore.geometry.object_region import Region
+
+_LONGEST = 320
+"""Longer side of the pictures that are cut, pixels: finer ones cost more and find no more."""
+_MARGIN = 0.12
+"""Room around an outline in which the cut may still find object, as a share of its size."""
+_ROUNDS, _ITERATIONS = 3, 2
+_LOOSE, _JUDGED, _SURE = 0.6, 0.75, 0.85
+"""Share of the views that see a voxel and must have it in their mask: where the object is looked
+for, where masks are judged, and where there is object for certain."""
+_FEW = 8
+"""Fewer points than that have no outline to go by."""
+_DOUBTFUL, _BAD = 0.12, 0.6
+"""A mask is doubtful whose overlap with the hull is so much less than that of most, or less than
+the second in any case."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photo:
+    """A photo to cut.
+
+    Attributes:
+        name: of its view.
+        camera: pose and lens, for the size of `rgb`.
+        rgb: (H, W, 3) float32 in [0, 1].
+    """
+
+    name: str
+    camera: Camera
+    rgb: Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundMasks:
+    """Masks of all photos and how well they agree.
+
+    Attributes:
+        masks: (H, W) float32 in [0, 1] of every photo, in its size.
+        agreement: intersection over union of each with the hull of all.
+    """
+
+    masks: tuple[Tensor, ...]
+    agreement: tuple[float, ...]
+
+    def doubtful(self) -> tuple[int, ...]:
+        """Numbers of the photos whose mask contradicts the others'."""
+        return doubtful(self.agreement)
+
+
+def find_masks(
+    photos: Sequence[Photo],
+    region: Region,
+    *,
+    points: Tensor | None = None,
+    judged: Sequence[Photo] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> FoundMasks:
+    """Cut an object out of photos.
+
+    Args:
+        photos: at least two, of posed cameras.
+        region: where the object is, world units.
+        points: (N, 3) points of the object where some are known; their outline is tighter than
+            that of the region's box.
+        judged: further photos that get masks and have no vote on the hull, such as test views.
+        progress: told (photos cut, cuts in all).
+
+    Returns:
+        Masks of `photos`, then of `judged`.
+
+    Raises:
+        InputError: no photo shows the region, or no cut leaves anything.
+        DependencyError: OpenCV is not installed.
+    """
+    small, others = [_shrunk(photo) for photo in photos], [_shrunk(photo) for photo in judged]
+    everyone = [*small, *others]
+    known = region.corners if points is None or len(points) < _FEW else points
+    seeds = [_outline(photo.camera, known) for photo in everyone]
+    # What the points leave out of the object lies in their box.
+    rooms = [_outline(photo.camera, region.corners) for photo in everyone]
+    if not any(seed.any() for seed in seeds):
+        raise InputError(
+            "automatic masks: none of the photos shows the object's region; give its --box"
+        )
+    masks: list[Bits] = []
+    cores: list[Bits] | None = None
+    total, done = (_ROUNDS - 1) * len(small) + len(everyone), 0
+    for turn in range(_ROUNDS):
+        last = turn == _ROUNDS - 1
+        masks = []
+        for number, photo in enumerate(everyone if last else small):
+            core = None if cores is None else cores[number]
+            masks.append(_cut(photo.rgb, seeds[number], rooms[number], core))
+            done += 1
+            if progress is not None:
+                progress(done, total)
+        voters, votes = masks[: len(small)], (_JUDGED,) if last else (_LOOSE, _SURE)
+        seeds, *more = hull_silhouettes(
+            [one.camera for one in small],
+            voters,
+            region,
+            votes=votes,
+            into=[one.camera for one in everyone],
+        )
+        cores = more[0] if more else None
+        if not any(one.any() for one in seeds):
+            raise InputError(
+                "automatic masks: the cuts of the photos have no common object inside of the "
+                "region; give a tighter --box, or masks of your own (--masks FOLDER)"
+            )
+    sized = (
+        _resized(mask, one.camera) for mask, one in zip(masks, [*photos, *judged], strict=True)
+    )
+    return FoundMasks(
+        masks=tuple(sized),
+        agreement=tuple(overlap(a, b) for a, b in zip(masks, seeds, strict=True)),
+    )
+
+
+def doubtful(agreement: Sequence[float]) -> tuple[int, ...]:
+    """Numbers of the masks that contradict the others, by their overlap with the hull of all."""
+    limit = max(_BAD, statistics.median(agreement) - _DOUBTFUL)
+    return tuple(i for i, share in enumerate(agreement) if share < limit)
+
+
+def overlap(mask: Bits, other: Bits) -> float:
+    """Intersection over union of two masks; 1 where both are empty."""
+    union = int((mask | other).sum())
+    return 1.0 if union == 0 else int((mask & other).sum()) / union
+
+
+def _shrunk(photo: Photo) -> Photo:
+    camera = photo.camera
+    scale = _LONGEST / max(camera.width, camera.height)
+    if scale >= 1:
+        return photo
+    width, height = max(1, round(scale * camera.width)), max(1, round(scale * camera.height))
+    pixels = require_opencv().resize(photo.rgb.numpy(), (width, height), interpolation=3)
+    return Photo(
+        name=photo.name, camera=camera.resized(width, height), rgb=torch.from_numpy(pixels)
+    )
+
+
+def _outline(camera: Camera, points: Tensor) -> Bits:
+    """Convex outline (H, W) 0 or 1 of points in a picture; empty where all are behind it."""
+    cv2 = require_opencv()
+    column, row, depth = camera.project(points)
+    ahead = depth > 0
+    picture = np.zeros((camera.height, camera.width), dtype=np.uint8)
+    if int(ahead.sum()) < 3:
+        return picture
+    corners = torch.stack([column, row], dim=-1)[ahead].numpy()
+    limit = 8.0 * max(camera.width, camera.height)
+    hull = cv2.convexHull(np.clip(corners, -limit, limit).round().astype(np.int32))
+    return cv2.fillConvexPoly(picture, hull, 1)
+
+
+def _cut(rgb: Tensor, seed: Bits, room: Bits, core: Bits | None) -> Bits:
+    """GrabCut (H, W) 0 or 1 from an outline; the inner part of a core is object for certain.
+
+    What lies outside of both the room and the outline's surroundings is background for certain.
+    """
+    cv2 = require_opencv()
+    if not seed.any():
+        return seed
+    reach = max(2, round(_MARGIN * math.sqrt(float(seed.sum()))))
+    near = _grown(seed, reach) | room
+    if near.all():
+        return seed  # Nothing of the picture is known to be background.
+    trimap = np.full(seed.shape, cv2.GC_BGD, dtype=np.uint8)
+    trimap[near > 0] = cv2.GC_PR_BGD
+    trimap[seed > 0] = cv2.GC_PR_FGD
+    if core is not None:
+        trimap[_shrunken(core, reach) > 0] = cv2.GC_FGD
+    pixels = (255 * rgb.clamp(0, 1)).round().byte().numpy()
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    # OpenCV draws its clusters from a generator of its own, which is shared by the process.
+    cv2.setRNGSeed(0)
+    cv2.grabCut(
+        np.ascontiguousarray(pixels), trimap, None, *models, _ITERATIONS, cv2.GC_INIT_WITH_MASK
+    )
+    found = ((trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)).astype(np.uint8)
+    return _largest(cv2.morphologyEx(found, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)), seed)
+
+
+def _largest(mask: Bits, seed: Bits) -> Bits:
+    """The parts of a mask that reach into the seed, without specks and with small holes closed."""
+    cv2 = require_opencv()
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
+    if count < 2:
+        return mask
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    inside = np.bincount(labels[seed > 0], minlength=count)[1:]
+    kept = [i + 1 for i in range(count - 1) if areas[i] >= 0.1 * areas.max() and inside[i] > 0]
+    whole = np.isin(labels, kept).astype(np.uint8)
+    return cv2.morphologyEx(whole, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+
+
+def _grown(mask: Bits, reach: int) -> Bits:
+    cv2 = require_opencv()
+    return cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2))
+
+
+def _shrunken(mask: Bits, reach: int) -> Bits:
+    cv2 = require_opencv()
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
+    # What the border of the picture cuts off goes on behind it.
+    return cv2.erode(mask, kernel, borderType=cv2.BORDER_REPLICATE)
+
+
+def _resized(mask: Bits, camera: Camera) -> Tensor:
+    """A mask in the size of its photo, with a rim of a pixel's softness."""
+    cv2 = require_opencv()
+    size = (camera.width, camera.height)
+    if mask.shape == (camera.height, camera.width):
+        return torch.from_numpy(mask.astype(np.float32))
+    smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7)
+    large = cv2.resize(smooth, size, interpolation=cv2.INTER_CUBIC)
+    factor = max(1.0, camera.width / mask.shape[1])
+    return torch.from_numpy(np.clip((large - 0.5) * factor + 0.5, 0.0, 1.0).astype(np.float32))

@@ -1,0 +1,152 @@
+"""A corrected copy of a capture: straight pictures, masks, crops, only the photos that are good.
+
+It is written in the layout of nerfstudio's `transforms.json`, which pcore and other tools read, and
+never into the folder of the capture.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from pcore.data.pictures import write_photo
+from pcore.data.scene import Scene, View
+from pcore.data.whole_file import replace_file
+from pcore.errors import InputError
+from pcore.geometry.camera import Camera
+
+_MARGIN = 0.08
+"""Room around the object in a crop, as a share of its size."""
+_LEAST = 16
+_TRACE = 0.05
+
+
+def write_corrected(
+    scene: Scene,
+    folder: Path,
+    *,
+    masks: Mapping[str, Tensor] | None = None,
+    leave_out: Collection[str] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Write `transforms.json` and `images/`: undistorted, with alpha, cut to the object.
+
+    Args:
+        scene: whose views are copied, in the size that they were opened in.
+        folder: new or empty, outside of the scene's own.
+        masks: name of a view -> (h, w) mask in any size; None takes the alpha that views have.
+        leave_out: names of views.
+        progress: told (pictures written, pictures in all).
+
+    Returns:
+        Number of pictures.
+
+    Raises:
+        InputError: the folder is the scene's, lies in it, or holds something.
+        OSError: a file cannot be written.
+    """
+    _check_folder(scene, folder)
+    chosen = [
+        (split, view)
+        for split in scene.splits
+        for view in scene.split(split)
+        if view.name not in leave_out
+    ]
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    frames: list[dict[str, Any]] = []
+    names: dict[str, list[str]] = {split: [] for split in scene.splits}
+    taken: set[str] = set()
+    for number, (split, view) in enumerate(chosen):
+        rgba = view.rgba()
+        if masks is not None:
+            mask = masks[view.name][None, None]
+            size = (view.camera.height, view.camera.width)
+            rgba[..., 3] *= F.interpolate(mask, size, mode="bilinear", align_corners=False)[0, 0]
+        masked = masks is not None or view.has_alpha
+        name = f"images/{view.name if view.name not in taken else f'{split}_{view.name}'}.png"
+        taken.add(view.name)
+        left, top, right, bottom = _part(view, rgba, masked=masked)
+        kept = rgba[top:bottom, left:right]
+        write_photo(folder / name, kept, opaque=not masked)
+        frames.append(_frame(view.camera, (left, top, right, bottom), name))
+        names[split].append(name)
+        if progress is not None:
+            progress(number + 1, len(chosen))
+    content = {
+        "camera_model": "PINHOLE",
+        "frames": frames,
+        **{f"{split}_filenames": files for split, files in names.items() if files},
+    }
+    replace_file(folder / "transforms.json", json.dumps(content, indent=1).encode())
+    return len(chosen)
+
+
+def _check_folder(scene: Scene, folder: Path) -> None:
+    home = (scene.folder or scene.root).resolve()
+    if folder.resolve().is_relative_to(home):
+        raise InputError(
+            f"{folder}: lies in the scene's own folder {home}, which is never written to; choose "
+            "another one"
+        )
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: expected a new or empty folder for the corrected copy")
+
+
+def _part(view: View, rgba: Tensor, *, masked: bool) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom of what is kept: the object with room, or all that is shown."""
+    height, width = rgba.shape[:2]
+    valid = view.valid()
+    if not masked:
+        return (0, 0, width, height) if valid is None else _inner(valid)
+    rows, columns = (rgba[..., 3] > _TRACE).nonzero(as_tuple=True)
+    if len(rows) == 0:
+        return 0, 0, width, height
+    left, right = int(columns.min()), int(columns.max()) + 1
+    top, bottom = int(rows.min()), int(rows.max()) + 1
+    room = round(_MARGIN * max(right - left, bottom - top)) + 2
+    spread = max(0, _LEAST - min(right - left, bottom - top))
+    room += spread
+    return (
+        max(0, left - room),
+        max(0, top - room),
+        min(width, right + room),
+        min(height, bottom + room),
+    )
+
+
+def _inner(valid: Tensor) -> tuple[int, int, int, int]:
+    """The picture without the borders that straightening left empty, side by side cut away."""
+    height, width = valid.shape
+    left, top, right, bottom = 0, 0, width, height
+    while right - left > _LEAST and bottom - top > _LEAST:
+        part = valid[top:bottom, left:right]
+        if bool(part.all()):
+            break
+        empty = torch.stack(
+            [(~part[:, 0]).sum(), (~part[0]).sum(), (~part[:, -1]).sum(), (~part[-1]).sum()]
+        )
+        sides = torch.tensor([bottom - top, right - left] * 2)
+        worst = int((empty / sides).argmax())
+        left, top = left + (worst == 0), top + (worst == 1)
+        right, bottom = right - (worst == 2), bottom - (worst == 3)
+    return left, top, right, bottom
+
+
+def _frame(camera: Camera, part: tuple[int, int, int, int], name: str) -> dict[str, Any]:
+    left, top, right, bottom = part
+    return {
+        "file_path": name,
+        "transform_matrix": camera.world_from_camera.tolist(),
+        "fl_x": float(camera.fx),
+        "fl_y": float(camera.fy),
+        "cx": float(camera.cx) - left,
+        "cy": float(camera.cy) - top,
+        "w": right - left,
+        "h": bottom - top,
+    }

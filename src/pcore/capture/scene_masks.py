@@ -1,0 +1,50 @@
+"""Automatic masks of a whole scene, and the photos that they are cut from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from pcore.capture.auto_masks import FoundMasks, Photo, find_masks
+from pcore.data.scene import Scene, View
+from pcore.geometry.object_region import Region
+
+
+def scene_masks(
+    scene: Scene,
+    region: Region,
+    *,
+    points: Tensor | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[tuple[View, ...], FoundMasks]:
+    """Cut the object out of all photos of a scene.
+
+    Training views alone say what the object is; those of other splits get masks from it.
+
+    Args:
+        scene: of photos.
+        region: where the object is, world units.
+        points: (N, 3) sparse points of the object where some are known.
+        progress: told (photos cut, cuts in all).
+
+    Returns:
+        Views, those of training first, and their masks.
+
+    Raises:
+        InputError: no photo shows the region, or no cut leaves anything.
+        DependencyError: OpenCV is not installed.
+    """
+    train = scene.split("train")
+    others = [v for name in scene.splits if name != "train" for v in scene.split(name)]
+    found = find_masks(
+        photos_of(train), region, points=points, judged=photos_of(others), progress=progress
+    )
+    return (*train, *others), found
+
+
+def photos_of(views: Sequence[View]) -> list[Photo]:
+    """Photos of views, on white where they have an alpha channel."""
+    white = torch.ones(3)
+    return [Photo(name=view.name, camera=view.camera, rgb=view.rgb(white)) for view in views]

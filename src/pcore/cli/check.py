@@ -1,0 +1,211 @@
+"""`pcore check SCENE`: what a capture is worth before it is trained, and what to mend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rich.console import Console
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from pcore.cli.options import Count, Folder, optional
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.data.scene import Scene
+    from pcore.evaluation.scene_check import SceneCheck
+
+_LONGEST = 400
+"""Photos are looked at in about this size unless --factor says otherwise."""
+_MARKS = {"warning": ("!!", "yellow"), "note": ("--", "cyan"), "good": ("ok", "green")}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckCommand:
+    """Look at a scene before training: poses, photos, coverage, masks, region, time.
+
+    Nothing is trained, and nothing is written into the scene's folder.
+    """
+
+    scene: Annotated[Positional[Path], arg(metavar="SCENE")]
+    """The scene, in any layout that `pcore train` reads."""
+
+    html: Annotated[Path | None, optional("FILE", "-o")] = None
+    """Also write the report with pictures, one HTML file that needs nothing else."""
+
+    masks: Annotated[str | None, optional("auto|none|FOLDER")] = None
+    """Where photos show the object: auto (cut out of them), a folder of masks, or none. Default:
+    those that the scene brings; auto where it brings none."""
+
+    box: Annotated[tuple[float, ...], arg(metavar="X Y Z X Y Z", help_behavior_hint="")] = ()
+    """Lower and upper corner of the object in world units; default: found."""
+
+    masks_out: Folder = None
+    """Write the masks there, named like the photos, to look at and correct."""
+
+    fix: Folder = None
+    """Write a corrected copy there: straight pictures with masks, cut to the object, without photos
+    that are blurred or badly posed."""
+
+    factor: Count = None
+    """Down-scale photos by this whole number; default: one that makes them about 400 pixels long
+    for looking, 1 for --fix and --masks-out."""
+
+    threads: Count = None
+    """Threads of the CPU; default: all cores."""
+
+    def run(self) -> None:
+        """Print the findings; raises PcoreError subclasses for what the user can mend."""
+        check(self, Console())
+
+
+def check(command: CheckCommand, console: Console) -> None:
+    """Check as the command line says.
+
+    Raises:
+        SceneError: the scene or a mask cannot be read.
+        InputError: a bad box or output folder.
+        DependencyError: the report without jinja2.
+        OSError: a file cannot be written.
+    """
+    from pcore.cli.results import counting
+    from pcore.cli.runtime import prepare_torch
+    from pcore.cli.scenes import corners_of
+    from pcore.evaluation.report import require_jinja
+    from pcore.evaluation.scene_check import check_scene
+
+    if command.html is not None:
+        require_jinja()
+    prepare_torch(command.threads)
+    scene, bare = _opened(command, command.factor or _looking_factor(command.scene))
+    with counting(console, "masks") as tell:
+        found = check_scene(
+            scene,
+            bare,
+            box=corners_of(command.box),
+            automatic=command.masks in (None, "auto"),
+            progress=lambda what, done, total: tell(done, total),
+        )
+    _show(found, console)
+    if command.masks_out is not None:
+        _write_masks(found, command, console)
+    if command.fix is not None:
+        _write_fixed(found, command, console)
+    if command.html is not None:
+        _write_page(found, command, console)
+    else:
+        console.print(Text("with pictures: add --html report.html"), soft_wrap=True)
+
+
+def _opened(command: CheckCommand, factor: int) -> tuple[Scene, Scene]:
+    """The scene with its masks and without any."""
+    from pcore.capture.load import load_scene
+
+    bare = load_scene(command.scene, factor=factor, masks="none")
+    if command.masks == "none":
+        return bare, bare
+    folder = None if command.masks in (None, "auto") else Path(command.masks)
+    scene = load_scene(command.scene, factor=factor, masks=folder)
+    if command.masks == "auto" or not scene.split("train")[0].has_alpha:
+        return bare, bare
+    return scene, bare
+
+
+def _looking_factor(path: Path) -> int:
+    """A factor that divides the photos' sides and makes them about as long as is looked at."""
+    from pcore.capture.load import load_scene
+
+    view = load_scene(path).split("train")[0]
+    width, height = view.camera.width, view.camera.height
+    wish = max(width, height) / _LONGEST
+    fitting = [n for n in range(1, 33) if width % n == 0 and height % n == 0]
+    return max((n for n in fitting if n <= max(1.0, wish * 1.25)), default=1)
+
+
+def _show(found: SceneCheck, console: Console) -> None:
+    from pcore.cli.layout import pair_lines, print_lines, room
+    from pcore.evaluation.check_page import facts, forecast_row, summary
+
+    console.print(Text(f"{found.scene.name}: {summary(found)}", "bold"), soft_wrap=True)
+    print_lines(console, pair_lines(list(facts(found)), room(console)))
+    for one in found.scene.skipped:
+        console.print(Text(f"  skipped {one.name}: {one.reason}"), soft_wrap=True)
+    for one in found.findings:
+        line = Text.assemble(_MARKS[one.level], f" {one.topic}: {one.text}")
+        console.print(line, soft_wrap=True)
+        if one.action:
+            console.print(Text(f"   {one.action}", "dim"), soft_wrap=True)
+    for row in map(forecast_row, found.forecasts):
+        if row[1] != "-":
+            line = f"{row[0]}: {row[1]}, {row[2]}; elsewhere {row[3]} ({row[4]})"
+            console.print(Text(line), soft_wrap=True)
+
+
+def _write_masks(found: SceneCheck, command: CheckCommand, console: Console) -> None:
+    from pcore.capture.mask_folder import write_masks
+
+    assert command.masks_out is not None, "asked for"
+    if found.masks is None:
+        raise InputError(f"--masks-out: there are no masks to write: {found.no_masks or 'none'}")
+    _outside(found.scene, command.masks_out)
+    write_masks(found.views, found.masks.masks, command.masks_out)
+    console.print(
+        Text(
+            f"{len(found.views)} masks are in {command.masks_out}; white is object. Train with "
+            f"--masks {command.masks_out}"
+        ),
+        soft_wrap=True,
+    )
+
+
+def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> None:
+    from pcore.capture.corrected_copy import write_corrected
+    from pcore.cli.results import counting
+
+    assert command.fix is not None, "asked for"
+    bad = {*found.quality.blurred, *found.quality.odd_exposure}
+    if found.reprojection is not None:
+        bad |= {*found.reprojection.doubtful()}
+    left_out = [found.views[i].name for i in sorted(bad)]
+    scene = _opened(command, command.factor or 1)[0]
+    masks = None
+    if found.masks is not None and found.masks.automatic:
+        names = (view.name for view in found.views)
+        masks = dict(zip(names, found.masks.masks, strict=True))
+    with counting(console, "pictures") as tell:
+        count = write_corrected(scene, command.fix, masks=masks, leave_out=left_out, progress=tell)
+    said = f", without {', '.join(left_out)}" if left_out else ""
+    console.print(
+        Text(f"a corrected copy of {count} photos is in {command.fix}{said}"), soft_wrap=True
+    )
+
+
+def _outside(scene: Scene, folder: Path) -> None:
+    home = (scene.folder or scene.root).resolve()
+    if folder.resolve().is_relative_to(home):
+        raise InputError(
+            f"{folder}: lies in the scene's own folder {home}, which is never written to; choose "
+            "another one"
+        )
+
+
+def _write_page(found: SceneCheck, command: CheckCommand, console: Console) -> None:
+    from pcore.data.whole_file import replace_file
+    from pcore.evaluation.check_page import check_page
+
+    assert command.html is not None, "asked for"
+    _outside(found.scene, command.html)
+    page = check_page(found, commands_of(found, command.scene))
+    command.html.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(command.html, page.encode())
+    console.print(Text(f"report with pictures: {command.html}"), soft_wrap=True)
+
+
+def commands_of(found: SceneCheck, scene: Path) -> list[str]:
+    """What to type next."""
+    masks = " --masks auto" if found.masks is not None and found.masks.automatic else ""
+    train = f"pcore train {scene} -o runs/{found.scene.name} --model gaussians{masks}"
+    more = f"pcore check {scene} --masks-out masks" if masks else ""
+    return [train, *([more] if more else [])]

@@ -1,0 +1,275 @@
+"""`pcore compare RUN...`: rules of other methods, our own, and pictures of any code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from rich.console import Console
+from rich.text import Text
+from tyro.conf import Positional, arg
+
+from pcore.cli.options import Count, Folder, Output
+from pcore.cli.runtime import DeviceName
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.evaluation.contest import Entry
+    from pcore.evaluation.contestants import Given
+    from pcore.evaluation.states import SceneStates, State
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareCommand:
+    """Compare methods on one object: same field, same photos, same evaluation.
+
+    Trains what has to be trained, moves everything by the same field, scores all pictures alike.
+    The same command goes on where an interrupted one stopped; a method that fails is a row that
+    says why.
+    """
+
+    runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN", help_behavior_hint="")] = ()
+    """Folders of trained runs of one scene: PAPR, P-CORE, Gaussians."""
+
+    scene: Folder = None
+    """Folder of the scene; default: the one that the first run was trained on."""
+
+    methods: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ("all",)
+    """papr, aware, light (of the runs); 3dgs-fixed, 3dgs-rotation, 3dgs-affine, 3dgs-light, sc-gs
+    (rules on Gaussians); mani-gs (on a mesh); voxels (in a cage); motion (states with training
+    photos); or all."""
+
+    settings: Annotated[
+        tuple[Literal["primitives", "time"], ...], arg(metavar="NAME [NAME ...]")
+    ] = ("primitives", "time")
+    """How rivals are trained: with as many primitives as the first PAPR run has points, and for as
+    long as --seconds says."""
+
+    seconds: Annotated[float, arg(metavar="S")] = 120.0
+    """Processor seconds of every training with equal time."""
+
+    seeds: Annotated[tuple[int, ...], arg(metavar="N [N ...]")] = (0,)
+    """Seeds of the trainings; from two on the tables show the spread. Runs that differ in their
+    seed alone are one row, too."""
+
+    motion_steps: Annotated[int, arg(metavar="N")] = 1000
+    """Steps of each of PAPR-in-Motion's two stages, for every state."""
+
+    state: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ("all",)
+    """States besides the canonical one: names, `all`, or `scale:S`."""
+
+    every: Annotated[int, arg(metavar="N")] = 1
+    """Score every so-manieth test view."""
+
+    pictures: Annotated[
+        tuple[str, ...], arg(metavar="NAME=DIR [NAME=DIR ...]", help_behavior_hint="")
+    ] = ()
+    """Pictures of other code, each DIR/STATE/VIEW.png; NAME stands in the tables."""
+
+    export_field: Folder = None
+    """Only write the field, in the forms that official codes take, into this folder."""
+
+    points: Annotated[
+        tuple[str, ...], arg(metavar="NAME=FILE [NAME=FILE ...]", help_behavior_hint="")
+    ] = ()
+    """With --export-field: points of other checkpoints, nodes, meshes or cages (.ply, .npy), to be
+    moved in their order; default: those of the runs."""
+
+    output: Output = None
+    """Folder for the results; default: compare in the first run."""
+
+    factor: Count = None
+    """Down-scaling of the images; default: that of the first run's training."""
+
+    device: DeviceName = "auto"
+    """Where to compute; auto takes a GPU where there is one."""
+
+    threads: Count = None
+    """Threads of the CPU; default: all cores."""
+
+    def run(self) -> None:
+        """Compare; raises PcoreError subclasses for what the user can mend."""
+        compare(self, Console())
+
+
+def compare(command: CompareCommand, console: Console) -> None:
+    """Train, move, draw, score, write and print.
+
+    Raises:
+        CheckpointError: a run cannot be read.
+        SceneError: the scene or a state cannot be read.
+        InputError: unknown names, options that do not fit, or an output folder in use.
+    """
+    from pcore.cli.compare_results import finish, teller
+    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.evaluation.contest import Contest
+    from pcore.evaluation.protocol import load_perceptual
+
+    prepare_torch(command.threads)
+    device = pick_device(command.device)
+    runs = _runs(command, device)
+    places, states = _places(command, runs)
+    if command.export_field is not None:
+        from pcore.cli.export_field import export_field
+
+        assets, given = [one.asset for one in runs], _pairs("--points", command.points)
+        export_field(console, command.export_field, assets, given, (places, states))
+        return
+    output = _output(command, runs, places)
+    entries = _entries(command, console, output, runs, (places, states), device)
+    perceptual = load_perceptual()
+    contest = Contest(
+        folder=output,
+        states=states,
+        stamp=[str(places.path.resolve()), places.factor, command.every],
+        perceptual=perceptual,
+    )
+    total = len(entries) * len(states)
+    outcomes = contest.run(entries, teller(console, total))
+    notes = [places.left_out] if places.left_out else []
+    about = _about(command, places, states, output)
+    names = [state.name for state in states]
+    finish(console, output, outcomes, names, about=about, notes=notes)
+
+
+def _runs(command: CompareCommand, device: str) -> list[Given]:
+    from pcore.evaluation.contestants import Given, stamp_of_run
+    from pcore.evaluation.methods import open_subject
+
+    return [
+        Given(asset=open_subject(path, device=device), stamp=stamp_of_run(path))
+        for path in command.runs
+    ]
+
+
+def _places(command: CompareCommand, runs: Sequence[Given]) -> tuple[SceneStates, list[State]]:
+    """The scene and its states, with the test views that are wanted.
+
+    Raises:
+        InputError: neither a run nor a scene; runs of another scene; a bad --every.
+    """
+    from pcore.data.scene import check_images
+    from pcore.evaluation.states import open_states
+    from pcore.validation import check_count
+
+    check_count("--every", command.every)
+    if not runs and command.scene is None:
+        raise InputError("compare: expected a RUN, or the folder of a scene with --scene, got none")
+    record = runs[0].asset.record if runs else None
+    path = command.scene if record is None else record.scene_or(command.scene)
+    assert path is not None
+    for run in runs:
+        other = run.asset.record.scene_folder
+        if other is not None and other.resolve() != path.resolve():
+            raise InputError(
+                f"{run.asset.path} was trained on {other}: expected runs of one scene, {path}; "
+                "compare them apart"
+            )
+    factor = (record.factor if record else 1) if command.factor is None else command.factor
+    places = open_states(path, factor=factor)
+    states = [replace(s, shots=s.shots[:: command.every]) for s in places.select(command.state)]
+    check_images(shot.view for state in states for shot in state.shots)
+    return places, states
+
+
+def _output(command: CompareCommand, runs: Sequence[Given], places: SceneStates) -> Path:
+    """The folder for results: new, empty, or of an earlier comparison on this scene.
+
+    Raises:
+        InputError: it holds something else.
+        OSError: it cannot be made.
+    """
+    from pcore.cli.output import results_of
+    from pcore.evaluation.contest_tables import COMPARE_FILE
+
+    if command.output is None and not runs:
+        raise InputError("compare: expected a folder for the results with -o, as no RUN is given")
+    output = command.output or runs[0].asset.path / "compare"
+    results_of(output, COMPARE_FILE, about=places.path)
+    return output
+
+
+def _entries(
+    command: CompareCommand,
+    console: Console,
+    output: Path,
+    runs: Sequence[Given],
+    where: tuple[SceneStates, Sequence[State]],
+    device: str,
+) -> list[Entry]:
+    from pcore.asset.neural_points import NeuralPoints
+    from pcore.evaluation.contestants import METHODS, given_entries, picture_entries
+    from pcore.evaluation.motion_method import has_end_views, motion_entries
+    from pcore.evaluation.rival_entries import Workshop
+    from pcore.rivals.motion_stages import MotionConfig
+    from pcore.training.presets import gaussian_preset, preset
+
+    places, states = where
+    wanted = _wanted(command.methods, METHODS)
+    if command.seconds <= 0:
+        raise InputError(f"--seconds: expected more than 0, got {command.seconds}")
+    counts = [len(one.asset) for one in runs if isinstance(one.asset.content, NeuralPoints)]
+    shop = Workshop(
+        folder=output / "trained",
+        scene=places.scene,
+        config=gaussian_preset("tiny"),
+        primitives=counts[0] if counts else preset("tiny").points,
+        seconds=command.seconds,
+        device=device,
+        note=lambda text: console.print(Text(f"training: {text}"), soft_wrap=True),
+    )
+    entries = given_entries(runs, places.scene, wanted)
+    # Of "all" where it can learn at all; asked for by name it says what is missing.
+    if "motion" in command.methods or ("motion" in wanted and has_end_views(places, states)):
+        config = MotionConfig(steps=command.motion_steps)
+        entries += motion_entries(runs, places, output / "trained", config)
+    entries += shop.entries(wanted, command.settings, command.seeds)
+    entries += picture_entries(_pairs("--pictures", command.pictures))
+    if not entries:
+        raise InputError(
+            f"--methods {' '.join(command.methods)}: expected methods that the runs have, got none"
+        )
+    return entries
+
+
+def _wanted(names: Sequence[str], known: Sequence[Any]) -> list[Any]:
+    unknown = [name for name in names if name not in (*known, "all", "none")]
+    if unknown:
+        raise InputError(
+            f"--methods: expected some of {', '.join(known)}, all or none, got {', '.join(unknown)}"
+        )
+    return [*known] if "all" in names else [name for name in known if name in names]
+
+
+def _pairs(option: str, texts: Sequence[str]) -> list[tuple[str, Path]]:
+    """Names and paths of NAME=PATH.
+
+    Raises:
+        InputError: one has no name, or a name comes twice.
+    """
+    pairs = [text.partition("=") for text in texts]
+    if any(not name or not path for name, _, path in pairs):
+        raise InputError(f"{option}: expected NAME=PATH, got {' '.join(texts)}")
+    names = [name for name, _, _ in pairs]
+    if len({*names}) < len(names):
+        raise InputError(f"{option}: expected different names, got {', '.join(names)}")
+    return [(name, Path(path)) for name, _, path in pairs]
+
+
+def _about(
+    command: CompareCommand, places: SceneStates, states: Sequence[State], output: Path
+) -> dict[str, Any]:
+    """What is compared, for the file of results."""
+    from pcore.files.run_record import relative
+
+    return {
+        "run": relative(places.path, output),
+        "kinds": {state.name: state.kind for state in states},
+        "factor": places.factor,
+        "every": command.every,
+        "seconds": command.seconds,
+        "seeds": [*command.seeds],
+        "runs": [relative(path, output) for path in command.runs],
+    }

@@ -1,0 +1,210 @@
+"""`pcore train --minutes N`: settings from a promise of time, and how long a training will take."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.text import Text
+
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.cli.train import TrainCommand
+    from pcore.data.scene import Scene
+    from pcore.training.config import PretrainConfig
+    from pcore.training.gaussian_config import GaussianConfig
+    from pcore.training.speed import Speed
+
+_LIGHT_STEPS = 2.0
+"""What the estimate of the light costs, in steps per view at the finest size."""
+_LIGHT_FIXED = 8.0
+"""And in seconds besides."""
+_SURFACE_STEPS = 1.0
+"""What the surface over PAPR's points costs, in steps per patch of the photos."""
+_WORTH_MEASURING = 200
+"""Trainings of fewer steps are over before they are measured."""
+_OF_PAPR = ("steps", "points", "levels", "seconds")
+_OF_GAUSSIANS = (*_OF_PAPR, "density")
+"""Settings that a promise decides on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Promise:
+    """Minutes that a command has, and when it began.
+
+    Attributes:
+        minutes: in all.
+        began: by `time.monotonic`.
+    """
+
+    minutes: float
+    began: float
+
+    @property
+    def seconds_left(self) -> float:
+        """Until the end of the promise."""
+        return 60 * self.minutes - (time.monotonic() - self.began)
+
+
+def promised_gaussians(
+    command: TrainCommand, scene: Scene, base: GaussianConfig, device: str, promise: Promise
+) -> tuple[Scene, GaussianConfig, str]:
+    """Photos and settings for a promise, and the plan in words; of the run itself to go on.
+
+    Raises:
+        InputError: an option that the promise decides on, or too little time.
+    """
+    from pcore.training.gaussian_config import GaussianConfig
+    from pcore.training.measured_speed import measured_speed, photos_of
+    from pcore.training.time_plan import plan_gaussians
+
+    _check(command)
+    if command.resume:
+        going = _recorded(command, "gaussians", GaussianConfig, base, _OF_GAUSSIANS)
+        if going is not None:
+            return *going, "as the run was planned"
+    photos = photos_of(scene)
+    speed = measured_speed(scene, base, device)
+    factor = 1 if command.factor > 1 else None
+    plan = plan_gaussians(photos, speed, promise.seconds_left, base, factor=factor)
+    # Once more, since the estimate of the light depends on what was chosen.
+    reserve = after_gaussians(photos.pixels(plan.factor), photos.count, plan.config, speed)
+    seconds = _left(promise, reserve)
+    plan = plan_gaussians(photos, speed, seconds, base, factor=plan.factor)
+    scene, config = _divided(command, scene, plan.factor), plan.config
+    what = f"{config.points:,} to {config.density.limit:,} Gaussians"
+    return scene, config, _in_words(scene, config, what, promise)
+
+
+def promised_papr(
+    command: TrainCommand, scene: Scene, base: PretrainConfig, device: str, promise: Promise
+) -> tuple[Scene, PretrainConfig, str]:
+    """The same for PAPR.
+
+    Raises:
+        InputError: an option that the promise decides on, or too little time.
+    """
+    from pcore.training.config import PretrainConfig
+    from pcore.training.measured_speed import papr_step_seconds, photos_of
+    from pcore.training.time_plan import plan_papr
+
+    _check(command)
+    if command.resume:
+        going = _recorded(command, "pretrain", PretrainConfig, base, _OF_PAPR)
+        if going is not None:
+            return *going, "as the run was planned"
+    photos = photos_of(scene)
+    step = papr_step_seconds(scene, base, device)
+    factor = 1 if command.factor > 1 else None
+    plan = plan_papr(photos, step, promise.seconds_left, base, factor=factor)
+    reserve = after_papr(photos.pixels(plan.factor), photos.count, base, step)
+    plan = plan_papr(photos, step, _left(promise, reserve), base, factor=plan.factor)
+    scene, config = _divided(command, scene, plan.factor), plan.config
+    return scene, config, _in_words(scene, config, f"{config.points:,} points", promise)
+
+
+def _recorded(
+    command: TrainCommand, key: str, kind: type[Any], base: Any, names: tuple[str, ...]
+) -> tuple[Scene, Any] | None:
+    """What was planned when the run began, with today's options for all else; None: nothing was.
+
+    Raises:
+        InputError: the run made no promise, or is of another kind of object.
+    """
+    from pcore.cli.train import opened
+    from pcore.files.records import from_dict
+    from pcore.files.run_record import RunRecord, begun
+
+    if not begun(command.output):
+        return None
+    record = RunRecord.read(command.output).config
+    settings: Any = record.get(key)
+    if not isinstance(settings, dict) or settings.get("seconds") is None:
+        raise InputError(
+            f"{command.output}: --minutes {command.minutes:g}: expected a run of this kind that "
+            "began with --minutes, got another; resume it with the options that it began with"
+        )
+    config = from_dict(kind, settings, where=f"{command.output}: run.json")
+    changed = replace(base, **{name: getattr(config, name) for name in names})
+    again = replace(command, factor=int(record.get("factor", 1)))
+    return opened(again, Console(quiet=True)), changed
+
+
+def _divided(command: TrainCommand, scene: Scene, factor: int) -> Scene:
+    from pcore.cli.train import opened
+
+    if factor == 1:
+        return scene
+    # Masks that were cut for this run lie in its folder by now.
+    return opened(replace(command, factor=factor), Console(quiet=True))
+
+
+def _left(promise: Promise, reserve: float) -> float:
+    """Seconds for the training itself; a tenth of what is left at least, which is then too much."""
+    left = promise.seconds_left
+    return max(left - reserve, 0.1 * left, 1.0)
+
+
+def _in_words(
+    scene: Scene, config: GaussianConfig | PretrainConfig, what: str, promise: Promise
+) -> str:
+    """The plan in one sentence."""
+    camera = scene.split("train")[0].camera
+    coarse = ""
+    if config.levels:
+        first = config.levels[0].reduction
+        coarse = f"from {round(camera.width / first)} x {round(camera.height / first)} up to "
+    return (
+        f"{promise.minutes:g} minutes: photos {coarse}{camera.width} x {camera.height}, {what}, "
+        f"about {config.steps:,} steps; the number of steps follows the clock"
+    )
+
+
+def after_gaussians(pixels: float, views: int, config: GaussianConfig, speed: Speed) -> float:
+    """Seconds that a command takes after the last step: the light of the photos."""
+    return _LIGHT_FIXED + _LIGHT_STEPS * views * speed.seconds(pixels, config.density.limit)
+
+
+def after_papr(pixels: float, views: int, config: PretrainConfig, step: float) -> float:
+    """The same for PAPR, which also looks for its surface in all views."""
+    patch = config.patch.views * config.patch.side**2
+    return _LIGHT_FIXED + _SURFACE_STEPS * views * step * pixels / patch
+
+
+def say_duration(
+    console: Console, scene: Scene, config: GaussianConfig | PretrainConfig, device: str
+) -> None:
+    """Say how long a training without a promise will take on this machine."""
+    from pcore.cli.console import clock
+    from pcore.training.config import PretrainConfig
+    from pcore.training.measured_speed import measured_speed, papr_step_seconds
+
+    if config.steps < _WORTH_MEASURING:
+        return
+    views = scene.split("train")
+    pixels = max(view.camera.width * view.camera.height for view in views)
+    if isinstance(config, PretrainConfig):
+        step = papr_step_seconds(scene, config, device)
+        seconds = config.steps * step + after_papr(pixels, len(views), config, step)
+    else:
+        speed = measured_speed(scene, config, device)
+        seconds = config.steps * speed.seconds(pixels, config.density.limit)
+        seconds += after_gaussians(pixels, len(views), config, speed)
+    console.print(
+        Text(f"about {clock(seconds)} on this machine, as busy as it is now"), soft_wrap=True
+    )
+
+
+def _check(command: TrainCommand) -> None:
+    minutes = command.minutes
+    if minutes is None or not 0 < minutes < 10_000:
+        raise InputError(f"--minutes {minutes}: expected a number above 0 and below 10,000")
+    given = [name for name in ("steps", "points") if getattr(command, name) is not None]
+    if given:
+        raise InputError(
+            f"--minutes {minutes:g} chooses {' and '.join(given)}: expected no such option beside "
+            f"it, got --{given[0]}; leave one of them out"
+        )

@@ -1,0 +1,87 @@
+"""Open a scene as verbs are told to: masks, and where its object is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.text import Text
+
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from pcore.training.locate import Located
+
+
+def located_scene(
+    path: Path,
+    *,
+    factor: int,
+    masks: str | None,
+    box: Sequence[float],
+    made: Path,
+    console: Console,
+) -> Located:
+    """Load a scene, with masks, and find the region of its object.
+
+    Args:
+        path: the scene.
+        factor: whole number by which images are down-scaled.
+        masks: "auto", "none", a folder, or None: those that the scene brings.
+        box: six numbers of a lower and an upper corner, or none.
+        made: folder that automatic masks are written to; those that lie there already are taken.
+        console: told of what is done.
+
+    Raises:
+        SceneError: the scene or a mask cannot be read.
+        InputError: a bad box, or masks that cannot be found.
+        DependencyError: automatic masks without OpenCV.
+        OSError: a mask cannot be written.
+    """
+    from pcore.capture.load import load_scene
+    from pcore.training.locate import locate
+
+    corners = corners_of(box)
+    if masks == "none":
+        return locate(load_scene(path, factor=factor, masks="none", tell=console.print), corners)
+    if masks != "auto":
+        folder = None if masks is None else Path(masks)
+        return locate(load_scene(path, factor=factor, masks=folder, tell=console.print), corners)
+    if not made.is_dir():
+        bare = locate(load_scene(path, factor=factor, masks="none", tell=console.print), corners)
+        _make_masks(bare, made, console)
+    masked = load_scene(path, factor=factor, masks=made)
+    return locate(masked, corners)
+
+
+def corners_of(box: Sequence[float]) -> Tensor | None:
+    """Lower and upper corner (2, 3) of six numbers; None of none."""
+    import torch
+
+    if len(box) not in (0, 6):
+        raise InputError(
+            "--box: expected six numbers, X Y Z of the lower corner and X Y Z of the upper one, "
+            f"got {len(box)}"
+        )
+    return torch.tensor(box).reshape(2, 3) if box else None
+
+
+def _make_masks(bare: Located, folder: Path, console: Console) -> None:
+    from pcore.capture.mask_folder import write_masks
+    from pcore.capture.scene_masks import scene_masks
+    from pcore.cli.results import counting
+
+    with counting(console, "masks") as tell:
+        views, found = scene_masks(bare.scene, bare.region, points=bare.points, progress=tell)
+    partial = folder.with_name(f"{folder.name}.partial")
+    write_masks(views, found.masks, partial)
+    partial.rename(folder)  # Whole or not at all.
+    odd = [views[i].name for i in found.doubtful()]
+    doubt = f"; look at {', '.join(odd[:8])}{', ...' * (len(odd) > 8)}" if odd else ""
+    console.print(
+        Text(f"automatic masks of {len(views)} photos are in {folder}{doubt}"), soft_wrap=True
+    )

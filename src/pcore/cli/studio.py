@@ -1,0 +1,121 @@
+"""`pcore studio RUN`: edit a run by hand, in the browser."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import tempfile
+import threading
+import traceback
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from rich.console import Console
+from tyro.conf import Positional, arg
+
+from pcore.cli.layout import print_lines
+from pcore.cli.options import Count, optional
+from pcore.cli.runtime import DeviceName
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.studio.studio import Studio
+
+_FOLDER = "studio"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudioCommand:
+    """Take an object in your hand: drag it, see it, undo it, key it, film it."""
+
+    run_or_file: Annotated[Positional[Path | None], optional("RUN")] = None
+    """Folder of a run; not needed with --demo."""
+
+    edit: Annotated[Path | None, optional("FILE")] = None
+    """Edit file (JSON) to open and to save; default: studio/edit.json in the run."""
+
+    demo: bool = False
+    """Open a small object that comes along, with the first steps; nothing is trained."""
+
+    host: Annotated[str, arg(metavar="NAME")] = "127.0.0.1"
+    """Address to listen at; only this machine without it. Whoever has the printed address may
+    edit."""
+
+    port: Annotated[int, arg(metavar="N")] = 8123
+    """Port to listen at."""
+
+    device: DeviceName = "auto"
+    """Where to draw; auto takes a GPU where there is one."""
+
+    threads: Count = None
+    """Threads of the CPU; default: all cores."""
+
+    def run(self) -> None:
+        """Do it; raises PcoreError subclasses for what the user can mend."""
+        with ExitStack() as stack:
+            studio(self, Console(), stack)
+
+
+def studio(command: StudioCommand, console: Console, stack: ExitStack) -> None:
+    """Open the page and wait until Ctrl-C.
+
+    Raises:
+        CheckpointError: no run there, or it is damaged.
+        EditError: the edit file is not valid or does not fit the points.
+        DependencyError: viser is not installed.
+        InputError: options that contradict, a port in use.
+    """
+    from pcore.studio.server import require_viser
+
+    if (command.run_or_file is None) != command.demo:
+        raise InputError("expected the folder of a run, or --demo, and not both")
+    require_viser()
+    ended = threading.Event()
+    signal.signal(signal.SIGTERM, lambda number, frame: ended.set())
+    page = stack.enter_context(closing(_opened(command, stack)))
+    print_lines(console, [page.url, *_tunnel(command), "Ctrl-C ends; what is not saved is kept"])
+    try:
+        ended.wait()
+    except KeyboardInterrupt:
+        console.print("")
+
+
+def _opened(command: StudioCommand, stack: ExitStack) -> Studio:
+    from pcore.asset.saving import load
+    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.studio.guard import Guard
+    from pcore.studio.outputs import Outputs
+    from pcore.studio.ports import check_port
+    from pcore.studio.studio import Studio
+
+    check_port(command.host, command.port)
+    prepare_torch(command.threads)
+    run = _demo(stack) if command.run_or_file is None else command.run_or_file
+    asset = load(run, device=pick_device(command.device))
+    folder = (run if run.is_dir() else run.parent) / _FOLDER
+    outputs = Outputs(folder=folder, edit=command.edit or folder / "edit.json", run=run)
+    guard = Guard(host=command.host, port=command.port)
+    title = "demo" if command.demo else run.resolve().name
+    return Studio(asset, guard, outputs, title=title, tour=command.demo, report=_report)
+
+
+def _report(error: Exception) -> None:
+    """What should not happen stands in the terminal; the page shows no trace."""
+    traceback.print_exception(error)
+
+
+def _demo(stack: ExitStack) -> Path:
+    """A copy of the object that comes along, which is gone with the page."""
+    from importlib.resources import as_file, files
+
+    scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pcore-studio-")))
+    with as_file(files("pcore.studio").joinpath("demo_run")) as source:
+        shutil.copytree(source, scratch / "demo")
+    return scratch / "demo"
+
+
+def _tunnel(command: StudioCommand) -> list[str]:
+    port = command.port
+    return [f"from another machine: ssh -L {port}:127.0.0.1:{port} THIS_MACHINE, the same address"]

@@ -1,0 +1,210 @@
+"""Tables of a comparison: means over views and seeds, spread over seeds, cost, and failures."""
+
+from __future__ import annotations
+
+import csv
+import io
+import statistics
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from pcore.evaluation.contest import Cost, Outcome, Setting
+from pcore.evaluation.runner import Value, mean
+from pcore.evaluation.tables import jsonable, shown
+
+COMPARE_FILE = "compare.json"
+METRICS = (
+    "foreground_psnr",
+    "psnr",
+    "ssim",
+    "lpips_alex",
+    "lpips_squeeze",
+    "lpips_vgg",
+    "hole_rate",
+    "see_through_rate",
+    "depth_error_relative",
+    "spill_to_object",
+    "strain_99",
+    "unseen",
+)
+_SETTINGS: dict[Setting, str] = {
+    "given": "as given",
+    "primitives": "equal primitives",
+    "time": "equal time",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One method in one state: a metric over all seeds.
+
+    Attributes:
+        value: mean over views and seeds; None where it is not defined.
+        spread: standard deviation over seeds; None for fewer than two.
+    """
+
+    value: Value
+    spread: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """A method in one setting.
+
+    Attributes:
+        name: of the method.
+        setting: how it was trained.
+        seeds: how many trainings.
+        cells: state -> metric -> figures, under the first protocol.
+        failed: state -> why there are none.
+        cost: means over seeds.
+        milliseconds: for a picture, mean over states and seeds.
+    """
+
+    name: str
+    setting: Setting
+    seeds: int
+    cells: dict[str, dict[str, Cell]]
+    failed: dict[str, str]
+    cost: Cost
+    milliseconds: float | None
+
+    @property
+    def title(self) -> str:
+        """Setting and seeds, for people."""
+        return _SETTINGS[self.setting] + (f", {self.seeds} seeds" if self.seeds > 1 else "")
+
+
+def lines_of(outcomes: Sequence[Outcome], protocol: str) -> list[Line]:
+    """Sum up outcomes by method and setting, in their order."""
+    groups: dict[tuple[str, Setting], list[Outcome]] = {}
+    for one in outcomes:
+        groups.setdefault((one.name, one.setting), []).append(one)
+    return [_line(members, protocol) for members in groups.values()]
+
+
+def _line(members: Sequence[Outcome], protocol: str) -> Line:
+    good = [one for one in members if one.failed is None]
+    cells: dict[str, dict[str, Cell]] = {}
+    for state in dict.fromkeys(one.state for one in good):
+        chosen = [one for one in good if one.state == state]
+        cells[state] = {metric: _cell(chosen, metric, protocol) for metric in METRICS}
+    costs = [one.cost for one in good]
+    return Line(
+        name=members[0].name,
+        setting=members[0].setting,
+        seeds=len({one.seed for one in members}),
+        cells=cells,
+        failed={one.state: one.failed for one in members if one.failed is not None},
+        cost=Cost(
+            seconds=mean([one.seconds for one in costs]),
+            primitives=_whole(mean([one.primitives for one in costs])),
+            parameters=_whole(mean([one.parameters for one in costs])),
+            megabytes=mean([one.megabytes for one in costs]),
+        ),
+        milliseconds=mean([one.milliseconds for one in good]),
+    )
+
+
+def _cell(chosen: Sequence[Outcome], metric: str, protocol: str) -> Cell:
+    values = [
+        mean([row.scores.get(metric) for row in one.rows if row.protocol == protocol])
+        for one in chosen
+    ]
+    known = [value for value in values if value is not None]
+    spread = statistics.stdev(known) if len(known) > 1 else None
+    return Cell(value=mean(known), spread=spread)
+
+
+def contest_record(
+    lines: Sequence[Line], *, about: dict[str, Any], notes: Sequence[str]
+) -> dict[str, Any]:
+    """What `compare.json` holds, as JSON values."""
+    record = {"about": about, "notes": [*notes], "methods": [asdict(one) for one in lines]}
+    return jsonable(record)
+
+
+def contest_csv(lines: Sequence[Line]) -> bytes:
+    """One line per method and state, with all metrics, spreads, cost, and why there are none."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    spreads = [f"{metric}_spread" for metric in METRICS]
+    cost = [*Cost.__dataclass_fields__]
+    heads = ["method", "setting", "seeds", "state", *METRICS, *spreads, *cost, "milliseconds"]
+    writer.writerow([*heads, "failed"])
+    for line in lines:
+        for state in [*line.cells, *(one for one in line.failed if one not in line.cells)]:
+            cells = line.cells.get(state, {})
+            figures = [cells[m].value if m in cells else None for m in METRICS]
+            figures += [cells[m].spread if m in cells else None for m in METRICS]
+            figures += [getattr(line.cost, name) for name in cost] + [line.milliseconds]
+            first = [line.name, line.setting, line.seeds, state]
+            writer.writerow(
+                [
+                    *first,
+                    *("" if f is None else repr(f) for f in figures),
+                    line.failed.get(state, ""),
+                ]
+            )
+    return text.getvalue().encode()
+
+
+def quality_rows(
+    lines: Sequence[Line], states: Sequence[str], metric: str, *, percent: bool = False
+) -> list[tuple[tuple[str, str], tuple[str, ...]]]:
+    """Keys (method, setting) and figures by state of one metric, for people."""
+    digits = 1 if percent else 2
+    rows: list[tuple[tuple[str, str], tuple[str, ...]]] = []
+    for line in lines:
+        texts = [_text(line, state, metric, digits, percent) for state in states]
+        rows.append(((line.name, line.title), tuple(texts)))
+    return rows
+
+
+def cost_rows(lines: Sequence[Line]) -> list[tuple[tuple[str, str], tuple[str, ...]]]:
+    """Keys (method, setting) and what each cost."""
+    return [
+        (
+            (line.name, line.title),
+            (
+                _count(line.cost.primitives),
+                _count(line.cost.parameters),
+                shown(line.cost.seconds, 0),
+                shown(line.cost.megabytes, 0),
+                shown(line.milliseconds, 0),
+            ),
+        )
+        for line in lines
+    ]
+
+
+COSTS = ("primitives", "parameters", "training\ns", "memory\nMB", "picture\nms")
+
+
+def markdown(
+    title: str, heads: Sequence[str], rows: Sequence[tuple[tuple[str, str], tuple[str, ...]]]
+) -> str:
+    """A table for documents."""
+    names = ["method", "setting", *(head.replace("\n", " ") for head in heads)]
+    lines = [f"**{title}**", "", f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
+    lines += [f"| {' | '.join([*keys, *values])} |" for keys, values in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _text(line: Line, state: str, metric: str, digits: int, percent: bool) -> str:
+    cell = line.cells.get(state, {}).get(metric)
+    if cell is None:
+        return "failed" if state in line.failed else shown(None)
+    text = shown(cell.value, digits, percent=percent)
+    if cell.spread is None or percent:
+        return text
+    return f"{text} ± {cell.spread:.{digits}f}"
+
+
+def _count(value: int | None) -> str:
+    return shown(None) if value is None else f"{value:,}"
+
+
+def _whole(value: float | None) -> int | None:
+    return None if value is None else round(value)

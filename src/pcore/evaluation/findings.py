@@ -1,0 +1,218 @@
+"""What stands out in a capture, each with what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import torch
+
+if TYPE_CHECKING:
+    from pcore.evaluation.scene_check import SceneCheck
+
+Level = Literal["warning", "note", "good"]
+
+_FEW_VIEWS, _GAP, _ONE_SIDE = 20, 60.0, 180.0
+_PIXELS = 1.0
+_SHOWN = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing about a scene.
+
+    Attributes:
+        level: "warning" for what will cost quality, "note" for what one should know, "good".
+        topic: one word or two.
+        text: what was found, a sentence.
+        action: what to do; empty where nothing is.
+    """
+
+    level: Level
+    topic: str
+    text: str
+    action: str = ""
+
+
+def findings(check: SceneCheck) -> tuple[Finding, ...]:
+    """Judge what was measured; warnings come first."""
+    found = [
+        *_of_poses(check),
+        *_of_coverage(check),
+        *_of_photos(check),
+        *_of_masks(check),
+        *_of_region(check),
+    ]
+    order = {"warning": 0, "note": 1, "good": 2}
+    return tuple(sorted(found, key=lambda one: order[one.level]))
+
+
+def _of_poses(check: SceneCheck) -> list[Finding]:
+    found: list[Finding] = []
+    near = check.contradictions
+    if near.contradicting:
+        worst = near.contradicting[0]
+        names = [check.views[i].name for i in (worst.first, worst.second)]
+        found.append(
+            Finding(
+                level="warning",
+                topic="poses",
+                text=f"{len(near.contradicting)} pairs of photos from nearly one place show "
+                f"different things ({names[0]} and {names[1]}: {worst.degrees:.1f} degrees apart, "
+                f"correlation {worst.alike:.2f}): the model of the room is folded or doubled",
+                action="Do not learn the background: use masks (--masks auto). To mend the poses, "
+                "run structure from motion on photos with more unique surroundings, or on half of "
+                "them.",
+            )
+        )
+    elif near.pairs:
+        text = f"{len(near.pairs)} pairs of photos from nearly one place show the same things"
+        found.append(Finding(level="good", topic="poses", text=text))
+    else:
+        text = "no two photos are near enough to one another to check poses by their pictures"
+        found.append(Finding(level="note", topic="poses", text=text))
+    error = check.reprojection
+    if error is not None:
+        bad = error.doubtful()
+        level: Level = "warning" if error.mean > _PIXELS or bad else "good"
+        text = f"sparse points lie {error.mean:.2f} pixels from where the photos show them"
+        text += f"; {_some(check, bad)} more than twice as far" if bad else ""
+        action = "Leave those photos out (--fix), or run bundle adjustment again." if bad else ""
+        found.append(Finding(level=level, topic="reprojection", text=text, action=action))
+    return found
+
+
+def _of_coverage(check: SceneCheck) -> list[Finding]:
+    cover, count = check.coverage, len(check.views)
+    found: list[Finding] = []
+    if count < _FEW_VIEWS:
+        found.append(
+            Finding(
+                level="warning",
+                topic="coverage",
+                text=f"{count} photos are few",
+                action="Take 50 to 100, in two or three rings around the object.",
+            )
+        )
+    low, high = float(cover.elevation.min()), float(cover.elevation.max())
+    text = (
+        f"cameras stand within 30 degrees of {100 * cover.sphere:.0f} % of all directions, at "
+        f"elevations {low:.0f} to {high:.0f}; the largest gap around is {cover.gap:.0f} degrees"
+    )
+    if cover.gap > _GAP:
+        one_side = cover.gap > _ONE_SIDE
+        action = "What no photo shows stays empty or invented: edits that turn the object by more "
+        action += "than the gap's edge show it. Take photos from there, or keep edits on this side."
+        found.append(
+            Finding(
+                level="note" if one_side else "warning",
+                topic="coverage",
+                text=text + (" (photographed from one side)" if one_side else ""),
+                action=action,
+            )
+        )
+    else:
+        found.append(Finding(level="good", topic="coverage", text=text))
+    return found
+
+
+def _of_photos(check: SceneCheck) -> list[Finding]:
+    quality, found = check.quality, list[Finding]()
+    if quality.blurred:
+        found.append(
+            Finding(
+                level="warning",
+                topic="sharpness",
+                text=f"{_some(check, quality.blurred)} less sharp than the photos around",
+                action="Leave them out: pcore check SCENE --fix DIR writes a copy without them.",
+            )
+        )
+    if quality.odd_exposure:
+        found.append(
+            Finding(
+                level="warning",
+                topic="exposure",
+                text=f"{_some(check, quality.odd_exposure)} much brighter or darker than the rest",
+                action="Lock the exposure, leave them out, or learn a colour per view.",
+            )
+        )
+    elif quality.drifts:
+        edges = torch.quantile(quality.stops, torch.tensor([0.05, 0.95]), dim=0)
+        text = f"exposure or white balance drifts by {float((edges[1] - edges[0]).max()):.2f} steps"
+        action = "Learn a colour per view (--exposure per-view)."
+        found.append(Finding(level="note", topic="exposure", text=text, action=action))
+    if not found:
+        text = "no photo stands out by blur or exposure"
+        found.append(Finding(level="good", topic="photos", text=text))
+    sizes = {(view.camera.width, view.camera.height) for view in check.views}
+    if len(sizes) > 1:
+        text = f"photos of {len(sizes)} sizes: {', '.join(f'{w} x {h}' for w, h in sorted(sizes))}"
+        found.append(Finding(level="note", topic="sizes", text=text))
+    if check.scene.skipped:
+        text = f"{len(check.scene.skipped)} pictures are not used; the list says why"
+        found.append(Finding(level="note", topic="skipped", text=text))
+    found += [Finding(level="note", topic="files", text=line) for line in check.scene.notes]
+    return found
+
+
+def _of_masks(check: SceneCheck) -> list[Finding]:
+    masks = check.masks
+    if masks is None:
+        if check.no_masks:
+            text = check.no_masks
+            action = "Without masks the background is learned too, and edits need a region (a box)."
+            return [Finding(level="note", topic="masks", text=text, action=action)]
+        return [
+            Finding(
+                level="note",
+                topic="masks",
+                text="the photos have no masks",
+                action="The background is learned too, and edits need a region (a box). For the "
+                "object alone: pcore check SCENE --masks auto, then train with --masks auto.",
+            )
+        ]
+    doubtful = masks.doubtful()
+    origin = "cut automatically" if masks.automatic else "of the scene"
+    agree = sum(masks.agreement) / len(masks.agreement)
+    text = f"masks {origin} agree with one hull by {100 * agree:.0f} % in the mean"
+    if doubtful:
+        return [
+            Finding(
+                level="warning",
+                topic="masks",
+                text=f"{text}; {_some(check, doubtful)} doubtful",
+                action="Look at them below. Write all with --masks-out DIR, correct what is wrong "
+                "in any image editor, and train with --masks DIR; or give a tighter --box.",
+            )
+        ]
+    return [Finding(level="good", topic="masks", text=text)]
+
+
+_SOURCES = {
+    "box": "the box that was given",
+    "files": "the scene's files",
+    "masks": "the masks' hull",
+    "points": "the dense part of the sparse points",
+    "axes": "the viewing axes",
+}
+
+
+def _of_region(check: SceneCheck) -> list[Finding]:
+    region = check.region
+    lower, upper = (", ".join(f"{x:.4g}" for x in corner) for corner in region.bounds)
+    text = (
+        f"the object lies in ({lower}) to ({upper}), world units, by {_SOURCES[check.source]}; "
+        f"cameras stand {check.coverage.distance.median():.4g} away"
+    )
+    if check.source == "axes" and check.masks is None:
+        action = "Give --box X Y Z X Y Z if that is not the object."
+        return [Finding(level="note", topic="region", text=text, action=action)]
+    return [Finding(level="good", topic="region", text=text)]
+
+
+def _some(check: SceneCheck, numbers: Sequence[int]) -> str:
+    names = ", ".join(check.views[i].name for i in numbers[:_SHOWN])
+    more = ", ..." * (len(numbers) > _SHOWN)
+    verb = "is" if len(numbers) == 1 else "are"
+    return f"{len(numbers)} of {len(check.views)} photos ({names}{more}) {verb}"

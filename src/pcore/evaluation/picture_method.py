@@ -1,0 +1,138 @@
+"""A folder of pictures as a method: DIR/STATE/VIEW.png, taken by any code.
+
+Pictures with an alpha channel also tell opacity. A file VIEW.npy beside each, camera z (H, W) in
+world units, tells depth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pcore.data.image_files import read_header, read_rgba
+from pcore.data.images import composite
+from pcore.errors import InputError, SceneError
+from pcore.evaluation.runner import Tells
+from pcore.evaluation.states import State
+from pcore.geometry.camera import Camera
+from pcore.render.image import Image
+from pcore.validation import first_names
+
+_ENDINGS = (".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PictureMethod:
+    """Pictures of another code.
+
+    Attributes:
+        name: for tables.
+        folder: holds a folder for each state, with a picture for each test view.
+        tells: what they say.
+    """
+
+    name: str
+    folder: Path
+    tells: Tells
+
+    def pose(self, state: State) -> Mapping[int, Path]:
+        """Find the picture of every shot.
+
+        Raises:
+            InputError: some are missing; the message lists them, and files of other names.
+        """
+        place = self.folder / folder_of(state.name)
+        if not place.is_dir():
+            there = first_names(one.name for one in self.folder.iterdir() if one.is_dir())
+            raise InputError(
+                f"{self.folder}: expected a folder {place.name} with pictures of the state "
+                f"{state.name}, got {there or 'no folder'}"
+            )
+        there = {one.stem: one for one in sorted(place.iterdir()) if one.suffix in _ENDINGS}
+        wanted = [shot.view.name for shot in state.shots]
+        missing = [name for name in wanted if name not in there]
+        if missing:
+            odd = first_names(there[name].name for name in {*there} - {*wanted})
+            raise InputError(
+                f"{place}: expected a picture for each of {len(wanted)} test views, got none for "
+                f"{first_names(missing)} ({len(missing)} missing)"
+                + (f"; files that no view is called after: {odd}" if odd else "")
+            )
+        return {id(shot.camera): there[shot.view.name] for shot in state.shots}
+
+    def draw(self, posed: Mapping[int, Path], camera: Camera) -> Image:
+        """Read the picture of a camera of the state.
+
+        Raises:
+            InputError: damaged, or of another size.
+        """
+        path, size = posed[id(camera)], (camera.width, camera.height)
+        try:
+            header = read_header(path)
+            if (header.width, header.height) != size:
+                raise InputError(
+                    f"{path}: expected {size[0]} x {size[1]} pixels as the true image, got "
+                    f"{header.width} x {header.height}; compare at its resolution with --factor"
+                )
+            rgba = read_rgba(path, size=size)
+        except SceneError as error:
+            raise InputError(str(error)) from error
+        depth = torch.full(rgba.shape[:2], torch.nan)
+        if self.tells == "depth":
+            depth = _depth(path.with_suffix(".npy"), depth)
+        return Image(
+            rgb=composite(rgba, torch.ones(3)),
+            alpha=rgba[..., 3],
+            depth=depth,
+            surface=torch.full((*depth.shape, 3), torch.nan),
+        )
+
+    def health(self, posed: Mapping[int, Path], state: State) -> None:
+        """Return nothing: pictures have no points."""
+        del posed, state
+
+
+def folder_of(state: str) -> str:
+    """Name of the folder for a state; a colon is no letter of file names everywhere."""
+    return state.replace(":", "_")
+
+
+def open_pictures(name: str, folder: Path) -> PictureMethod:
+    """Look at a folder of pictures.
+
+    Raises:
+        InputError: there is no such folder, or no picture in any folder of it.
+    """
+    if not folder.is_dir():
+        raise InputError(f"--pictures {name}={folder}: expected a folder, found none")
+    found = [one for one in sorted(folder.glob("*/*")) if one.suffix in _ENDINGS]
+    if not found:
+        raise InputError(
+            f"--pictures {name}={folder}: expected pictures named STATE/VIEW.png in it, for "
+            "example canonical/r_0.png, found none"
+        )
+    try:
+        opaque = any(not read_header(one).has_alpha for one in found)
+    except SceneError as error:
+        raise InputError(str(error)) from error
+    deep = all(one.with_suffix(".npy").is_file() for one in found)
+    tells: Tells = "colour" if opaque else "depth" if deep else "opacity"
+    return PictureMethod(name=name, folder=folder, tells=tells)
+
+
+def _depth(path: Path, like: Tensor) -> Tensor:
+    try:
+        found = np.load(path, allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: expected an array of camera z, got {error}") from error
+    if found.shape != tuple(like.shape) or found.dtype.kind != "f":
+        raise InputError(
+            f"{path}: expected camera z {tuple(like.shape)} in floats, got {found.shape} of "
+            f"{found.dtype}"
+        )
+    return torch.from_numpy(found).to(like)

@@ -1,0 +1,269 @@
+"""Rivals that a comparison trains itself: Gaussians, Gaussians on a mesh, voxels."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pcore.asset.asset import WHITE, Asset
+from pcore.asset.gaussian_content import GaussianContent
+from pcore.asset.training import RunOptions, train
+from pcore.data.scene import Scene
+from pcore.evaluation.contest import Contestant, Cost, Entry, Setting
+from pcore.evaluation.contestants import RULES, MethodName, rule_entries
+from pcore.evaluation.gaussian_method import GaussianMethod
+from pcore.evaluation.voxel_method import VoxelMethod
+from pcore.files.run_record import RunRecord, begun, finished
+from pcore.gaussians.gaussians import Gaussians
+from pcore.geometry.camera import Camera
+from pcore.render.image import Image
+from pcore.rivals.bound_fit import fit_bound, sized_mesh
+from pcore.rivals.depth_mesh import coarse_cage
+from pcore.rivals.kept import Spent, kept_bound, kept_cost, kept_mesh, kept_voxels
+from pcore.rivals.mesh_bound import PER_TRIANGLE
+from pcore.rivals.voxel_fit import VoxelConfig, fit_voxels
+from pcore.training.events import Listener, silent
+from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.gaussian_fit import fit_gaussians
+
+BOUND = "mesh-bound 3DGS (ours), Mani-GS's binding"
+VOXELS = "cage-warped voxel radiance field (ours), Deforming-NeRF's rule"
+_TRIANGLES = 4000
+"""Of the mesh for as long as asked for; three Gaussians each."""
+_PACE, _WARM = 40, 2
+"""Steps that are timed, and those before."""
+_LEAST, _MOST = 200, 30_000
+
+Mesh = tuple[Tensor, Tensor, Tensor, Tensor]
+"""Vertices and faces of a mesh of the object, and of its cage."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Workshop:
+    """Where and how rivals are trained.
+
+    Attributes:
+        folder: for what was trained.
+        scene: whose training views they see.
+        config: of our Gaussians, from a preset.
+        primitives: how many they have with equal primitives.
+        seconds: of the processor for each with equal time.
+        voxels: of voxel fields, whose steps end with their time.
+        device: where.
+        listener: told of all events.
+        note: told what begins.
+    """
+
+    folder: Path
+    scene: Scene
+    config: GaussianConfig
+    primitives: int
+    seconds: float
+    voxels: VoxelConfig = field(default_factory=lambda: VoxelConfig(steps=_MOST))
+    device: str = "cpu"
+    listener: Listener = silent
+    note: Callable[[str], None] = field(default=lambda text: None)
+
+    def entries(
+        self, wanted: Sequence[MethodName], settings: Sequence[Setting], seeds: Sequence[int]
+    ) -> list[Entry]:
+        """Entries of all rivals that are wanted; nothing is trained yet."""
+        found: list[Entry] = []
+        for setting in settings:
+            for seed in seeds:
+                found += self._of(wanted, setting, seed)
+        return found
+
+    def _of(self, wanted: Sequence[MethodName], setting: Setting, seed: int) -> list[Entry]:
+        asked = self.primitives if setting == "primitives" else self.seconds
+        stamp = [setting, seed, asked, self.config.steps]
+        found = rule_entries(
+            setting,
+            seed,
+            stamp,
+            [name for name in wanted if name in RULES],
+            cache(lambda: self.gaussians(setting, seed)),
+            self.scene,
+        )
+        if "mani-gs" in wanted:
+            make = cache(lambda: self._bound(setting, seed))
+            found.append(Entry(name=BOUND, setting=setting, seed=seed, stamp=stamp, make=make))
+        if "voxels" in wanted and setting == "time":
+            make = cache(lambda: self._voxels(seed))
+            found.append(Entry(name=VOXELS, setting=setting, seed=seed, stamp=stamp, make=make))
+        return found
+
+    def gaussians(
+        self, setting: Setting, seed: int, *, share: float = 1.0
+    ) -> tuple[Asset, Spent | None]:
+        """Train free Gaussians, or read them; in a part of the time where that is what counts.
+
+        Raises:
+            PcoreError: as `pcore.train`.
+        """
+        part = "" if share == 1.0 else "-stage-1"
+        run = self.folder / f"gaussians-{self._tag(setting, seed)}{part}"
+        if not finished(run):
+            self.note(f"Gaussians, {setting}, seed {seed}{part}")
+        found: list[Asset] = []
+
+        def make() -> None:
+            config = self._config(setting, seed, share, run)
+            options = RunOptions(resume=begun(run), light=share == 1.0)
+            found.append(
+                train(
+                    self.scene,
+                    config,
+                    folder=run,
+                    listener=self.listener,
+                    device=self.device,
+                    options=options,
+                )
+            )
+
+        spent = kept_cost(run.with_suffix(".json"), make)
+        return found[0].over(WHITE), spent
+
+    def _tag(self, setting: Setting, seed: int) -> str:
+        asked = self.primitives if setting == "primitives" else self.seconds
+        return f"{setting}-{asked:g}-{seed}"
+
+    def mesh(self, setting: Setting, seed: int) -> tuple[Mesh, list[Spent | None]]:
+        """A mesh of the object and its cage, from depth of Gaussians of ours, and what both took.
+
+        Raises:
+            InputError: there is no surface.
+            DependencyError: scikit-image is not installed.
+        """
+        path = self.folder / f"mesh-{self._tag(setting, seed)}.safetensors"
+        triangles = max(40, self.primitives // PER_TRIANGLE)
+        triangles = triangles if setting == "primitives" else _TRIANGLES
+        asset, first = self.gaussians(setting, seed, share=1.0 if setting != "time" else 0.5)
+
+        def make() -> Mesh:
+            with torch.no_grad():
+                fused, *mesh = sized_mesh(
+                    lambda camera: _at_rest(asset, camera), self.scene, asset.points, triangles
+                )
+            return mesh[0], mesh[1], *coarse_cage(fused)
+
+        found: list[Mesh] = []
+        spent = kept_cost(path.with_suffix(".json"), lambda: found.append(kept_mesh(path, make)))
+        return found[0], [first, spent]
+
+    def _bound(self, setting: Setting, seed: int) -> Contestant:
+        (vertices, faces, *_), first = self.mesh(setting, seed)
+        path = self.folder / f"bound-{self._tag(setting, seed)}.safetensors"
+        if not path.is_file():
+            self.note(f"Gaussians on a mesh of {len(faces):,} triangles, {setting}, seed {seed}")
+        config = replace(self.config, seed=seed)
+        if setting == "time" and not path.is_file():
+            pace = _pace(
+                lambda steps: fit_bound(self.scene, vertices, faces, _brief(config, steps))
+            )
+            config = _for(config, self.seconds / 2 / pace)
+        found: list[Any] = []
+        spent = kept_cost(
+            path.with_suffix(".json"),
+            lambda: found.append(
+                kept_bound(path, lambda: fit_bound(self.scene, vertices, faces, config))
+            ),
+        )
+        bound = found[0]
+        content = GaussianContent(
+            gaussians=bound.gaussians, footprint=bound.footprint, background=WHITE
+        )
+        method = GaussianMethod(
+            name=BOUND,
+            content=content,
+            rule=lambda state: bound.carried(state.move(bound.vertices.double())),
+        )
+        return Contestant(method=method, cost=_cost(bound.gaussians, [*first, spent]))
+
+    def _voxels(self, seed: int) -> Contestant:
+        (_, _, *cage), first = self.mesh("time", seed)
+        path = self.folder / f"voxels-{self._tag('time', seed)}.safetensors"
+        if not path.is_file():
+            self.note(f"voxels, seed {seed}")
+        found: list[Any] = []
+        config = replace(self.voxels, seed=seed)
+        spent = kept_cost(
+            path.with_suffix(".json"),
+            lambda: found.append(
+                kept_voxels(path, lambda: fit_voxels(self.scene, config, seconds=self.seconds))
+            ),
+        )
+        field_ = found[0]
+        method = VoxelMethod(name=VOXELS, field=field_, cage=(cage[0], cage[1]))
+        # The cage is made of the mesh; the field itself needs no Gaussians.
+        both = [one for one in (first[1], spent) if one is not None]
+        return Contestant(
+            method=method,
+            cost=Cost(
+                seconds=sum(one.seconds for one in both),
+                primitives=field_.grid.rows,
+                parameters=field_.grid.rows * field_.values.shape[1],
+                megabytes=max((one.megabytes or 0.0 for one in both), default=None),
+            ),
+        )
+
+    def _config(self, setting: Setting, seed: int, share: float, run: Path) -> GaussianConfig:
+        if begun(run):
+            # What a killed training asked for; another pace would be another training.
+            stored = RunRecord.read(run).config["gaussians"]
+            config = replace(self.config, steps=stored["steps"], seed=seed, points=stored["points"])
+            return replace(
+                config, density=replace(config.density, limit=stored["density"]["limit"])
+            )
+        config = replace(self.config, seed=seed)
+        if setting == "primitives":
+            start = min(config.points, max(2, round(0.6 * self.primitives)))
+            limit = replace(config.density, limit=self.primitives)
+            return replace(config, points=start, density=limit)
+        full = replace(config, points=config.density.limit)
+        pace = _pace(lambda steps: fit_gaussians(self.scene, _brief(full, steps)))
+        return _for(config, share * self.seconds / pace)
+
+
+def _pace(fit: Callable[[int], object]) -> float:
+    """Seconds of the processor for a step, from a few."""
+    fit(_WARM)  # Kernels are compiled once.
+    spent: list[float] = []
+    for steps in (_WARM, _WARM + _PACE):
+        begin = time.process_time()
+        fit(steps)
+        spent.append(time.process_time() - begin)
+    # What a training takes besides its steps is in both.
+    return max(spent[1] - spent[0], 1e-3) / _PACE
+
+
+def _brief(config: GaussianConfig, steps: int) -> GaussianConfig:
+    return replace(config, steps=steps, validate_every=_MOST, save_every=_MOST)
+
+
+def _for(config: GaussianConfig, steps: float) -> GaussianConfig:
+    chosen = int(min(max(steps, _LEAST), _MOST))
+    quarter = max(1, chosen // 4)
+    return replace(config, steps=chosen, validate_every=quarter, save_every=quarter)
+
+
+def _at_rest(asset: Asset, camera: Camera) -> Image:
+    return asset.render(None, camera)
+
+
+def _cost(gaussians: Gaussians, spent: Sequence[Spent | None]) -> Cost:
+    known = [one for one in spent if one is not None]
+    numbers = [11, 3 * (gaussians.degree + 1) ** 2]
+    return Cost(
+        seconds=sum(one.seconds for one in known) if len(known) == len(spent) else None,
+        primitives=len(gaussians),
+        parameters=len(gaussians) * sum(numbers),
+        megabytes=max((one.megabytes for one in known if one.megabytes is not None), default=None),
+    )

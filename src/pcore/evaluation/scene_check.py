@@ -1,0 +1,205 @@
+"""Look at a capture before hours are spent on it: poses, photos, masks, region, and the time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pcore.capture.auto_masks import doubtful, find_masks, overlap
+from pcore.capture.coverage import Coverage, coverage
+from pcore.capture.photo_quality import PhotoQuality, photo_quality
+from pcore.capture.photos import natural_key
+from pcore.capture.pose_contradictions import Contradictions, find_contradictions
+from pcore.capture.reprojection import Reprojection, reprojection
+from pcore.capture.scene_masks import photos_of
+from pcore.capture.voted_hull import hull_silhouettes
+from pcore.data.scene import Scene, View
+from pcore.errors import DependencyError, InputError
+from pcore.evaluation.findings import Finding, findings
+from pcore.geometry.camera import Camera
+from pcore.geometry.object_region import Region
+from pcore.training.forecast import Forecast, forecasts
+from pcore.training.locate import Located, Source, locate
+
+_VOTE, _VOXELS = 0.95, 64
+_SIDE = 160
+"""Longer side of the masks that are held against one another, pixels."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CheckedMasks:
+    """Masks of all views.
+
+    Attributes:
+        masks: (H, W) of each view.
+        agreement: of each with the hull of all, intersection over union.
+        automatic: whether they were cut now.
+    """
+
+    masks: tuple[Tensor, ...]
+    agreement: tuple[float, ...]
+    automatic: bool
+
+    def doubtful(self) -> tuple[int, ...]:
+        """Numbers of the views whose mask contradicts the others'."""
+        return doubtful(self.agreement)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SceneCheck:
+    """All that was measured of a scene.
+
+    Attributes:
+        scene: with masks where it has some.
+        views: of all splits of a capture, of `train` otherwise, in the order of their names.
+        region: where the object is.
+        source: what told so.
+        contradictions: of near poses.
+        quality: sharpness and exposure.
+        coverage: of directions.
+        reprojection: of sparse points; None without any.
+        masks: None where there are none.
+        no_masks: why there are none although they were asked for; empty otherwise.
+        forecasts: of trainings.
+    """
+
+    scene: Scene
+    views: tuple[View, ...]
+    region: Region
+    source: Source
+    contradictions: Contradictions
+    quality: PhotoQuality
+    coverage: Coverage
+    reprojection: Reprojection | None
+    masks: CheckedMasks | None
+    no_masks: str
+    forecasts: tuple[Forecast, ...]
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What stands out, warnings first."""
+        return findings(self)
+
+
+def check_scene(
+    scene: Scene,
+    bare: Scene,
+    *,
+    box: Tensor | None = None,
+    automatic: bool = False,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> SceneCheck:
+    """Measure a scene; nothing is trained and nothing written.
+
+    Args:
+        scene: with the masks that it has or is given.
+        bare: the same without masks: what is behind the object tells whether poses are right.
+        box: (2, 3) corners that the user gives, world units.
+        automatic: cut masks out where the scene has none; not to be had without OpenCV.
+        progress: told what is done, how much of it, and of how much.
+
+    Raises:
+        SceneError: images are damaged, or nothing tells where the object is.
+        InputError: a bad box.
+    """
+    located = locate(scene, box)
+    views, whole = ordered_views(scene), ordered_views(bare)
+    region = located.region
+    masks, why = None, ""
+    if all(view.has_alpha for view in views):
+        masks = _agreed(views, region)
+    elif automatic:
+        masks, why = _automatic(located, whole, progress)
+        if masks is not None:
+            located = _with_masks(located, views, masks, box)
+            region, views = located.region, ordered_views(located.scene)
+    near = find_contradictions(whole, region)
+    return SceneCheck(
+        scene=scene,
+        views=views,
+        region=region,
+        source=located.source,
+        contradictions=near,
+        quality=photo_quality(whole, near.pairs),
+        coverage=coverage([view.camera for view in views], region.center),
+        reprojection=None if scene.sparse is None else reprojection(scene.sparse, whole),
+        masks=masks,
+        no_masks=why,
+        forecasts=forecasts(located.scene),
+    )
+
+
+def ordered_views(scene: Scene) -> tuple[View, ...]:
+    """Views of a capture by name; of scenes whose test views are true ones those of `train`.
+
+    Splits of a capture are every eighth photo of one walk around the object.
+    """
+    splits = ["train"] if scene.states or scene.layout == "NeRF-Synthetic" else scene.splits
+    views = [view for name in splits for view in scene.split(name)]
+    return tuple(sorted(views, key=lambda view: natural_key(view.name)))
+
+
+def _automatic(
+    located: Located,
+    views: Sequence[View],
+    progress: Callable[[str, int, int], None] | None,
+) -> tuple[CheckedMasks | None, str]:
+    def tell(done: int, total: int) -> None:
+        if progress is not None:
+            progress("masks", done, total)
+
+    try:
+        found = find_masks(photos_of(views), located.region, points=located.points, progress=tell)
+    except (DependencyError, InputError) as error:
+        return None, str(error)
+    return CheckedMasks(masks=found.masks, agreement=found.agreement, automatic=True), ""
+
+
+def _with_masks(
+    located: Located, views: Sequence[View], masks: CheckedMasks, box: Tensor | None
+) -> Located:
+    """The scene with masks in memory, and its object found by them."""
+    known = {id(view): mask for view, mask in zip(views, masks.masks, strict=True)}
+    scene = located.scene
+    splits = {
+        name: tuple(
+            _cut_out(view, known[id(view)]) if id(view) in known else view
+            for view in scene.split(name)
+        )
+        for name in scene.splits
+    }
+    region = scene.region if located.source in ("box", "files") else None
+    masked = replace(scene, views=splits, region=region)
+    found = locate(masked, box)
+    return replace(found, source=located.source) if located.source != "points" else found
+
+
+def _cut_out(view: View, mask: Tensor) -> View:
+    return replace(view, image=replace(view.image, cut=mask))
+
+
+def _agreed(views: Sequence[View], region: Region) -> CheckedMasks:
+    """How well masks that are there agree with their own hull, looked at small."""
+    small = [_small(view) for view in views]
+    cameras = [one[0] for one in small]
+    masks = [one[1] for one in small]
+    hulls = hull_silhouettes(cameras, masks, region, votes=(_VOTE,), into=cameras, voxels=_VOXELS)[
+        0
+    ]
+    return CheckedMasks(
+        masks=tuple(view.alpha() for view in views),
+        agreement=tuple(overlap(a, b) for a, b in zip(masks, hulls, strict=True)),
+        automatic=False,
+    )
+
+
+def _small(view: View) -> tuple[Camera, np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]:
+    scale = min(1.0, _SIDE / max(view.camera.width, view.camera.height))
+    size = round(scale * view.camera.height), round(scale * view.camera.width)
+    alpha = torch.nn.functional.interpolate(view.alpha()[None, None], size, mode="area")[0, 0]
+    return view.camera.resized(size[1], size[0]), (alpha > 0.5).numpy().astype(np.uint8)

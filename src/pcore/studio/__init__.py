@@ -1,0 +1,1 @@
+"""Objects in the browser: a page that edits one, and a file that shows one."""

@@ -1,0 +1,225 @@
+"""What widgets and keys of a page can ask for, each by its name."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from pcore.editing.picking import pick
+from pcore.errors import EditError
+from pcore.studio.drawing import OVERLAYS
+from pcore.studio.editor import Editor
+from pcore.studio.handle_edit import HandlePose
+from pcore.studio.viewport import Viewport
+
+if TYPE_CHECKING:
+    from pcore.studio.studio import Studio
+
+COMMANDS = (
+    *("undo", "redo", "add", "select", "enable", "order", "limit", "remove_handle", "cancel"),
+    *(
+        "visible_only",
+        "selection",
+        "freeze",
+        "thaw",
+        "play",
+        "key",
+        "unkey",
+        "overlay",
+        "still",
+        "mirror",
+    ),
+    *("save", "open"),
+)
+"""Wishes that are all fulfilled, in their order."""
+NEWEST = ("set", "rename", "time", "compare")
+"""Wishes of which only the newest counts."""
+OF_TAB = ("camera_key", "screenshot", "film")
+"""Wishes that are all fulfilled and need to know which tab has them."""
+_STEP = 0.08
+"""Seconds between two frames while the timeline plays."""
+_PLAY = 0.02
+"""Time of the timeline that a frame is, as a share of all."""
+
+
+class Actions:
+    """The wishes as methods; they run in the worker and raise `PcoreError`."""
+
+    def __init__(self, studio: Studio) -> None:
+        """Act on a page.
+
+        Args:
+            studio: whose editor and files.
+        """
+        self._studio = studio
+        self._visible_only = True
+        self.playing = False
+        self.save, self.open = studio.files.save, studio.files.open
+        self.camera_key = studio.files.camera_key
+        self.screenshot, self.film = studio.files.screenshot, studio.files.film
+
+    @property
+    def _editor(self) -> Editor:
+        return self._studio.editor
+
+    def undo(self) -> None:
+        """Take the last command back."""
+        self._editor.undo()
+
+    def redo(self) -> None:
+        """Do again what was undone."""
+        self._editor.redo()
+
+    def add(self, kind: str) -> None:
+        """Add an edit."""
+        self._editor.add(kind)
+
+    def select(self, index: int) -> None:
+        """Show another edit."""
+        self._editor.select(index)
+
+    def set(self, index: int, path: str, value: Any) -> None:
+        """Change a value of an edit."""
+        self._editor.set(index, path, value)
+
+    def rename(self, index: int, name: str) -> None:
+        """Name an edit."""
+        self._editor.session.rename(index, name or None)
+
+    def enable(self, index: int, on: bool) -> None:
+        """Let an edit act, or leave it out."""
+        self._editor.session.mute(index, not on)
+
+    def order(self, index: int, what: str) -> None:
+        """Move, copy or delete an edit."""
+        if what in ("Up", "Down"):
+            self._editor.move(index, -1 if what == "Up" else 1)
+        elif what == "Copy":
+            self._editor.duplicate(index)
+        else:
+            self._editor.remove(index)
+
+    def limit(self, index: int) -> None:
+        """Let an edit act in the selection alone."""
+        self._editor.limit(index)
+
+    def remove_handle(self) -> None:
+        """Take the selected handle away."""
+        self._editor.remove_handle()
+
+    def cancel(self) -> None:
+        """Put a drag back."""
+        self._editor.cancel()
+
+    def visible_only(self, on: bool) -> None:
+        """Whether boxes leave out what is covered."""
+        self._visible_only = on
+
+    def selection(self, what: str) -> None:
+        """Invert, grow, shrink or clear the selection."""
+        if what == "Clear":
+            self._shown(chosen=frozenset[int]())
+        else:
+            getattr(self._editor, {"Invert": "invert", "Grow": "grow", "Shrink": "shrink"}[what])()
+
+    def freeze(self) -> None:
+        """Hold the selection."""
+        self._editor.freeze()
+
+    def thaw(self) -> None:
+        """Let everything go."""
+        self._editor.thaw()
+
+    def time(self, time: float) -> None:
+        """Go to a time."""
+        self._editor.at(time)
+
+    def key(self, easing: str | None = None) -> None:
+        """Key the selected edit."""
+        self._editor.key(self._index(), easing)
+
+    def unkey(self, easing: str | None = None) -> None:
+        """Take the keys of the selected edit at this time away; no easing counts."""
+        self._editor.unkey(self._index())
+
+    def overlay(self, name: str | None = None) -> None:
+        """Show an overlay; None is the next one."""
+        now = OVERLAYS.index(self._editor.shown.overlay)
+        self._shown(overlay=name or OVERLAYS[(now + 1) % len(OVERLAYS)])
+
+    def compare(self, share: float) -> None:
+        """Show how the object was before, in a share of the picture."""
+        self._shown(compare=share)
+
+    def still(self, on: bool) -> None:
+        """Whether the light stands still."""
+        self._shown(still=on)
+
+    def mirror(self, axis: str) -> None:
+        """Across which axis handles move in pairs."""
+        self._shown(mirror=axis)
+
+    def play(self, on: bool | None = None) -> None:
+        """Let the timeline run, or stop it; None changes that."""
+        on = not self.playing if on is None else on
+        if on == self.playing:
+            return
+        self.playing = on
+        if on:
+            threading.Thread(target=self._run_time, name="pcore timeline", daemon=True).start()
+
+    def place(self, viewport: Viewport, place: tuple[float, float]) -> None:
+        """Put a handle where a tab's picture shows the object; a place in shares of the picture."""
+        editor, camera = self._editor, viewport.camera()
+        if camera is None:
+            return
+        column, row = place[0] * camera.width, place[1] * camera.height
+        hit = pick(editor.state, camera, column, row, spacing=editor.spacing)
+        if hit is None:
+            raise EditError("handle: there is nothing under the pointer")
+        editor.place_handle(hit.point)
+
+    def choose(self, viewport: Viewport, lower: Any, upper: Any, how: str) -> None:
+        """Select the points in a rectangle of a tab, in shares of its picture."""
+        editor, camera = self._editor, viewport.camera()
+        if camera is not None:
+            sides = (camera.width, camera.height)
+            left, top, right, bottom = (
+                share * side for share, side in zip((*lower, *upper), sides * 2, strict=True)
+            )
+            inside = editor.selector.box(
+                editor.state.points.float(),
+                camera,
+                (left, top, right, bottom),
+                through=not self._visible_only,
+            )
+            editor.choose(inside, how=how)
+
+    def drag(self, pose: HandlePose) -> None:
+        """Show the selected handle elsewhere."""
+        self._editor.drag(pose)
+
+    def drop(self) -> None:
+        """Keep what is dragged."""
+        if not self._editor.drop():
+            raise EditError("drag: space would fold there; back at the last place where it did not")
+
+    def _shown(self, **changes: Any) -> None:
+        self._editor.shown = replace(self._editor.shown, **changes)
+
+    def _index(self) -> int:
+        index = self._editor.shown.selected
+        if index is None:
+            raise EditError("key: expected a selected edit, got none; click one in the list")
+        return index
+
+    def _run_time(self) -> None:
+        pause = threading.Event()
+        while self.playing:
+            times = self._editor.key_times or [0.0, 1.0]
+            length = max(times[-1] - times[0], 1e-9)
+            time = self._editor.session.time
+            later = (time - times[0] + _PLAY * length) % length + times[0]
+            self._studio.newest("play", lambda later=later: self.time(later), light=True)
+            pause.wait(_STEP)

@@ -1,0 +1,165 @@
+"""Files that a page writes, all of them in one folder of the run: edits, pictures, films."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pcore.asset.asset import Asset, Posed
+from pcore.data.pictures import write_png
+from pcore.data.video import VideoWriter
+from pcore.editing.autosave import write_session
+from pcore.editing.session import EditSession
+from pcore.errors import InputError
+from pcore.files.atomic import write_atomically
+from pcore.geometry.camera import Camera
+from pcore.geometry.camera_path import path_through
+from pcore.studio.guard import is_file_name
+
+AUTOSAVE = "autosave.json"
+_FPS = 24
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outputs:
+    """Where a page may write.
+
+    Attributes:
+        folder: of pictures, films and the autosave; made when first needed.
+        edit: the edit file that it saves.
+        run: of the object, for command lines.
+    """
+
+    folder: Path
+    edit: Path
+    run: Path
+
+    def named(self, name: str, ending: str) -> Path:
+        """Return a file beside the edit file, by the name that a page gives.
+
+        Raises:
+            InputError: the name has folders in it, or another ending.
+        """
+        if not is_file_name(name) or not name.lower().endswith(ending):
+            raise InputError(
+                f"name of a file: expected letters, numbers and - _ . that end in {ending}, got "
+                f"{name!r}"
+            )
+        return self.edit.parent / name
+
+    def next(self, stem: str, ending: str) -> Path:
+        """Return a file in the folder that is not there yet, such as picture_002.png."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        numbers = range(1, 100_000)
+        paths = (self.folder / f"{stem}_{number:03}{ending}" for number in numbers)
+        return next(path for path in paths if not path.exists())
+
+    @property
+    def autosave(self) -> Path:
+        """The file that keeps what is not saved."""
+        return self.folder / AUTOSAVE
+
+    def keep(self, session: EditSession, cameras: Sequence[dict[str, Any]]) -> None:
+        """Write the autosave, with the history and the camera keys.
+
+        Raises:
+            EditError: it cannot be written; an old one stays as it is.
+            OSError: its folder cannot be made.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_session(self.autosave, session, {"cameras": list(cameras)})
+
+    def forget(self) -> None:
+        """Remove the autosave: everything in it is saved, or not wanted."""
+        self.autosave.unlink(missing_ok=True)
+
+    @property
+    def left_over(self) -> bool:
+        """Whether there is an autosave that is newer than the edit file."""
+        try:
+            kept = self.autosave.stat().st_mtime
+            return not self.edit.is_file() or kept > self.edit.stat().st_mtime
+        except OSError:
+            return False
+
+    def line(self, picture: str, cameras: Path, *, time: float, light: str | None) -> str:
+        """The command that makes the same picture."""
+        words = ["pcore", "render", str(self.run), "--edit", str(self.edit)]
+        words += ["--time", f"{time:g}", "--cameras", str(cameras)]
+        words += ["--light", light] if light else []
+        return shlex.join([*words, "-o", picture])
+
+
+def camera_frame(camera: Camera) -> dict[str, Any]:
+    """A camera as a frame of a transforms file."""
+    focal = camera.focal
+    return {
+        "transform_matrix": camera.world_from_camera.tolist(),
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": focal[0],
+        "fl_y": focal[1],
+        "cx": float(camera.cx),
+        "cy": float(camera.cy),
+    }
+
+
+def write_cameras(path: Path, cameras: Sequence[Camera]) -> None:
+    """Write cameras of one picture size as a transforms file."""
+    first = camera_frame(cameras[0])
+    frames = [
+        {
+            "file_path": f"frame_{number:04}",
+            "transform_matrix": camera.world_from_camera.tolist(),
+        }
+        for number, camera in enumerate(cameras)
+    ]
+    content = {key: first[key] for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")}
+    write_atomically(path, json.dumps({**content, "frames": frames}, indent=1).encode())
+
+
+def write_picture(
+    outputs: Outputs, asset: Asset, posed: Posed, camera: Camera
+) -> tuple[Path, Path]:
+    """Write an exact picture and the cameras file that makes it again; return both paths."""
+    path = outputs.next("picture", ".png")
+    cameras = path.with_suffix(".json")
+    write_png(path, asset.render(posed, camera).rgb)
+    write_cameras(cameras, [camera])
+    return path, cameras
+
+
+def write_film(
+    path: Path,
+    asset: Asset,
+    frames: Sequence[Posed],
+    keys: Sequence[Camera],
+    *,
+    progress: Callable[[float], None],
+    stopped: Callable[[], bool],
+) -> bool:
+    """Write a film; whether it was finished. A film that was stopped is not kept.
+
+    Args:
+        path: of the video.
+        asset: the object.
+        frames: the object in every frame.
+        keys: cameras that the film goes through; one stands still.
+        progress: told which share is done.
+        stopped: asked before every frame.
+    """
+    cameras = path_through(list(keys), len(frames))
+    with VideoWriter(path, fps=_FPS) as video:
+        for number, picture in enumerate(asset.film(frames, cameras), start=1):
+            if stopped():
+                break
+            video.add(picture.rgb)
+            progress(number / len(frames))
+        else:
+            return True
+    path.unlink(missing_ok=True)
+    return False

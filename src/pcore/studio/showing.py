@@ -1,0 +1,74 @@
+"""Brings an editor's state to the tabs: splats at once, pictures when things rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from pcore.geometry.camera import Camera
+from pcore.studio.drawing import Drawer
+from pcore.studio.editor import Editor
+from pcore.studio.page_frame import PageFrame
+from pcore.studio.viewport import (
+    MOST_PIXELS,
+    Viewport,
+    page_depth,
+    pixels_of,
+    side_by_side,
+)
+
+_COARSE = 0.25
+"""Share of the pixels of the first picture at rest."""
+
+
+class Showing:
+    """What the worker draws with; the editor may be replaced."""
+
+    def __init__(self, editor: Editor, drawer: Drawer, frame: PageFrame) -> None:
+        """Keep them."""
+        self.editor, self._drawer, self._frame = editor, drawer, frame
+
+    def move(self, viewports: Sequence[Viewport]) -> None:
+        """Show the splats of the present state, and red dots where it folds."""
+        state = self.editor.state
+        for viewport in viewports:
+            viewport.show_splats(self._drawer.splats(state, viewport.eye))
+            viewport.moving()
+        self._dots(viewports, overlay="none")
+
+    def rest(self, viewports: Sequence[Viewport], cancelled: Callable[[], bool]) -> Iterator[None]:
+        """Show overlays, then ever better pictures, tab by tab."""
+        editor = self.editor
+        self._dots(viewports, overlay=editor.shown.overlay)
+        yield
+        posed = self._drawer.posed(editor.state, still=editor.shown.still)
+        yield
+        for viewport in viewports:
+            # The colours that this place sees, in the light of now.
+            viewport.show_splats(self._drawer.splats(editor.state, viewport.eye))
+            yield
+            for share in (_COARSE, 1.0):
+                camera = viewport.camera(most=int(share * MOST_PIXELS))
+                if camera is not None:
+                    yield from self._pictures(viewport, camera, posed, cancelled)
+
+    def _pictures(
+        self, viewport: Viewport, camera: Camera, posed: object, cancelled: Callable[[], bool]
+    ) -> Iterator[None]:
+        editor, share = self.editor, self.editor.shown.compare
+        before = pixels_of(self._drawer.before(camera)) if share > 0 else None
+        yield
+        for picture in self._drawer.pictures(posed, camera, cancelled):  # pyright: ignore
+            pixels = pixels_of(picture)
+            if before is not None:
+                pixels = side_by_side(before, pixels, share)
+            if cancelled():
+                return
+            marked = bool(editor.handles)
+            viewport.show_picture(pixels, page_depth(picture, self._frame) if marked else None)
+            yield
+
+    def _dots(self, viewports: Sequence[Viewport], *, overlay: str) -> None:
+        editor = self.editor
+        found = self._drawer.dots(editor.state, overlay, editor.shown.chosen)
+        for viewport in viewports:
+            viewport.show_dots(found.points, found.colors)

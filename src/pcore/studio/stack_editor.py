@@ -1,0 +1,174 @@
+"""An object, its stack of edits and what is shown of it; `Editor` adds handles and selections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pcore.asset.asset import Asset
+from pcore.editing.script import EditScript
+from pcore.editing.selection import Selector
+from pcore.editing.session import EditSession
+from pcore.editing.stack import raw_edit
+from pcore.editing.state import EditState
+from pcore.errors import EditError
+from pcore.geometry.surfels import spacing_of
+from pcore.studio.edit_forms import new_edit
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """What the page shows beside the object; it never changes.
+
+    Attributes:
+        selected: number of the edit whose handles and sliders are shown; None is none.
+        handle: number of its handle that has the gizmo; None is none.
+        chosen: numbers of the points that are selected.
+        overlay: "none", "strain", "holes" or "handles".
+        still: the light stands still, where the object has one.
+        mirror: "off", or the axis across which handles move in pairs: "x", "y" or "z".
+        compare: share of the picture, from the left, that shows the object before the edits.
+    """
+
+    selected: int | None = None
+    handle: int | None = None
+    chosen: frozenset[int] = frozenset()
+    overlay: str = "none"
+    still: bool = True
+    mirror: str = "off"
+    compare: float = 0.0
+
+
+class StackEditor:
+    """An object and its edits; every command either does all or raises."""
+
+    def __init__(self, asset: Asset, edit: Path | Mapping[str, Any] | None = None) -> None:
+        """Begin with an edit file, or its content, or none.
+
+        Raises:
+            EditError: the edit is not valid or does not fit the points.
+        """
+        self.asset = asset
+        self.session = asset.session(edit or EditScript(edits=()))
+        self.shown = Shown()
+        self.spacing = max(spacing_of(asset.points), 1e-9)
+        self.selector = Selector(rest=asset.points)
+        self._dragged: EditState | None = None
+        self._held_raw: dict[str, Any] | None = None
+        self._kept: dict[str, Any] | None = None
+        self._gesture = 0
+        self._check_selected()
+
+    def resume(self, session: EditSession) -> None:
+        """Go on with another session of the same object."""
+        self.session = session
+        self._check_selected()
+
+    @property
+    def state(self) -> EditState:
+        """The object as it is shown: while something is dragged, as it would be."""
+        return self._dragged or self.session.state
+
+    @property
+    def dragging(self) -> bool:
+        """Whether a handle is held."""
+        return self._dragged is not None
+
+    def raw(self, index: int) -> dict[str, Any]:
+        """An edit as an edit file has it, keyframes at the present time."""
+        return raw_edit(self.session.state.script.edits[index])
+
+    def add(self, kind: str) -> None:
+        """Add an edit that changes nothing yet, in the selection if there is one."""
+        region = self.region() if self.shown.chosen else None
+        self.session.do(new_edit(kind, self.session.state.points, region))
+        self._select(len(self.session.stack.edits) - 1)
+
+    def select(self, index: int | None) -> None:
+        """Show the handles and sliders of an edit."""
+        self._select(None if index is None else self.session.stack.checked(index))
+
+    def set(self, index: int, path: str, value: Any) -> None:
+        """Change a value of an edit; where it has keyframes, its key at the present time.
+
+        Changes of one value in a row are one step to undo; `begin` starts another.
+        """
+        if path in self.session.tracks(index):
+            self.session.key(index, path, self.session.time, value)
+            return
+        parent, _, last = path.rpartition("/")
+        if last.isdecimal():  # One of several numbers, which an edit may leave out altogether.
+            whole = [0.0, 1.0] if parent == "limits" else [0.0, 0.0, 0.0]
+            whole = list(self.raw(index).get(parent, whole))
+            whole[int(last)] = value
+            path, value = parent, whole
+        self.session.set(index, path, value, merge=f"{index} {path} {self._gesture}")
+
+    def begin(self) -> None:
+        """Make the next change of a value a step of its own."""
+        self._gesture += 1
+
+    def remove(self, index: int) -> None:
+        """Take an edit out."""
+        self.session.remove(index)
+        self._check_selected()
+
+    def move(self, index: int, by: int) -> None:
+        """Put an edit earlier (by -1) or later (by 1); nothing at the ends."""
+        to = index + by
+        if 0 <= to < len(self.session.stack.edits):
+            self.session.move(index, to)
+            self._select(to)
+
+    def duplicate(self, index: int) -> None:
+        """Put a copy of an edit behind it."""
+        self.session.duplicate(index)
+        self._select(index + 1)
+
+    def undo(self) -> None:
+        """Go back to the state before the last command."""
+        self.session.undo()
+        self._check_selected()
+
+    def redo(self) -> None:
+        """Do again what was undone last."""
+        self.session.redo()
+        self._check_selected()
+
+    def cancel(self) -> None:
+        """Put what is dragged back to where it was."""
+        self._dragged = self._held_raw = self._kept = None
+
+    def region(self) -> dict[str, Any]:
+        """The selection as a region of an edit file.
+
+        Raises:
+            EditError: nothing is selected.
+        """
+        if not self.shown.chosen:
+            raise EditError("selection: expected points, got none; drag a box with Shift held")
+        return {"shape": "points", "ids": sorted(self.shown.chosen)}
+
+    def _whole(self, index: int) -> dict[str, Any]:
+        """An edit as an edit file has it, with all its keyframes."""
+        return raw_edit(self.session.stack.edits[self.session.stack.checked(index)])
+
+    def _kind(self, index: int) -> str:
+        return str(self._whole(index)["type"])
+
+    def _select(self, index: int | None, handle: int | None = None) -> None:
+        self.cancel()
+        self._gesture += 1
+        self.shown = replace(self.shown, selected=index, handle=handle)
+
+    def _check_selected(self) -> None:
+        """After a command: the selected edit may be gone, or have fewer handles."""
+        count, index = len(self.session.stack.edits), self.shown.selected
+        gone = index is None or index >= count
+        index = count - 1 if gone else index
+        handle = None if gone else self.shown.handle
+        if handle is not None and handle >= len(self.raw(index or 0).get("handles", ())):
+            handle = None
+        self._select(index if count else None, handle=handle)

@@ -1,0 +1,300 @@
+"""The page as a whole: tabs, their wishes, one worker that fulfils them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from pcore.asset.asset import Asset
+from pcore.studio.actions import COMMANDS, NEWEST, OF_TAB, Actions
+from pcore.studio.drawing import Drawer
+from pcore.studio.editor import Editor
+from pcore.studio.guard import Guard
+from pcore.studio.handle_edit import HandlePose
+from pcore.studio.handle_nodes import HandleNodes
+from pcore.studio.help_text import HELP, TOUR
+from pcore.studio.outputs import Outputs
+from pcore.studio.page_frame import SIZE, PageFrame
+from pcore.studio.server import open_server
+from pcore.studio.showing import Showing
+from pcore.studio.studio_files import StudioFiles
+from pcore.studio.tabs import Tabs
+from pcore.studio.viewport import Viewport
+from pcore.studio.widgets import Panels
+
+_HOME = (0.75, -0.75, 0.5)
+"""Direction from the object to the first camera."""
+_AWAY = 1.5
+"""Distance of the first camera in sizes of the object."""
+_ANGLE = 0.7
+"""Its vertical field of view, radians."""
+
+
+def _nowhere(error: Exception) -> None:
+    """Say nothing."""
+
+
+class Studio(Tabs):
+    """A running page. `close` ends it."""
+
+    def __init__(
+        self,
+        asset: Asset,
+        guard: Guard,
+        outputs: Outputs,
+        *,
+        title: str,
+        tour: bool = False,
+        report: Callable[[Exception], None] = _nowhere,
+    ) -> None:
+        """Open the page; it answers at `guard.url` when this returns.
+
+        Args:
+            asset: the object.
+            guard: who may use the page.
+            outputs: where it may write; its edit file is opened if it exists.
+            title: of the page.
+            tour: show the first steps.
+            report: told of what should not happen, for the terminal.
+
+        Raises:
+            EditError: the edit file is not valid or does not fit the points.
+            DependencyError: viser is not installed.
+            InputError: the port is taken.
+        """
+        super().__init__(report)
+        edit = outputs.edit if outputs.edit.is_file() else None
+        self.editor, self.title = Editor(asset, edit), title
+        self.outputs, self._tour = outputs, 0 if tour else None
+        self.drawer = Drawer(asset)
+        self.frame = PageFrame.around(asset.points)
+        self.files = StudioFiles(self)
+        self.actions = Actions(self)
+        self.wishes = self._wishes()
+        self._showing = Showing(self.editor, self.drawer, self.frame)
+        self._seen = self.editor.session.history.present.number
+        self.url = guard.url
+        self.server = open_server(guard, label=title)
+        self._wire()
+        self.worker.start()
+        self.worker.do(self._refresh)
+
+    def close(self) -> None:
+        """End the page; the autosave stays."""
+        self.actions.playing = False
+        self.worker.stop()
+        self.server.stop()
+
+    # Tabs
+
+    def _wire(self) -> None:
+        server: Any = self.server
+        scene = server.scene
+        camera = server.initial_camera
+        camera.position = self._eye
+        camera.look_at, camera.up, camera.fov = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), _ANGLE
+        self.panels = Panels(
+            server,
+            self.wishes,
+            lit=self.editor.asset.light is not None,
+            name=self.outputs.edit.name,
+        )
+        self.nodes = HandleNodes(
+            scene, self.frame, selected=self._select_handle, dragged=self._dragged
+        )
+        server.on_client_connect(self._joined)
+        server.on_client_disconnect(self._left)
+        scene.on_click(modifier="cmd/ctrl")(self._clicked)
+        scene.on_rect_select(modifier="shift")(self._boxed)
+        scene.on_rect_select(modifier="cmd/ctrl+shift")(self._boxed)
+        for label, key, modifier, wish, *values in _COMMANDS:
+            self._command(label, key, modifier, wish, values)
+
+    @property
+    def _eye(self) -> tuple[float, float, float]:
+        """Where the first camera is, on the page."""
+        x, y, z = (_AWAY * SIZE * one for one in _HOME)
+        return x, y, z
+
+    def _command(
+        self, label: str, key: str, modifier: str | None, wish: str, values: list[Any]
+    ) -> None:
+        command = self.server.gui.add_command(label, hotkey=key, modifier=modifier)  # pyright: ignore
+
+        @command.on_trigger
+        async def _(event: Any) -> None:
+            self.wishes[wish](int(event.client_id), *values)
+
+    async def _joined(self, client: Any) -> None:
+        viewport = Viewport(client, self.frame, self.editor.asset.provenance.background)
+
+        @client.camera.on_update
+        async def _(_: Any) -> None:
+            viewport.moving()
+            self.worker.draw(None, self._rest)
+
+        def join() -> None:
+            if self._join(viewport):
+                self._offer(client)
+            viewport.fit(self._eye)
+            self._refresh()
+
+        self.worker.do(join)
+
+    async def _left(self, client: Any) -> None:
+        def leave() -> None:
+            self._leave(int(client.client_id))
+            self._refresh()
+
+        self.worker.do(leave)
+
+    def _offer(self, client: Any) -> None:
+        """Offer what an earlier page could not save."""
+        if not self.outputs.left_over or self.editor.session.can_undo:
+            return
+        with client.gui.add_modal("Unsaved edits were found") as modal:
+            client.gui.add_markdown("An earlier page ended before its edits were saved.")
+            for label, take in (("Restore", True), ("Not now", False)):
+                button = client.gui.add_button(label, color=None if take else "gray")
+
+                @button.on_click
+                async def _(_: Any, take: bool = take) -> None:
+                    modal.close()
+                    if take:
+                        self.perform(self.files.restore)
+
+    # Wishes
+
+    def _wishes(self) -> dict[str, Callable[..., None]]:
+        """What widgets and keys ask for, by name; each takes the number of the tab first."""
+        actions = self.actions
+        wishes = {name: self._wish(getattr(actions, name)) for name in COMMANDS}
+        wishes |= {name: self._newest_of(name, getattr(actions, name)) for name in NEWEST}
+        wishes |= {name: self._of_tab(getattr(actions, name)) for name in OF_TAB}
+        return wishes | {
+            "top": self._top,
+            "home": self._home,
+            "help": self._help,
+            "stop_film": self._stop_film,
+            "take_over": self._take_over,
+        }
+
+    async def _clicked(self, event: Any) -> None:
+        self._of_tab(self.actions.place)(int(event.client_id), event.screen_pos)
+
+    async def _boxed(self, event: Any) -> None:
+        how = "replace" if event.modifier == "shift" else "add"
+        choose = self._of_tab(self.actions.choose)
+        choose(int(event.client_id), event.screen_min, event.screen_max, how)
+
+    def _select_handle(self, tab: int, number: int) -> None:
+        if self._may(tab):
+            self.perform(lambda: self.editor.select_handle(number))
+
+    def _dragged(self, tab: int, phase: str, pose: HandlePose) -> None:
+        if tab != self._owner:
+            return
+        if phase == "end":
+            self.perform(self.actions.drop)
+        else:
+            self.newest("drag", lambda: self.actions.drag(pose), light=True)
+
+    def _top(self, tab: int, name: str) -> None:
+        if name == "Save":
+            self.wishes["save"](tab, self.outputs.edit.name)
+        else:
+            self.wishes[name.lower()](tab)
+
+    def _stop_film(self, tab: int) -> None:
+        if tab == self._owner:
+            self.files.stop()
+
+    def _home(self, tab: int) -> None:
+        if (viewport := self._viewports.get(tab)) is not None:
+            camera = viewport.client.camera
+            camera.look_at, camera.position = (0.0, 0.0, 0.0), self._eye
+            viewport.fit(self._eye)
+
+    def _help(self, tab: int) -> None:
+        viewport = self._viewports.get(tab)
+        if viewport is None:
+            return
+        gui = viewport.client.gui
+        with gui.add_modal("Keys and mouse") as modal:
+            gui.add_markdown(HELP)
+            close = gui.add_button("Close")
+
+            @close.on_click
+            async def _(_: Any) -> None:
+                modal.close()
+
+    # Showing
+
+    def _refresh(self) -> None:
+        """Bring everything to the editor's state: panel, handles, splats, and pictures at rest."""
+        editor = self.editor
+        number = editor.session.history.present.number
+        if number != self._seen:
+            self._seen = number
+            self.files.autosave()
+            self._go_on_with_tour()
+        self.panels.show(
+            editor,
+            self._status(),
+            line=self.files.line,
+            camera_keys=len(self.files.cameras),
+            playing=self.actions.playing,
+        )
+        self.panels.several(len(self._viewports))
+        shown = editor.shown
+        self.nodes.show(editor.handles, shown.handle, warn=False, moved=True)
+        self.worker.draw(self._move, self._rest)
+
+    def _show_drag(self) -> None:
+        editor = self.editor
+        warn = len(editor.state.folds) > 0
+        self.nodes.show(editor.handles, editor.shown.handle, warn=warn, moved=False)
+        self.worker.draw(self._move, self._rest)
+
+    def _let_go(self) -> None:
+        self.editor.cancel()
+
+    def _move(self) -> None:
+        self._showing.move(list(self._viewports.values()))
+
+    def _rest(self, cancelled: Callable[[], bool]) -> Any:
+        return self._showing.rest(list(self._viewports.values()), cancelled)
+
+    def _status(self) -> str:
+        count = len(self.editor.session.stack.edits)
+        saved = "saved" if self.files.saved else "not saved"
+        edits = "no edits" if not count else f"{count} edit{'s' * (count > 1)}, {saved}"
+        lines = [f"**{len(self.editor.asset.points):,} points** · {edits}"]
+        if self._said:
+            lines.append(self._said)
+        elif self._tour is not None and self._tour < len(TOUR):
+            lines.append(TOUR[self._tour])
+        return "\n\n".join(lines)
+
+    def _go_on_with_tour(self) -> None:
+        label = self.editor.session.history.present.label
+        done = (label == "do anchors", "anchors" in label, label != "do twist", True)
+        if self._tour is not None and self._tour < len(done) and done[self._tour]:
+            self._tour += 1
+
+
+_COMMANDS: tuple[tuple[Any, ...], ...] = (
+    ("Undo", "Z", "cmd/ctrl", "undo"),
+    ("Redo", "Z", "cmd/ctrl+shift", "redo"),
+    ("Save", "S", "cmd/ctrl", "top", "Save"),
+    ("Freeze selection", "H", None, "freeze"),
+    ("Let everything go", "H", "shift", "thaw"),
+    ("Key selected edit", "I", None, "key"),
+    ("Play or pause", "Space", None, "play"),
+    ("Next overlay", "O", None, "overlay"),
+    ("Whole object", "F", None, "home"),
+    ("Put a drag back", "Escape", None, "cancel"),
+    ("Take handle away", "Delete", None, "remove_handle"),
+    ("Keys and mouse", "/", None, "help"),
+)
+"""Label, key, keys held with it, wish, and its values."""

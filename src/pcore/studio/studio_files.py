@@ -1,0 +1,169 @@
+"""What a page saves, opens, photographs and films."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from pcore.editing.autosave import read_session
+from pcore.errors import EditError, InputError
+from pcore.geometry.camera import Camera
+from pcore.studio.guard import plain
+from pcore.studio.outputs import camera_frame, write_cameras, write_film, write_picture
+from pcore.studio.viewport import Viewport
+
+if TYPE_CHECKING:
+    from pcore.studio.studio import Studio
+
+_LARGEST = 4096
+_MOST_FRAMES = 2000
+
+
+class StudioFiles:
+    """Files of a page, and the camera keys that films go through."""
+
+    def __init__(self, studio: Studio) -> None:
+        """Begin with nothing to save.
+
+        Args:
+            studio: whose editor is saved.
+        """
+        self._studio = studio
+        self.cameras: list[tuple[float, Camera]] = []
+        self.saved, self.line = True, ""
+        self._stopped = threading.Event()
+
+    def autosave(self) -> None:
+        """Keep what would be lost; a full disk is said and ends nothing."""
+        self.saved = False
+        try:
+            self._studio.outputs.keep(self._studio.editor.session, self._frames())
+        except (OSError, EditError) as error:
+            self._studio.say(f"⚠ Autosave is not possible: {plain(str(error))}")
+
+    def save(self, name: str) -> None:
+        """Write the edit file, by the name that the page gives.
+
+        Raises:
+            InputError: a name that is none.
+            EditError: the file cannot be written.
+        """
+        outputs, editor = self._studio.outputs, self._studio.editor
+        path = outputs.named(name, ".json")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        editor.session.save(path)
+        outputs.forget()
+        self.saved = True
+        self._studio.say(f"Saved as {path.name}.")
+
+    def open(self, name: str) -> None:
+        """Take the edits of a file beside the edit file; undo brings the present ones back.
+
+        Raises:
+            InputError: a name that is none, or no such file.
+            EditError: the file is not valid or does not fit the points.
+        """
+        path = self._studio.outputs.named(name, ".json")
+        if not path.is_file():
+            raise InputError(f"open: expected an edit file in {path.parent.name}, got no {name}")
+        self._studio.editor.session.load(path)
+        self._studio.editor.select(None)
+        self._studio.say(f"Opened {name}.")
+
+    def camera_key(self, viewport: Viewport, what: str) -> None:
+        """Key a tab's camera at the present time, or forget all camera keys."""
+        camera, time = viewport.camera(), self._studio.editor.session.time
+        if what == "Clear":
+            self.cameras = []
+        elif camera is not None:
+            others = [(at, one) for at, one in self.cameras if at != time]
+            self.cameras = sorted([*others, (time, camera)], key=lambda key: key[0])
+        self.autosave()
+
+    def screenshot(self, viewport: Viewport, width: int) -> None:
+        """Write an exact picture of what a tab sees, and say which command makes it again."""
+        studio, camera = self._studio, self._sized(viewport, width)
+        editor = studio.editor
+        posed = studio.drawer.posed(editor.state, still=editor.shown.still)
+        path, cameras = write_picture(studio.outputs, editor.asset, posed, camera)
+        light = None if editor.shown.still or editor.asset.light is None else "baked"
+        line = studio.outputs.line("OUT", cameras, time=editor.session.time, light=light)
+        unsaved = "" if self.saved else "\n\nSave first: the command reads the saved edits."
+        self.line = f"The same picture on the command line:\n\n```\n{line}\n```{unsaved}"
+        studio.say(f"Wrote {path.name}.")
+
+    def film(self, viewport: Viewport, count: int, width: int) -> None:
+        """Write a film of all keyframes, along the camera keys where there are two or more."""
+        studio = self._studio
+        if not 2 <= count <= _MOST_FRAMES:
+            raise InputError(f"film: expected 2 to {_MOST_FRAMES} frames, got {count}")
+        asset, stack = studio.editor.asset, studio.editor.session.stack
+        light = None if studio.editor.shown.still else "baked"
+        times = stack.animation.times(count) if stack.animated else [0.0] * count
+        posed = {t: asset.pose(stack.at(t), light=light) for t in dict.fromkeys(times)}
+        keys = [camera for _, camera in self.cameras]
+        first = self._sized(viewport, width)
+        keys = [one.resized(first.width, first.height) for one in keys] or [first]
+        path = studio.outputs.next("film", ".mp4")
+        write_cameras(path.with_suffix(".json"), keys)
+        self._stopped.clear()
+        try:
+            done = write_film(
+                path,
+                asset,
+                [posed[time] for time in times],
+                keys,
+                progress=studio.panels.progress,
+                stopped=self._stopped.is_set,
+            )
+        finally:
+            studio.panels.progress(None)
+        studio.say(f"Wrote {path.name}." if done else "The film was stopped.")
+
+    def stop(self) -> None:
+        """End the film that is being written."""
+        self._stopped.set()
+
+    def restore(self) -> None:
+        """Go on with the autosave; its camera keys that are damaged are left out.
+
+        Raises:
+            EditError: it is damaged, or of another object.
+        """
+        studio = self._studio
+        asset = studio.editor.asset
+        found = read_session(studio.outputs.autosave, asset.points, rig=asset.rig)
+        studio.editor.resume(found.session)
+        frames: Any = found.view.get("cameras", []) if isinstance(found.view, dict) else []
+        self.cameras = [key for key in map(_camera_key, frames) if key is not None]
+        studio.say("Restored what was not saved.")
+
+    def _frames(self) -> list[dict[str, Any]]:
+        return [{"time": time, **camera_frame(camera)} for time, camera in self.cameras]
+
+    def _sized(self, viewport: Viewport, width: int) -> Camera:
+        camera = viewport.camera()
+        if camera is None:
+            raise EditError("picture: the window has no size yet")
+        if not 16 <= width <= _LARGEST:
+            raise InputError(f"picture: expected a width of 16 to {_LARGEST}, got {width}")
+        height = max(16, round(width * camera.height / camera.width / 2) * 2)
+        return camera.resized(round(width / 2) * 2, height)
+
+
+def _camera_key(frame: Any) -> tuple[float, Camera] | None:
+    try:
+        camera = Camera(
+            world_from_camera=torch.tensor(frame["transform_matrix"]),
+            width=int(frame["w"]),
+            height=int(frame["h"]),
+            fx=float(frame["fl_x"]),
+            fy=float(frame["fl_y"]),
+            cx=float(frame["cx"]),
+            cy=float(frame["cy"]),
+        )
+        return float(frame["time"]), camera
+    except (KeyError, TypeError, ValueError, InputError):
+        return None

@@ -1,0 +1,178 @@
+"""What one tab of a page shows of the object: splats while things move, pictures at rest."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pcore.asset.content import Color
+from pcore.data.pictures import to_bytes
+from pcore.gaussians.splats import Splats
+from pcore.geometry.camera import Camera
+from pcore.render.image import Image
+from pcore.studio.page_frame import SIZE, PageFrame
+
+MOST_PIXELS = 480_000
+"""Of a picture at rest; tabs that are larger show it enlarged."""
+_LEAST = 16
+_FAR = 160.0
+"""Depth on the page of what is not there; viser's code for depths ends at 167."""
+_SLACK = 0.3
+"""Depth on the page that handles may lie below the surface and still be seen."""
+_LOWER = 0.25
+"""How far below the object high windows look, in sizes of it."""
+_OVERLAP = 0.12
+"""Seconds that a picture stays behind splats that become visible."""
+_QUALITY = 92
+
+
+class Viewport:
+    """The scene of one tab; all methods send messages and never wait for an answer."""
+
+    def __init__(self, client: Any, frame: PageFrame, background: Color) -> None:
+        """Begin with an empty scene.
+
+        Args:
+            client: of viser.
+            frame: where things are on the page.
+            background: behind the object.
+        """
+        self.client, self._frame = client, frame
+        paint = [round(255 * one) for one in background]
+        # A scene without a picture behind it is black once it had one.
+        self._empty = np.array([[paint] * 2] * 2, dtype=np.uint8)
+        client.scene.set_background_image(self._empty, format="png")
+        self._splats: Any = None
+        self._dots: Any = None
+        self._resting = False
+        self._since: float | None = None
+
+    @property
+    def number(self) -> int:
+        """Of the tab."""
+        return int(self.client.client_id)
+
+    def camera(self, *, most: int = MOST_PIXELS) -> Camera | None:
+        """The tab's camera; None as long as its window has no size.
+
+        Args:
+            most: pixels of its pictures; with more the picture is smaller than the window.
+        """
+        eye = self.client.camera
+        width, height = int(eye.image_width), int(eye.image_height)
+        if min(width, height) < 1:
+            return None
+        share = min(1.0, (most / (width * height)) ** 0.5)
+        return self._frame.camera(
+            eye.position,
+            eye.wxyz,
+            float(eye.fov),
+            max(_LEAST, round(width * share)),
+            max(_LEAST, round(height * share)),
+        )
+
+    @property
+    def eye(self) -> Tensor:
+        """(3,) where the tab looks from, world units."""
+        return torch.from_numpy(self._frame.to_world(self.client.camera.position)).float()
+
+    def fit(self, eye: tuple[float, float, float]) -> None:
+        """In a window that is higher than wide, step back until the object fits its width.
+
+        Args:
+            eye: (3,) on the page, where the object fits a window that is wide enough.
+        """
+        camera = self.client.camera
+        away = int(camera.image_height) / max(int(camera.image_width), 1)
+        if away > 1.0:
+            # The panel covers the lower part of such a window.
+            x, y, z = (away * one for one in eye)
+            down = _LOWER * away * SIZE
+            camera.position, camera.look_at = (x, y, z - down), (0.0, 0.0, -down)
+
+    def moving(self) -> None:
+        """Show the splats that there are, at once.
+
+        The picture before them stays for a moment: browsers sort splats that become visible first,
+        and would show nothing meanwhile.
+        """
+        now = time.monotonic()
+        if self._resting:
+            self._resting, self._since = False, now
+            if self._splats is not None:
+                self._splats.visible = True
+        elif self._since is not None and now > self._since + _OVERLAP:
+            self._since = None
+            self.client.scene.set_background_image(self._empty, format="png")
+
+    def show_splats(self, splats: Splats) -> None:
+        """Show other splats."""
+        if self._splats is None:
+            self._splats = self.client.scene.add_gaussian_splats(
+                "/object",
+                centers=self._frame.to_page(splats.centers),
+                covariances=splats.covariances * self._frame.scale**2,
+                rgbs=splats.rgb,
+                opacities=splats.opacities[:, None],
+            )
+        else:
+            self._splats.buffer = self._frame.buffer(splats)
+
+    def show_picture(self, pixels: NDArray[np.uint8], depth: NDArray[np.float32] | None) -> None:
+        """Show a picture of ours in the place of the splats."""
+        self._resting, self._since = True, None
+        with self.client.atomic():
+            self.client.scene.set_background_image(
+                pixels, format="jpeg", jpeg_quality=_QUALITY, depth=depth
+            )
+            if self._splats is not None:
+                self._splats.visible = False
+
+    def show_dots(self, points: Tensor, colors: Tensor) -> None:
+        """Show coloured dots over the object; (0, 3) points for none."""
+        if self._dots is not None:
+            self._dots.remove()
+            self._dots = None
+        if len(points):
+            self._dots = self.client.scene.add_point_cloud(
+                "/dots",
+                points=self._frame.to_page(points.numpy()),
+                colors=colors.numpy().astype(np.uint8),
+                point_size=0.09,
+                point_shape="circle",
+                precision="float32",
+            )
+
+
+def pixels_of(image: Image) -> NDArray[np.uint8]:
+    """Colours (H, W, 3) of a picture."""
+    return to_bytes(image.rgb).cpu().numpy()
+
+
+def page_depth(image: Image, frame: PageFrame) -> NDArray[np.float32]:
+    """Depths (H, W) of a picture on the page, by which handles hide behind the object."""
+    depth = torch.where(image.alpha > 0.5, image.depth, torch.nan) * frame.scale
+    return (
+        torch.nan_to_num(depth, nan=_FAR)
+        .add(_SLACK)
+        .clamp(0.0, _FAR)
+        .cpu()
+        .numpy()
+        .astype(np.float32)
+    )
+
+
+def side_by_side(
+    left: NDArray[np.uint8], right: NDArray[np.uint8], share: float
+) -> NDArray[np.uint8]:
+    """The left part of one picture beside the right part of another, and a line between."""
+    seam = round(share * left.shape[1])
+    both = np.concatenate([left[:, :seam], right[:, seam:]], axis=1)
+    if 0 < seam < both.shape[1]:
+        both[:, max(0, seam - 1) : seam + 1] = (0, 150, 136)
+    return both

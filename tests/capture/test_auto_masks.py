@@ -1,0 +1,57 @@
+"""Masks cut out of photos: near the truth, the same in every unit, doubtful where wrong."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from pcore.capture.auto_masks import find_masks
+from pcore.errors import InputError
+from pcore.geometry.object_region import Region, region_of_box
+from room_scene import moved_camera, photos, picture, similarity
+
+pytest.importorskip("cv2", reason="automatic masks need OpenCV")
+
+BOX = region_of_box(torch.full((3,), -0.9), torch.full((3,), 0.9))
+
+
+def _overlap(mask: Tensor, truth: Tensor) -> float:
+    one, other = mask > 0.5, truth > 0.5
+    return float((one & other).sum() / (one | other).sum())
+
+
+def test_masks_are_near_the_truth_also_for_views_without_a_vote() -> None:
+    shot, truth = photos(12)
+    found = find_masks(shot[:10], BOX, judged=shot[10:])
+    assert min(_overlap(m, t) for m, t in zip(found.masks, truth, strict=True)) > 0.95
+    assert found.doubtful() == ()
+
+
+def test_a_scene_in_other_units_has_the_same_masks() -> None:
+    shot, _ = photos(8)
+    turn, shift, scale = motion = similarity()
+    region = Region(center=turn @ BOX.center * scale + shift, radius=BOX.radius * scale)
+    there = [replace(one, camera=moved_camera(one.camera, motion)) for one in shot]
+    here = find_masks(shot, Region(center=BOX.center, radius=BOX.radius))
+    again = find_masks(there, region)
+    # The grid of voxels is not turned along: rims may differ by a pixel.
+    pairs = zip(here.masks, again.masks, strict=True)
+    assert min(_overlap(a, b) for a, b in pairs) > 0.97
+
+
+def test_a_photo_of_something_else_is_doubtful() -> None:
+    shot, _ = photos(10)
+    _, _, scale = 0, 0, 1.0
+    empty, _ = picture(
+        moved_camera(shot[3].camera, (torch.eye(3), torch.tensor([0, 0, 1.1]), scale))
+    )
+    shot[3] = replace(shot[3], rgb=empty)
+    assert 3 in find_masks(shot, BOX).doubtful()
+
+
+def test_a_region_that_no_photo_shows_is_refused() -> None:
+    shot, _ = photos(4)
+    far = Region(center=torch.tensor([0.0, 0.0, 500.0]), radius=1.0)
+    with pytest.raises(InputError, match="--box"):
+        find_masks(shot, far)

@@ -1,0 +1,98 @@
+"""What is measured of a capture: near poses, sharpness, exposure, coverage, reprojection."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from pcore.capture.coverage import coverage
+from pcore.capture.load import load_scene
+from pcore.capture.photo_quality import photo_quality
+from pcore.capture.pose_contradictions import find_contradictions
+from pcore.capture.reprojection import reprojection
+from pcore.data.scene import View
+from pcore.data.sparse import Sightings, SparsePoints
+from pcore.geometry.object_region import Region
+from room_scene import cameras, write_room
+
+BALL = Region(center=torch.zeros(3), radius=0.7)
+
+
+def _views(folder: Path) -> list[View]:
+    scene = load_scene(folder)
+    found = [view for name in scene.splits for view in scene.split(name)]
+    return sorted(found, key=lambda view: view.name)
+
+
+def test_true_poses_do_not_contradict_one_another(tmp_path: Path) -> None:
+    found = find_contradictions(_views(write_room(tmp_path / "room", 80)), BALL)
+    assert len(found.pairs) >= 80
+    assert found.usual is not None
+    assert found.usual > 0.9
+    assert found.contradicting == ()
+
+
+def test_photos_at_each_others_poses_contradict_their_neighbours(tmp_path: Path) -> None:
+    views = _views(write_room(tmp_path / "room", 80))
+    # The second half of the walk is folded onto the first.
+    folded = [replace(view, camera=views[number % 40].camera) for number, view in enumerate(views)]
+    found = find_contradictions(folded, BALL)
+    assert len(found.contradicting) > 5
+    assert found.contradicting[0].alike < 0.5
+
+
+def test_a_dark_photo_stands_out(tmp_path: Path) -> None:
+    views = _views(write_room(tmp_path / "room", 80, dark=13))
+    near = find_contradictions(views, BALL).pairs
+    found = photo_quality(views, near)
+    assert found.odd_exposure == (13,)
+    assert float(found.stops[13].mean()) == pytest.approx(math.log2(0.4), abs=0.3)
+
+
+def test_even_photos_do_not_stand_out(tmp_path: Path) -> None:
+    views = _views(write_room(tmp_path / "room", 60))
+    found = photo_quality(views, find_contradictions(views, BALL).pairs)
+    assert found.odd_exposure == ()
+    assert found.blurred == ()
+    assert not found.drifts
+
+
+def test_a_blurred_photo_stands_out(tmp_path: Path) -> None:
+    views = _views(write_room(tmp_path / "room", 20))
+    path = views[7].image.path
+    from PIL import Image, ImageFilter
+
+    with Image.open(path) as image:
+        image.filter(ImageFilter.GaussianBlur(2.5)).save(path)
+    again = _views(tmp_path / "room")
+    assert photo_quality(again, ()).blurred == (7,)
+
+
+def test_a_ring_has_no_gap_and_half_of_it_one_of_half() -> None:
+    ring = cameras(24)
+    whole = coverage(ring, torch.zeros(3))
+    assert whole.gap == pytest.approx(15, abs=0.1)
+    assert float(whole.elevation.mean()) == pytest.approx(math.degrees(0.4), abs=0.1)
+    half = coverage(ring[:12], torch.zeros(3))
+    assert half.gap == pytest.approx(195, abs=30)
+    assert half.sphere < whole.sphere
+
+
+def test_reprojection_is_in_pixels_of_the_files(tmp_path: Path) -> None:
+    scene = load_scene(write_room(tmp_path / "room", 9), factor=2)
+    views = [view for name in scene.splits for view in scene.split(name)]
+    points = torch.tensor([[0.1, 0.2, 0.3], [-0.2, 0.1, 0.0]])
+    column, row, _ = views[0].camera.project(points)
+    places = torch.stack([column + 1.5, row], dim=-1)
+    seen = Sightings(
+        names=(views[0].name,),
+        points=torch.tensor([0, 1]),
+        views=torch.tensor([0, 0]),
+        places=places,
+    )
+    found = reprojection(SparsePoints(positions=points, sightings=seen), views)
+    assert found is not None
+    assert found.mean == pytest.approx(3.0, abs=1e-3)
+    assert reprojection(SparsePoints(positions=points), views) is None

@@ -1,0 +1,135 @@
+"""`pcore check`: what it says, what it writes, what it refuses."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from pcore.capture.load import load_scene
+from pcore.cli.main import main
+from pcore.data.pictures import write_mask
+from pcore.evaluation.check_page import check_page
+from pcore.evaluation.scene_check import SceneCheck, check_scene
+from room_scene import cameras, picture, write_room
+
+pytest.importorskip("cv2", reason="automatic masks need OpenCV")
+BOX = ["--box", "-0.9", "-0.9", "-0.9", "0.9", "0.9", "0.9"]
+
+
+@pytest.fixture(autouse=True)
+def _no_timing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Timing real steps is what other tests are for."""
+    monkeypatch.setattr("pcore.evaluation.scene_check.forecasts", lambda scene: ())
+
+
+def _tree(folder: Path) -> dict[str, bytes]:
+    return {str(p): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_it_says_what_was_found_and_leaves_the_folder_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = write_room(tmp_path / "room", 16)
+    (room / "images" / "0003.png").unlink()
+    before = _tree(room)
+    page = tmp_path / "report.html"
+    assert main(["check", str(room), *BOX, "--html", str(page)]) == 0
+    said = capsys.readouterr().out
+    assert "15 photos" in said
+    assert "skipped" in said
+    assert "0003.png" in said
+    assert "masks cut automatically agree with one hull" in said
+    assert "by the box that was given" in said
+    assert _tree(room) == before
+    text = page.read_text()
+    assert "<svg" in text
+    assert "data:image/jpeg" in text
+    assert "http" not in text.replace("http-equiv", "")
+
+
+def test_masks_go_out_and_come_back(tmp_path: Path) -> None:
+    room = write_room(tmp_path / "room", 12)
+    masks = tmp_path / "masks"
+    assert main(["check", str(room), *BOX, "--masks-out", str(masks)]) == 0
+    assert sorted(p.name for p in masks.iterdir()) == [f"{i:04d}.png" for i in range(12)]
+    scene = load_scene(room, masks=masks)
+    assert 350 < float(scene.split("train")[0].alpha().sum()) < 550
+
+
+def test_a_corrected_copy_is_a_scene_with_masks_cut_to_the_object(tmp_path: Path) -> None:
+    room = write_room(tmp_path / "room", 12)
+    fixed = tmp_path / "fixed"
+    assert main(["check", str(room), *BOX, "--fix", str(fixed)]) == 0
+    before, after = load_scene(room), load_scene(fixed)
+    assert [len(after.split(s)) for s in after.splits] == [
+        len(before.split(s)) for s in ("train", "test")
+    ]
+    for view in after.split("train"):
+        assert view.has_alpha
+        assert view.camera.width < 48
+        old = next(v for v in before.split("train") if v.name == view.name)
+        place = torch.zeros(1, 3)
+        column, row, _ = view.camera.project(place)
+        there = old.camera.project(place)
+        own = view.rgba()[int(row), int(column)]
+        assert torch.allclose(own, old.rgba()[int(there[1]), int(there[0])], atol=1 / 128)
+
+
+@pytest.mark.parametrize("option", ["--fix", "--masks-out", "--html"])
+def test_nothing_is_written_into_the_scene(
+    tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = write_room(tmp_path / "room", 9)
+    before = _tree(room)
+    assert main(["check", str(room), *BOX, option, str(room / "new")]) == 2
+    assert "never written to" in capsys.readouterr().err
+    assert _tree(room) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--box", "1", "2", "3"], "expected six numbers"),
+        (["--box", "1", "0", "0", "0", "1", "1"], "lower corner below an upper"),
+        (["--masks", "nowhere"], "no such folder"),
+    ],
+)
+def test_bad_options_are_one_message(
+    tmp_path: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = write_room(tmp_path / "room", 9)
+    assert main(["check", str(room), *options]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_names_of_files_cannot_write_the_page(tmp_path: Path) -> None:
+    room = write_room(tmp_path / "<b>room", 9)
+    scene = load_scene(room)
+    found: SceneCheck = check_scene(scene, scene)
+    page = check_page(found, ["pcore train <x>"])
+    assert "<b>room" not in page
+    assert "<x>" not in page
+
+
+def test_a_scene_without_masks_is_told_to_have_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = write_room(tmp_path / "room", 9)
+    assert main(["check", str(room), "--masks", "none"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the photos have no masks" in said
+    assert "9 photos are few" in said
+
+
+def test_a_wrong_mask_among_given_ones_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = write_room(tmp_path / "room", 24)
+    folder = tmp_path / "cut"
+    folder.mkdir()
+    for number, camera in enumerate(cameras(24)):
+        mask = picture(camera)[1]
+        write_mask(folder / f"{number:04d}.png", mask.roll(14, dims=1) if number == 5 else mask)
+    assert main(["check", str(room), *BOX, "--masks", str(folder)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 of 24 photos (0005) is doubtful" in said

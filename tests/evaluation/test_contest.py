@@ -1,0 +1,221 @@
+"""Comparisons: nothing is done twice, one failure stops nothing, seeds become one row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tests.asset.test_lit_gaussians import lit_asset
+
+import tiny_scene
+from pcore.asset.asset import Asset
+from pcore.asset.saving import asset_of
+from pcore.errors import EditError
+from pcore.evaluation.asset_method import AssetMethod
+from pcore.evaluation.contest import Contest, Contestant, Cost, Entry, Outcome
+from pcore.evaluation.contest_tables import contest_csv, lines_of, quality_rows
+from pcore.evaluation.contestants import RULES, Given, given_entries, rule_entries
+from pcore.evaluation.rival_entries import BOUND, VOXELS, Workshop
+from pcore.evaluation.states import SceneStates, State, open_states
+from pcore.model.papr import Papr
+from pcore.rivals.voxel_fit import VoxelConfig
+from pcore.training.gaussian_config import DensityConfig, GaussianConfig
+
+
+@pytest.fixture(scope="module")
+def states(tmp_path_factory: pytest.TempPathFactory) -> SceneStates:
+    return open_states(tiny_scene.write_scene(tmp_path_factory.mktemp("scenes") / "box"))
+
+
+def perfect() -> AssetMethod:
+    asset = asset_of(Papr(tiny_scene.CONFIG), tiny_scene.corner_cloud())
+    return AssetMethod(name="true", asset=asset, rays="plain", take=tiny_scene.draw_box)
+
+
+class Folds(AssetMethod):
+    """Cannot follow one state."""
+
+    def pose(self, state: State):
+        if state.name == "walk":
+            raise EditError("state walk: folds at 3 points")
+        return super().pose(state)
+
+
+def entry(make: Callable[[], Contestant], *, name: str = "true", seed: int = 0) -> Entry:
+    return Entry(name=name, setting="given", seed=seed, stamp="a", make=make)
+
+
+def counted() -> tuple[list[int], Callable[[], Contestant]]:
+    calls: list[int] = []
+
+    def make() -> Contestant:
+        calls.append(1)
+        return Contestant(method=perfect(), cost=Cost(seconds=2.0, primitives=8))
+
+    return calls, make
+
+
+def test_what_is_on_the_disk_is_not_done_again(states: SceneStates, tmp_path: Path) -> None:
+    calls, make = counted()
+    contest = Contest(folder=tmp_path, states=states.select(["all"]), stamp="x")
+    first = contest.run([entry(make)])
+    again = contest.run([entry(make)])
+    assert len(calls) == 1
+    assert [replace(one, rows=()) for one in again] == [replace(one, rows=()) for one in first]
+    assert [one.rows for one in again] == [one.rows for one in first]
+    # Another scene or another training: done again.
+    replace(contest, stamp="y").run([entry(make)])
+    replace(contest, stamp="y").run([replace(entry(make), stamp="b")])
+    assert len(calls) == 3
+
+
+def test_what_was_killed_goes_on(states: SceneStates, tmp_path: Path) -> None:
+    _, make = counted()
+    chosen = states.select(["all"])
+
+    def kill(outcome: Outcome) -> None:
+        if outcome.state == "grown":
+            raise KeyboardInterrupt
+
+    contest = Contest(folder=tmp_path, states=chosen, stamp="x")
+    with pytest.raises(KeyboardInterrupt):
+        contest.run([entry(make)], kill)
+    drawn: list[str] = []
+
+    def watched() -> Contestant:
+        made = make()
+        method = made.method
+
+        class Watched(AssetMethod):
+            def pose(self, state: State):
+                drawn.append(state.name)
+                return super().pose(state)
+
+        assert isinstance(method, AssetMethod)
+        return replace(made, method=Watched(**vars(method)))
+
+    assert len(contest.run([entry(watched)])) == 3
+    assert drawn == ["walk"]
+
+
+def test_one_failure_stops_nothing(states: SceneStates, tmp_path: Path) -> None:
+    def broken() -> Contestant:
+        raise RuntimeError("needs a GPU with nvcc")
+
+    folds = Folds(**{**vars(perfect()), "name": "folds"})
+    entries = [
+        entry(broken, name="broken"),
+        entry(lambda: Contestant(method=folds), name="folds"),
+        entry(counted()[1]),
+    ]
+    contest = Contest(folder=tmp_path, states=states.select(["all"]), stamp="x")
+    lines = lines_of(contest.run(entries), "standard")
+    assert lines[0].failed == dict.fromkeys(
+        ["canonical", "grown", "walk"], "RuntimeError: needs a GPU with nvcc"
+    )
+    assert lines[1].failed == {"walk": "state walk: folds at 3 points"}
+    assert lines[2].failed == {}
+    rows = quality_rows(lines, ["grown", "walk"], "foreground_psnr")
+    assert [values for _, values in rows] == [("failed",) * 2, ("∞", "failed"), ("∞", "∞")]
+    assert "needs a GPU with nvcc" in contest_csv(lines).decode()
+    # Failures are tried again.
+    calls, make = counted()
+    contest.run([entry(make, name="broken")])
+    assert calls == [1]
+
+
+def test_seeds_are_one_row_with_a_spread(states: SceneStates, tmp_path: Path) -> None:
+    def off(amount: float) -> Callable[[], Contestant]:
+        def draw(asset: Asset, posed, camera):
+            seen = tiny_scene.draw_box(asset, posed, camera)
+            return replace(seen, rgb=seen.rgb * (1 - amount))
+
+        return lambda: Contestant(method=replace(perfect(), take=draw))
+
+    contest = Contest(folder=tmp_path, states=states.select([]), stamp="x")
+    outcomes = contest.run([entry(off(0.1), seed=0), entry(off(0.2), seed=1)])
+    (line,) = lines_of(outcomes, "standard")
+    cell = line.cells["canonical"]["psnr"]
+    assert line.seeds == 2
+    assert cell.value is not None
+    assert cell.spread is not None
+    # A factor of two in the error, of 8 bits, is about 6.02 dB; the deviation of two figures is
+    # that divided by sqrt 2.
+    assert cell.spread == pytest.approx(6.02 / 2**0.5, abs=0.2)
+    ((keys, (text,)),) = quality_rows([line], ["canonical"], "psnr")
+    assert keys == ("true", "as given, 2 seeds")
+    assert "±" in text
+
+
+def test_every_rule_draws_gaussians(states: SceneStates, tmp_path: Path) -> None:
+    found = rule_entries(
+        "given", 0, "x", [*RULES], lambda: (lit_asset(), None), states.scene, suffix=" (x)"
+    )
+    assert [one.name for one in found] == [f"{name} (x)" for name in RULES.values()]
+    outcomes = Contest(folder=tmp_path, states=states.select(["grown"]), stamp="x").run(found)
+    assert [one.failed for one in outcomes] == [None] * 10
+    psnr = {one.name: one.rows[0].scores["psnr"] for one in outcomes if one.state == "canonical"}
+    assert len({*psnr.values()}) == 1
+
+
+def test_runs_that_differ_in_their_seed_are_one_method(states: SceneStates) -> None:
+    asset = perfect().asset
+
+    def given(seed: int, points: int = 8) -> Given:
+        config = {"pretrain": {"seed": seed, "points": points}}
+        record = replace(asset.record, config=config, path=Path(f"run-{seed}-{points}"))
+        return Given(asset=replace(asset, record=record), stamp=str(seed))
+
+    def names(*runs: Given) -> list[tuple[str, int]]:
+        return [(e.name, e.seed) for e in given_entries(runs, states.scene, ["papr"])]
+
+    assert names(given(0), given(1)) == [("PAPR", 0), ("PAPR", 1)]
+    assert names(given(0), given(1, 9)) == [("PAPR (run-0-8)", 0), ("PAPR (run-1-9)", 1)]
+
+
+def test_rivals_are_trained_once_and_kept(states: SceneStates, tmp_path: Path) -> None:
+    shop = Workshop(
+        folder=tmp_path / "trained",
+        scene=states.scene,
+        config=GaussianConfig(
+            steps=60, points=150, degree=1, density=DensityConfig(limit=200), validate_every=60
+        ),
+        primitives=120,
+        seconds=0.5,
+    )
+    contest = Contest(folder=tmp_path, states=states.select(["grown"]), stamp="x")
+    entries = shop.entries(["3dgs-affine", "mani-gs"], ["primitives"], [0])
+    outcomes = contest.run(entries)
+    assert {one.name for one in outcomes} == {RULES["3dgs-affine"], BOUND}
+    assert [one.failed for one in outcomes] == [None] * 4
+    free, bound = outcomes[0].cost, outcomes[2].cost
+    assert free.primitives is not None
+    assert free.primitives <= 120
+    assert bound.seconds is not None
+    assert free.seconds is not None
+    assert bound.seconds > free.seconds  # Its first stage is the free one.
+    before = {one: one.stat().st_mtime_ns for one in (tmp_path / "trained").glob("*.safetensors")}
+    again = replace(contest, stamp="y").run(shop.entries(["mani-gs"], ["primitives"], [0]))
+    assert {one: one.stat().st_mtime_ns for one in before} == before
+    assert again[0].rows == outcomes[2].rows
+    assert again[0].cost == bound
+
+
+@pytest.mark.slow
+def test_a_voxel_field_is_trained_for_its_time(states: SceneStates, tmp_path: Path) -> None:
+    shop = Workshop(
+        folder=tmp_path / "trained",
+        scene=states.scene,
+        config=GaussianConfig(steps=60, points=150, degree=0, density=DensityConfig(limit=200)),
+        primitives=120,
+        seconds=2.0,
+        voxels=VoxelConfig(cells=10, steps=150, rays=300),
+    )
+    assert not shop.entries(["voxels"], ["primitives"], [0])
+    contest = Contest(folder=tmp_path, states=states.select(["grown"]), stamp="x")
+    for one in contest.run(shop.entries(["voxels"], ["time"], [0])):
+        assert one.name == VOXELS
+        assert one.failed is None
+        assert one.cost.primitives is not None

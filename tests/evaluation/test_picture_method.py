@@ -1,0 +1,110 @@
+"""Folders of pictures as methods, and how they can be wrong."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import tiny_scene
+from pcore.errors import InputError
+from pcore.evaluation.picture_method import open_pictures
+from pcore.evaluation.runner import evaluate
+from pcore.evaluation.states import SceneStates, open_states
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny_scene.write_scene(tmp_path_factory.mktemp("scenes") / "box")
+
+
+@pytest.fixture
+def states(scene: Path) -> SceneStates:
+    return open_states(scene)
+
+
+@pytest.fixture
+def folder(scene: Path, tmp_path: Path) -> Path:
+    """True pictures, as another code would write them."""
+    for state, place in (("canonical", scene), ("grown", scene / "grown"), ("scale_2", scene)):
+        shutil.copytree(place / "test", tmp_path / "theirs" / state)
+    return tmp_path / "theirs"
+
+
+def test_true_pictures_are_perfect(folder: Path, states: SceneStates) -> None:
+    method = open_pictures("theirs", folder)
+    assert method.tells == "opacity"
+    rows = evaluate([method], states.select(["grown", "scale:2"]))
+    assert len(rows) == 3 * 2 * 2
+    for row in rows:
+        assert row.scores["psnr"] is not None
+        assert row.scores["psnr"] > 60
+        assert row.scores["see_through_rate"] == 0
+        assert row.scores["hole_rate"] is None  # Nothing says how far away the surface is.
+        assert row.scores["strain_99"] is None
+
+
+def test_pictures_without_alpha_tell_colours_alone(folder: Path, states: SceneStates) -> None:
+    for path in folder.glob("*/*.png"):
+        rgba = Image.open(path).convert("RGBA")
+        white = Image.new("RGBA", rgba.size, "white")
+        Image.alpha_composite(white, rgba).convert("RGB").save(path)
+    method = open_pictures("theirs", folder)
+    assert method.tells == "colour"
+    (row, *_) = evaluate([method], states.select(["grown"]))
+    assert row.scores["psnr"] is not None
+    assert row.scores["psnr"] > 40
+    assert row.scores["see_through_rate"] is None
+    assert row.scores["spill"] is None
+
+
+def test_depth_beside_pictures_is_scored(folder: Path, states: SceneStates) -> None:
+    canonical, grown = states.select(["grown"])
+    for state in (canonical, grown):
+        for shot in state.shots:
+            assert shot.depth is not None
+            place = folder / state.name / f"{shot.view.name}.npy"
+            np.save(place, np.nan_to_num(shot.depth().numpy(), posinf=np.nan))
+    shutil.rmtree(folder / "scale_2")
+    method = open_pictures("theirs", folder)
+    assert method.tells == "depth"
+    (row, *_) = evaluate([method], [canonical, grown])
+    assert row.scores["hole_rate"] == 0
+    assert row.scores["depth_error"] is not None
+    assert row.scores["depth_error"] < 1e-5
+    np.save(folder / "grown" / "r_0.npy", np.zeros((3, 3)))
+    with pytest.raises(InputError, match=r"r_0.npy: expected camera z \(24, 24\) in floats"):
+        evaluate([method], [grown])
+
+
+def test_missing_and_misnamed_views_are_named(folder: Path, states: SceneStates) -> None:
+    (folder / "grown" / "r_1.png").rename(folder / "grown" / "00001.png")
+    method = open_pictures("theirs", folder)
+    with pytest.raises(InputError) as caught:
+        method.pose(states.select(["grown"])[1])
+    assert "a picture for each of 2 test views, got none for r_1 (1 missing)" in str(caught.value)
+    assert "files that no view is called after: 00001.png" in str(caught.value)
+    with pytest.raises(InputError, match=r"folder walk .* got canonical, grown, scale_2"):
+        method.pose(states.select(["walk"])[1])
+
+
+def test_another_size_is_refused(folder: Path, states: SceneStates) -> None:
+    path = folder / "canonical" / "r_0.png"
+    Image.open(path).resize((48, 48)).save(path)
+    method = open_pictures("theirs", folder)
+    with pytest.raises(InputError, match=r"expected 24 x 24 pixels .* got 48 x 48; .*--factor"):
+        evaluate([method], states.select([]))
+
+
+def test_no_folder_and_no_pictures(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--pictures x=.*: expected a folder, found none"):
+        open_pictures("x", tmp_path / "none")
+    (tmp_path / "empty" / "canonical").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"STATE/VIEW\.png"):
+        open_pictures("x", tmp_path / "empty")
+    (tmp_path / "empty" / "canonical" / "r_0.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match=r"r_0\.png"):
+        open_pictures("x", tmp_path / "empty")

@@ -1,0 +1,37 @@
+import http.client
+import threading
+
+import pytest
+
+from pcore.errors import InputError
+from pcore.studio.guard import Guard
+from pcore.studio.page_server import page_server
+
+
+def ask(guard: Guard, path: str, *, method: str = "GET", **headers: str) -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=5)
+    connection.request(method, path, headers=headers)
+    answer = connection.getresponse()
+    found = answer.status, answer.read()
+    connection.close()
+    return found
+
+
+def test_it_shows_its_page_to_whom_has_the_token_and_nothing_else(free_port: int) -> None:
+    guard = Guard(port=free_port)
+    shown = {"Cookie": f"{guard.cookie_name}={guard.cookie}"}
+    with page_server(guard, b"the page") as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            assert ask(guard, f"/?token={guard.token}")[0] == 200
+            assert ask(guard, "/", **shown) == (200, b"the page")
+            assert ask(guard, "/")[0] == 403
+            assert ask(guard, "/", Host="evil.example", **shown)[0] == 403
+            assert ask(guard, "/../x", **shown)[0] == 404
+            assert ask(guard, "/", method="POST", **shown)[0] == 501
+            with pytest.raises(InputError, match="another pcore page"):
+                page_server(guard, b"")
+        finally:
+            server.shutdown()
+            thread.join()
