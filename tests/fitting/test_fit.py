@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from pcore.fitting.fit_config import AppearanceConfig, FitConfig, FitStage
 from pcore.fitting.fit_photos import photos_of
 from pcore.fitting.fit_sequence import fit_sequence
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, keyframed, pose_of_edit
+from pcore.fitting.numbers_fit import fit_numbers
 from pcore.fitting.pose_fit import fit_pose
 
 BEND = {"version": 2, "edits": [{"type": "bend", "axis": "z", "angle_deg": 70}]}
@@ -120,6 +122,18 @@ def test_from_the_truth_it_stays_there(asset: Asset, tmp_path: Path) -> None:
     moved = (asset.pose(fit.edit).points - asset.pose(edit).points).norm(dim=1)
     assert float(moved.mean()) < 0.01
     assert fit.after.psnr >= fit.before.psnr - 1e-3
+
+
+def test_a_free_number_is_found_and_others_stay(asset: Asset, bent: Path) -> None:
+    start = copy.deepcopy(BEND)
+    start["edits"][0]["angle_deg"] = 10.0
+    fit = fit_numbers(asset, start, ["edits.0.angle_deg"], views_of(bent))
+    (edit,) = fit.edit.edits
+    assert edit.angle_deg == pytest.approx(70, abs=0.5)
+    assert edit.axis == BEND["edits"][0]["axis"]
+    for name in ("edits.0.axis", "edits.1.angle_deg", "edits.0.angle", "version.2"):
+        with pytest.raises(InputError, match="expected the name of a number"):
+            fit_numbers(asset, start, [name], views_of(bent))
 
 
 def test_colours_follow_the_photos(asset: Asset, tmp_path: Path) -> None:

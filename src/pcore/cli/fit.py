@@ -44,6 +44,10 @@ class FitCommand:
     start: Annotated[Path | None, optional("FILE")] = None
     """Edit file of a pose to start from; default: as the object was photographed."""
 
+    free: Annotated[tuple[str, ...], arg(metavar="NAME")] = ()
+    """Change only these numbers of the edit file --start, such as edits.0.angle_deg with edits from
+    0; the result is that edit. Default: all anchors are free."""
+
     appearance: Annotated[Path | None, optional("FOLDER")] = None
     """Let the colours follow the photos as well, and write the object with them as a new run."""
 
@@ -78,6 +82,7 @@ class FitCommand:
         from pcore.cli.runtime import pick_device, prepare_torch
         from pcore.fitting.fit_config import FitConfig
         from pcore.fitting.fit_sequence import check_times, fit_sequence
+        from pcore.fitting.numbers_fit import fit_numbers
         from pcore.fitting.pose_fit import fit_pose
 
         self._check()
@@ -90,7 +95,17 @@ class FitCommand:
         states = [photos_in(path, factor)[:: self.every] for path in self.photos]
         console = Console()
         with counting(console, "steps") as tell:
-            if len(states) == 1:
+            if self.free and self.start is not None:
+                fit = fit_numbers(
+                    asset,
+                    self.start,
+                    self.free,
+                    states[0],
+                    silhouettes=self.silhouettes,
+                    progress=tell,
+                )
+                result, fits = fit.edit, [fit]
+            elif len(states) == 1:
                 fit = fit_pose(asset, states[0], config, start=self.start, progress=tell)
                 result, fits = fit.edit, [fit]
             else:
@@ -114,6 +129,8 @@ class FitCommand:
         check_count("--every", self.every)
         if self.times and len(self.photos) == 1:
             raise InputError("--times: expected several --photos, whose times they are, got one")
+        if self.free and (self.start is None or len(self.photos) > 1):
+            raise InputError("--free: expected --start, whose numbers they are, and one --photos")
         folder = self.appearance
         if folder is not None and len(self.photos) > 1:
             raise InputError("--appearance: expected one --photos, whose colours are meant")

@@ -33,7 +33,8 @@ STAGES = (
     FitStage(pixels=13, steps=120, rate=0.3, stiffness=0.05, spread=3.0),
     FitStage(pixels=25, steps=150, rate=0.2, stiffness=0.02, spread=2.0),
     FitStage(pixels=50, steps=150, rate=0.1, stiffness=0.02, spread=1.0),
-    FitStage(pixels=100, steps=250, rate=0.05, stiffness=0.001, spread=0.1),
+    FitStage(pixels=50, steps=200, rate=0.1, stiffness=0.003, spread=0.3),
+    FitStage(pixels=100, steps=400, rate=0.05, stiffness=0.001, spread=0.1),
 )
 """Chosen on figures of limbs (docs/research/fit.md)."""
 
