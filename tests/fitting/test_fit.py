@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -31,6 +32,8 @@ BEND = {"version": 2, "edits": [{"type": "bend", "axis": "z", "angle_deg": 70}]}
 TWELVE = {"anchors": 12}
 QUICK = FitConfig(
     **TWELVE,
+    coarse=1,
+    tries=1,
     stages=(
         FitStage(pixels=16, steps=50, rate=0.1, stiffness=0.05, spread=2.0),
         FitStage(pixels=32, steps=60, rate=0.05, stiffness=0.02, spread=1.0),
@@ -114,7 +117,7 @@ def test_a_bent_rod_is_found(asset: Asset, bent: Path) -> None:
 
 
 def test_from_the_truth_it_stays_there(asset: Asset, tmp_path: Path) -> None:
-    config = FitConfig(**TWELVE, stages=QUICK.stages[1:])
+    config = replace(QUICK, stages=QUICK.stages[1:])
     edit = edit_of(a_pose(asset, config, 0.05), config)
     places = cameras(4)
     photos = write_photos(tmp_path / "true", asset, asset.pose(edit), places)
@@ -160,7 +163,7 @@ def test_photos_of_another_object_are_refused(asset: Asset, tmp_path: Path) -> N
 
 
 def test_units_do_not_matter(asset: Asset, bent: Path, tmp_path: Path) -> None:
-    config = FitConfig(**TWELVE, stages=(FitStage(**{**vars(QUICK.stages[0]), "steps": 6}),))
+    config = replace(QUICK, stages=(replace(QUICK.stages[0], steps=6),))
     large = rod(scale=1000.0)
     photos = write_photos(tmp_path / "large", large, large.pose(BEND), cameras(5, scale=1000.0))
     with pytest.MonkeyPatch.context() as patch:
@@ -219,7 +222,7 @@ def test_the_command(
     out = tmp_path / "edit.json"
     words = ["fit", tmp_path / "run", "--photos", bent, "-o", out, "--factor", "1"]
     with pytest.MonkeyPatch.context() as patch:
-        quick = partial(FitConfig, stages=QUICK.stages)
+        quick = partial(FitConfig, stages=QUICK.stages, coarse=2, tries=2)
         patch.setattr("pcore.fitting.fit_config.FitConfig", quick)
         code = main([str(word) for word in [*words, "--anchors", 12]])
     said = capsys.readouterr()

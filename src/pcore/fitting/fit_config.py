@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pcore.errors import InputError
 from pcore.geometry.farthest_points import ANCHORS
 from pcore.validation import check_count
 
@@ -49,6 +50,9 @@ class FitConfig:
         views: photos per step.
         silhouettes: compare outlines only, not colours: photos that are masks.
         stages: from coarse to fine.
+        coarse: how many of the stages every try goes through; the best try goes on.
+        tries: the first begins with the first stage, the second with the second, and so on: small
+            pictures find what has moved far, and can lose what has not.
         relight: steps after which the light on the moved object is computed anew.
     """
 
@@ -57,6 +61,8 @@ class FitConfig:
     views: int = 2
     silhouettes: bool = False
     stages: tuple[FitStage, ...] = STAGES
+    coarse: int = 4
+    tries: int = 3
     relight: int = 40
 
     def __post_init__(self) -> None:
@@ -64,11 +70,17 @@ class FitConfig:
         check_count("fit: photos per step", self.views)
         check_count("fit: stages", len(self.stages))
         check_count("fit: steps between lights", self.relight)
+        if not 1 <= self.tries <= self.coarse <= len(self.stages):
+            raise InputError(
+                "fit: expected 1 <= tries <= coarse stages <= stages, got "
+                f"{self.tries}, {self.coarse} and {len(self.stages)}"
+            )
 
     @property
     def steps(self) -> int:
-        """Steps of all stages."""
-        return sum(stage.steps for stage in self.stages)
+        """Steps of all stages of all tries."""
+        tries = [self.stages[first : self.coarse] for first in range(self.tries)]
+        return sum(stage.steps for part in (*tries, self.stages[self.coarse :]) for stage in part)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -86,11 +86,14 @@ def fit_pose(
         numbers = fitter.space.numbers(given)
     finest = [photo.at_most(config.stages[-1].pixels) for photo in photos]
     before = fitter.agreement(numbers, finest)
-    done = 0
-    for stage in config.stages:
-        told = _later(progress, done, config.steps)
-        numbers = fitter.stage(numbers, photos, stage, config, told)
-        done += stage.steps
+    count = _Count(progress, config.steps)
+    tries = [
+        fitter.through(config.stages[first : config.coarse], numbers, photos, config, count)
+        for first in range(config.tries)
+    ]
+    small = [photo.at_most(config.stages[config.coarse - 1].pixels) for photo in photos]
+    numbers = min(tries, key=lambda found: fitter.error(found, small, config))
+    numbers = fitter.through(config.stages[config.coarse :], numbers, photos, config, count)
     after = fitter.agreement(numbers, finest)
     check_same_object(after, silhouettes=config.silhouettes)
     edit = edit_of(fitter.space.pose(numbers), config)
@@ -113,12 +116,16 @@ def gaussian_content(asset: Asset) -> GaussianContent:
     return content
 
 
-def _later(progress: Progress | None, done: int, total: int) -> Callable[[int], None]:
-    def told(step: int) -> None:
-        if progress is not None:
-            progress(done + step, total)
+class _Count:
+    """Tells how many steps of all have been taken."""
 
-    return told
+    def __init__(self, progress: Progress | None, total: int) -> None:
+        self._progress, self._total, self._done = progress, total, 0
+
+    def __call__(self) -> None:
+        self._done += 1
+        if self._progress is not None:
+            self._progress(self._done, self._total)
 
 
 class _Fitter:
@@ -154,13 +161,26 @@ class _Fitter:
         covariances = carried_covariances(self._gaussians, moved.linear)
         return PosedGaussians(gaussians=shape, covariances=covariances, gains=look.gains)
 
+    def through(
+        self,
+        stages: Sequence[FitStage],
+        numbers: Tensor,
+        photos: Sequence[Photo],
+        config: FitConfig,
+        told: Callable[[], None],
+    ) -> Tensor:
+        """Numbers (M, 6) after stages."""
+        for stage in stages:
+            numbers = self.stage(numbers, photos, stage, config, told)
+        return numbers
+
     def stage(
         self,
         start: Tensor,
         photos: Sequence[Photo],
         stage: FitStage,
         config: FitConfig,
-        told: Callable[[int], None],
+        told: Callable[[], None],
     ) -> Tensor:
         """Numbers (M, 6) after a stage, or those before it if they fit its photos better."""
         small = [photo.at_most(stage.pixels) for photo in photos]
@@ -190,7 +210,7 @@ class _Fitter:
             optimizer.zero_grad()
             (loss + stage.stiffness * self.space.bending(pose) + folds).backward()
             optimizer.step()
-            told(step + 1)
+            told()
         found = (spread @ latent).detach()
         errors = [self.error(each, small, config) for each in (start, found)]
         return found if errors[1] < errors[0] else start
