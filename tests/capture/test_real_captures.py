@@ -1,5 +1,6 @@
 """The captures of `shared/data`, read without an option."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -8,16 +9,22 @@ import torch
 from pcore.capture.load import load_scene
 from pcore.data.scene import Scene
 
-DATA = Path("/work/shared/data")
+Read = Callable[..., Scene]
 
 
-def read(name: str, factor: int = 1) -> Scene:
-    if not (DATA / name).is_dir():
-        pytest.skip(f"the capture {name} is not on this machine")
-    return load_scene(DATA / name, factor=factor)
+@pytest.fixture
+def read(shared_data: Path) -> Read:
+    """Reads a set by its name."""
+
+    def opened(name: str, factor: int = 1) -> Scene:
+        if not (shared_data / name).is_dir():
+            pytest.skip(f"the capture {name} is not on this machine")
+        return load_scene(shared_data / name, factor=factor)
+
+    return opened
 
 
-def test_fox() -> None:
+def test_fox(read: Read) -> None:
     scene = read("captures/fox", factor=12)
     assert (len(scene.split("train")), len(scene.split("test"))) == (43, 7)
     assert len(scene.skipped) == 17
@@ -28,7 +35,7 @@ def test_fox() -> None:
     assert 0.95 < float(valid.float().mean()) < 1.0
 
 
-def test_the_points_of_beer_are_where_its_photos_show_them() -> None:
+def test_the_points_of_beer_are_where_its_photos_show_them(read: Read) -> None:
     scene = read("captures/beer")
     assert len(scene.split("train")) + len(scene.split("test")) == 71
     sparse = scene.sparse
@@ -44,7 +51,7 @@ def test_the_points_of_beer_are_where_its_photos_show_them() -> None:
     assert float(torch.cat(off).mean()) < 0.85
 
 
-def test_dtu() -> None:
+def test_dtu(read: Read) -> None:
     scene = read("captures/dtu_scan24")
     assert (len(scene.split("train")), len(scene.split("test"))) == (42, 7)
     view = scene.split("train")[0]
@@ -58,7 +65,7 @@ def test_dtu() -> None:
 
 
 @pytest.mark.parametrize("name", ["lego", "chair"])
-def test_rendered_scenes(name: str) -> None:
+def test_rendered_scenes(read: Read, name: str) -> None:
     scene = read(f"nerf_synthetic/{name}")
     assert (len(scene.split("train")), len(scene.split("test"))) == (100, 50)
     assert scene.layout == "NeRF-Synthetic"

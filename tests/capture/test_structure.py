@@ -15,7 +15,6 @@ from pcore.capture.load import load_scene
 from pcore.capture.structure import Patience, with_poses
 from pcore.errors import DependencyError, SceneError
 
-BEER = Path("/work/shared/data/captures/beer/images")
 FAKE = """
 import json, sys
 sys.path[:0] = {paths!r}
@@ -148,13 +147,13 @@ def test_videos_without_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.slow
-def test_twenty_real_photos(tmp_path: Path) -> None:
-    pytest.importorskip("PIL")
-    if structure.importlib.util.find_spec("pycolmap") is None or not BEER.is_dir():
+def test_twenty_real_photos(tmp_path: Path, shared_data: Path) -> None:
+    beer = shared_data / "captures" / "beer" / "images"
+    if structure.importlib.util.find_spec("pycolmap") is None or not beer.is_dir():
         pytest.skip("needs pycolmap and the capture 'beer'")
     from PIL import Image
 
-    for path in sorted(BEER.iterdir())[:60:3]:
+    for path in sorted(beer.iterdir())[:60:3]:
         (tmp_path / "can").mkdir(exist_ok=True)
         with Image.open(path) as photo:
             photo.resize((360, 640)).save(tmp_path / "can" / path.name)
