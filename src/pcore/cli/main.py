@@ -58,6 +58,7 @@ VERBS: tuple[Verb, ...] = (
     Verb("view", "pcore.cli.view", "ViewCommand", "look at a run, or make one HTML file of it"),
     Verb("studio", "pcore.cli.studio", "StudioCommand", "edit a run by hand, in the browser"),
     Verb("animate", "pcore.cli.animate", "AnimateCommand", "film a run under keyframes"),
+    Verb("fit", "pcore.cli.fit", "FitCommand", "find the pose of a run in photos of another state"),
     Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),
     Verb("compare", "pcore.cli.compare", "CompareCommand", "score rival methods beside our own"),
     Verb("ablate", "pcore.cli.ablate", "AblateCommand", "fine-tune with parts left out, compare"),
