@@ -89,8 +89,8 @@ def in_the_middle(out: Path) -> bool:
     )
 
 
-def wait_until_gone(processes: dict[int, str], seconds: float = 60.0) -> dict[int, str]:
-    """What is left of them in the end."""
+def wait_until_gone(processes: dict[int, str], seconds: float = 150.0) -> dict[int, str]:
+    """What is left of them in the end; two agents of Ray look for their parent once a minute."""
     end = time.monotonic() + seconds
     left = processes
     while left and time.monotonic() < end:
