@@ -61,6 +61,9 @@ def test_a_corrected_copy_is_a_scene_with_masks_cut_to_the_object(tmp_path: Path
     fixed = tmp_path / "fixed"
     assert main(["check", str(room), *BOX, "--fix", str(fixed)]) == 0
     before, after = load_scene(room), load_scene(fixed)
+    lower, upper = (torch.tensor([float(x) for x in BOX[i : i + 3]]) for i in (1, 4))
+    assert after.region is not None
+    assert torch.allclose(after.region.center, (lower + upper) / 2, atol=1e-5)
     assert [len(after.split(s)) for s in after.splits] == [
         len(before.split(s)) for s in ("train", "test")
     ]

@@ -309,7 +309,7 @@ def test_a_tilted_axis_has_nothing_to_lock():
     ("content", "expected"),
     [
         (b"{", "expected an edit file in JSON, got invalid JSON"),
-        (b"", "expected an edit file in JSON, got invalid JSON"),
+        (b"", "expected an edit file in JSON, got an empty file"),
         (b"\xff\xfe\x00", "expected text in UTF-8, got bytes that are not UTF-16"),
         (b"[" * 200_000, "got invalid JSON"),
         (b'{"version": ' + b"9" * 5000 + b"}", "got invalid JSON"),
@@ -407,7 +407,7 @@ def test_points_without_extent():
         ('{"version": 2,\n "edits": [\n  1,\n ]\n}', 'line 3: a comma before "]", which JSON does'),
         ('{"version": 2,\n "edits": [],\n}', 'line 2: a comma before "}", .*delete it: "edits": '),
         ('{"version": 2\n "edits": []}', 'line 2: Expecting .,. delimiter.*: "edits": '),
-        ("", "line 1: Expecting value"),
+        (" \n", "got an empty file"),
     ],
 )
 def test_broken_json_is_shown_with_its_line(tmp_path: Path, text: str, expected: str):

@@ -15,6 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from pcore.capture.transforms_capture import REGION_KEY
 from pcore.data.pictures import write_photo
 from pcore.data.scene import Scene, View
 from pcore.data.whole_file import replace_file
@@ -78,11 +79,14 @@ def write_corrected(
         names[split].append(name)
         if progress is not None:
             progress(number + 1, len(chosen))
-    content = {
+    region = scene.region
+    content: dict[str, Any] = {
         "camera_model": "PINHOLE",
         "frames": frames,
         **{f"{split}_filenames": files for split, files in names.items() if files},
     }
+    if region is not None:
+        content[REGION_KEY] = {"center": region.center.tolist(), "radius": region.radius}
     replace_file(folder / "transforms.json", json.dumps(content, indent=1).encode())
     return len(chosen)
 

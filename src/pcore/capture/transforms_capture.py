@@ -26,6 +26,8 @@ from pcore.geometry.object_region import Region
 
 _NGP_SCALE, _NGP_OFFSET = 0.33, 0.5
 """instant-ngp's own world: coordinates times this plus that, then x, y, z <- y, z, x."""
+REGION_KEY = "object_region"
+"""Our own key: center and radius of the object, in the world of the file."""
 _SPLITS = ("train", "val", "test")
 
 
@@ -181,7 +183,9 @@ def _points(transforms: Transforms, finder: Finder) -> RawPoints | None:
 
 
 def _region(content: Mapping[str, Any], where: str) -> Region | None:
-    """The box that instant-ngp is told to look into, in the world of the file."""
+    """The box that instant-ngp is told to look into, or the sphere of a corrected copy of ours."""
+    if REGION_KEY in content:
+        return _own_region(content[REGION_KEY], where)
     given = "aabb" if "aabb" in content else "render_aabb"
     if given not in content or "render_aabb_to_local" in content:
         return None
@@ -194,6 +198,17 @@ def _region(content: Mapping[str, Any], where: str) -> Region | None:
         raise SceneError(
             f"{where}: expected two corners of a box in {given!r}, got {str(content[given])[:80]}; "
             "mend it or remove the key"
+        ) from problem
+
+
+def _own_region(given: Any, where: str) -> Region:
+    try:
+        center = torch.tensor(given["center"], dtype=torch.float32)
+        return Region(center=center, radius=float(given["radius"]))
+    except (TypeError, ValueError, RuntimeError, KeyError) as problem:
+        raise SceneError(
+            f"{where}: expected center and radius in {REGION_KEY!r}, got {str(given)[:80]}; mend "
+            "it or remove the key"
         ) from problem
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import shlex
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -79,7 +80,8 @@ def check(command: CheckCommand, console: Console) -> None:
     if command.html is not None:
         require_jinja()
     prepare_torch(command.threads)
-    scene, bare = _opened(command, command.factor or _looking_factor(command.scene))
+    factor = command.factor or _looking_factor(command.scene)
+    scene, bare = _opened(command, factor)
     with counting(console, "masks") as tell:
         found = check_scene(
             scene,
@@ -93,10 +95,12 @@ def check(command: CheckCommand, console: Console) -> None:
         _write_masks(found, command, console)
     if command.fix is not None:
         _write_fixed(found, command, console)
+    following = commands_of(found, command, factor)
     if command.html is not None:
-        _write_page(found, command, console)
+        _write_page(found, command, following, console)
     else:
         console.print(Text("with pictures: add --html report.html"), soft_wrap=True)
+    console.print(Text(f"next: {following[0]}"), soft_wrap=True)
 
 
 def _opened(command: CheckCommand, factor: int) -> tuple[Scene, Scene]:
@@ -170,6 +174,8 @@ def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> 
         bad |= {*found.reprojection.doubtful()}
     left_out = [found.views[i].name for i in sorted(bad)]
     scene = _opened(command, command.factor or 1)[0]
+    if command.box:
+        scene = replace(scene, region=found.region)
     masks = None
     if found.masks is not None and found.masks.automatic:
         names = (view.name for view in found.views)
@@ -191,21 +197,28 @@ def _outside(scene: Scene, folder: Path) -> None:
         )
 
 
-def _write_page(found: SceneCheck, command: CheckCommand, console: Console) -> None:
-    from pcore.data.whole_file import replace_file
+def _write_page(
+    found: SceneCheck, command: CheckCommand, following: list[str], console: Console
+) -> None:
+    from pcore.data.whole_file import write_whole
     from pcore.evaluation.check_page import check_page
 
     assert command.html is not None, "asked for"
     _outside(found.scene, command.html)
-    page = check_page(found, commands_of(found, command.scene))
-    command.html.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(command.html, page.encode())
+    write_whole(command.html, check_page(found, following).encode(), "report")
     console.print(Text(f"report with pictures: {command.html}"), soft_wrap=True)
 
 
-def commands_of(found: SceneCheck, scene: Path) -> list[str]:
-    """What to type next."""
-    masks = " --masks auto" if found.masks is not None and found.masks.automatic else ""
-    train = f"pcore train {scene} -o runs/{found.scene.name} --model gaussians{masks}"
-    more = f"pcore check {scene} --masks-out masks" if masks else ""
-    return [train, *([more] if more else [])]
+def commands_of(found: SceneCheck, command: CheckCommand, factor: int) -> list[str]:
+    """What to type next, in the size and with the masks and box that were checked."""
+    given = [] if factor == 1 else ["--factor", str(factor)]
+    if command.box:
+        given += ["--box", *(f"{x:g}" for x in command.box)]
+    automatic = found.masks is not None and found.masks.automatic
+    masks = "auto" if automatic else command.masks
+    if masks is not None:
+        given += ["--masks", masks]
+    lines = [["pcore", "train", str(command.scene), "-o", f"runs/{found.scene.name}", *given]]
+    if automatic:
+        lines.append(["pcore", "check", str(command.scene), "--masks-out", "masks"])
+    return [shlex.join(line) for line in lines]

@@ -143,7 +143,9 @@ def _find(words: list[str]) -> Verb:
 def _show_help() -> None:
     console = Console()
     console.print("usage: pcore VERB [OPTIONS]\n", markup=False)
-    console.print("Edit captured objects: neural points that stay hole-free under deformation.\n")
+    console.print(
+        "Edit captured objects: photos in, an object that is deformed and drawn without holes.\n"
+    )
     table = Table(box=None, show_header=False, padding=(0, 2))
     for verb in VERBS:
         table.add_row(verb.name, verb.summary)

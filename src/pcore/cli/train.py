@@ -94,7 +94,7 @@ class TrainCommand:
     background: Annotated[
         Literal["white", "black", "random"] | None, optional("{white,black,random}")
     ] = None
-    """Colour behind images with alpha; default: that of the preset (white)."""
+    """Colour behind images with alpha; default: that of the preset (random; white for papr)."""
 
     exposure: Annotated[Literal["per-view"] | None, optional("{per-view}")] = None
     """per-view: learn an affine map of colours for every photo along, where exposure and white

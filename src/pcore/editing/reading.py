@@ -9,6 +9,7 @@ from typing import Any, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from pcore.data.file_kinds import kind_of
 from pcore.editing.regions import REGION, REGION_SHAPES, RegionEntry
 from pcore.errors import EditError
 from pcore.files.atomic import write_atomically
@@ -30,7 +31,12 @@ def read_edit_file(path: Path) -> Any:
     """
     if not path.exists():
         raise EditError(f"{path}: edit file not found; expected a JSON file")
+    kind = kind_of(path.read_bytes()[:64]) if path.is_file() else None
+    if kind not in (None, "JSON text"):
+        raise EditError(f"{path}: expected an edit file in JSON, got {kind}; give another file")
     text = read_text(path, where=str(path), error=EditError)
+    if not text.strip():
+        raise EditError(f"{path}: expected an edit file in JSON, got an empty file")
     try:
         return json.loads(text, object_pairs_hook=_without_duplicates)
     except EditError as error:

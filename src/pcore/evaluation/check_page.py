@@ -76,7 +76,9 @@ def check_page(check: SceneCheck, commands: Sequence[str]) -> str:
 def summary(check: SceneCheck) -> str:
     """One sentence about a checked scene."""
     count = sum(one.level == "warning" for one in check.findings)
+    known = sum(one.level == "note" and bool(one.action) for one in check.findings)
     said = "nothing to mend" if count == 0 else f"{count} thing{'s' * (count > 1)} to look at"
+    said += f", {known} to know" if known else ""
     return f"{len(check.views)} photos, {check.scene.layout}: {said}"
 
 

@@ -25,6 +25,7 @@ def describe_light(relighting: Relighting, surfels: Surfels) -> str:
     return (
         f"brightest on surfaces that face ({x:.2f}, {y:.2f}, {z:.2f}), {ratio:.1f} times the light "
         f"of the darkest; lamps are {distance} away; "
-        f"{100 * known:.0f} % of the points have a normal, the surface lies {height:.2g} "
-        "above them"
+        f"{100 * known:.0f} % of the points have a normal"
+        # Gaussians are the surface themselves.
+        + (f", the surface lies {height:.2g} world units above them" if height else "")
     )

@@ -161,10 +161,11 @@ def plan_papr(
 
 def _check_steps(steps: int, seconds: float) -> None:
     if steps < _FEWEST_STEPS:
-        minutes = math.ceil(seconds * _FEWEST_STEPS / steps / 60)
+        needed = seconds * _FEWEST_STEPS / steps
         raise InputError(
-            f"training in {seconds:.0f} seconds: expected time for at least {_FEWEST_STEPS} steps, "
-            f"got {steps} on this machine; promise {minutes} minutes or more"
+            f"training: expected time for at least {_FEWEST_STEPS} steps, which take "
+            f"{needed:.0f} seconds on this machine, got {seconds:.0f} besides reading, saving and "
+            "the light; promise more minutes"
         )
 
 
