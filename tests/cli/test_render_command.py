@@ -237,6 +237,16 @@ def test_a_bare_model_file_orbits_its_points(
 # --- what must not happen ------------------------------------------------------------------
 
 
+def test_without_a_folder_each_time_has_its_own(made: Made) -> None:
+    run, _, _ = made
+    for _ in range(2):
+        assert call(run, "--split", "test") == 0
+    assert names(run / "renders") == ["test", "test-2"]
+    assert names(run / "renders" / "test") == names(run / "renders" / "test-2")
+    assert call(run, "--split", "test", "--overwrite") == 0
+    assert names(run / "renders") == ["test", "test-2"]
+
+
 def test_files_are_not_overwritten_unless_asked(
     made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

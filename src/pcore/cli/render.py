@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -50,7 +51,8 @@ class RenderCommand:
     """Go once around the object in so many frames (the default: 60) and write an MP4."""
 
     output: Output = None
-    """Folder for the pictures; default: one in RUN/renders, named after cameras and edit."""
+    """Folder for the pictures; default: a new one in RUN/renders, named after cameras and
+    edit."""
 
     raw: bool = False
     """Also write an .npz per view: rgb (unclamped), alpha, depth, surface; float32, world units."""
@@ -220,7 +222,12 @@ def _default_output(command: RenderCommand) -> Path:
     path = command.run_or_file
     renders = (path if path.is_dir() else path.parent) / "renders"
     what = command.cameras.stem if command.cameras else command.split or "orbit"
-    return renders / (f"{what}-{command.edit.stem}" if command.edit else what)
+    wish = renders / (f"{what}-{command.edit.stem}" if command.edit else what)
+    if command.overwrite:
+        return wish
+    # A folder that nobody chose is no reason to refuse: the next one that is free.
+    names = (wish, *(wish.with_name(f"{wish.name}-{n}") for n in count(2)))
+    return next(one for one in names if not one.exists() or not any(one.iterdir()))
 
 
 def _tell(console: Console, views: Named, output: Path, files: list[Path]) -> None:
