@@ -102,7 +102,9 @@ def _anchors(context, root, bundle: Bundle, fps, notes, *, moving) -> dict:  # n
             handle["rotation"] = _track(turn, _TRUE, fps, turning)
         handles.append(handle)
     if not handles:
-        raise BridgeError("no anchor has moved: drag or turn one, or give it the property pcore_pin")
+        raise BridgeError(
+            "no anchor has moved: drag or turn one, or give it the property pcore_pin"
+        )
     return {"type": "anchors", "handles": handles}
 
 
@@ -146,4 +148,6 @@ def _track(values: np.ndarray, tolerance: float, fps: float, *between) -> object
 
 
 def _keyed(frames: list[int], values: list, fps: float) -> dict:
-    return {"keyframes": [[frame / fps, value] for frame, value in zip(frames, values, strict=True)]}
+    return {
+        "keyframes": [[frame / fps, value] for frame, value in zip(frames, values, strict=True)]
+    }
