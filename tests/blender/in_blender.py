@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+import traceback
 from pathlib import Path
 
 import bpy
@@ -17,7 +18,6 @@ SEEN: dict = {}
 
 def fresh(end: int):
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    pcore_bridge.register()
     bpy.ops.pcore.import_bundle(filepath=str(BUNDLE / "bundle.json"))
     bpy.context.scene.frame_start, bpy.context.scene.frame_end = 1, end
     roots = [item for item in bpy.data.objects if item.get("pcore_role") == "root"]
@@ -53,7 +53,7 @@ def anchors() -> None:
     one.keyframe_insert("location", frame=21)
     one.keyframe_insert("rotation_quaternion", frame=21)
     two["pcore_pin"] = True
-    bpy.ops.pcore.export_edit(mode="anchors", name="anchors.json")
+    bpy.ops.pcore.export_edit(mode="anchors", name="drag.json")
     SEEN["anchors"] = []
     for frame in range(1, 22):
         bpy.context.scene.frame_set(frame)
@@ -106,10 +106,17 @@ def cameras() -> None:
     bpy.ops.pcore.export_cameras(name="path.json", moving=False)
 
 
-anchors()
-shapes()
-cameras()
-(BUNDLE / "seen.json").write_text(json.dumps(SEEN))
-print("done", flush=True)
+try:
+    pcore_bridge.register()
+    anchors()
+    shapes()
+    cameras()
+    (BUNDLE / "seen.json").write_text(json.dumps(SEEN))
+    print("done", flush=True)
+    code = 0
+except Exception:
+    traceback.print_exc()
+    code = 1
 # Blender as a module may hang while Python shuts down.
-os._exit(0)
+sys.stderr.flush()
+os._exit(code)

@@ -58,8 +58,8 @@ def test_displacement_is_exact(bundle: Path):
 def test_anchors_go_where_the_empties_are_at_every_frame(bundle: Path):
     size = json.loads((bundle / "bundle.json").read_text())["size"]
     seen = json.loads((bundle / "seen.json").read_text())
-    points, animation = load(bundle.parent / "ball").points, load_animation(bundle / "anchors.json")
-    handles = json.loads((bundle / "anchors.json").read_text())["edits"][0]["handles"]
+    points, animation = load(bundle.parent / "ball").points, load_animation(bundle / "drag.json")
+    handles = json.loads((bundle / "drag.json").read_text())["edits"][0]["handles"]
     near = torch.tensor([handle["near"] for handle in handles])
     index = torch.cdist(near, points).argmin(dim=1)
     assert any(np.allclose(handle["near"], seen["pinned"]) for handle in handles)

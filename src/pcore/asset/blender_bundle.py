@@ -46,6 +46,7 @@ def save_bundle(
     asset: Asset,
     views: Sequence[tuple[str, Camera]],
     *,
+    lookers: Sequence[Camera] | None = None,
     fps: int = 24,
     resolution: int = 100,
     progress: Progress | None = None,
@@ -55,7 +56,8 @@ def save_bundle(
     Args:
         folder: where to; it exists.
         asset: the object, at rest.
-        views: cameras by name, which also look at the surface and the colours.
+        views: cameras by name for Blender.
+        lookers: cameras that look at the surface and the colours; None looks from all around.
         fps: frames per second that keyframes from Blender are counted in.
         resolution: voxels of the proxy along its longest side.
         progress: told (pictures taken, pictures in all) of the colours, then of the proxy.
@@ -65,10 +67,10 @@ def save_bundle(
             be written to.
         DependencyError: scikit-image is not installed.
     """
-    points, cameras = asset.points.float(), [camera for _, camera in views]
+    points = asset.points.float()
     cage = cage_around(points)
-    painted = painted_points(asset, cameras, progress=progress)
-    proxy = mesh_of(asset, cameras, Meshing(resolution=resolution), progress=progress).mesh
+    painted = painted_points(asset, lookers, progress=progress)
+    proxy = mesh_of(asset, lookers, Meshing(resolution=resolution), progress=progress).mesh
     save_painted(folder / POINTS_FILE, points, painted.colors, painted.normals, painted.confidence)
     save_mesh(folder / PROXY_FILE, proxy)
     grey = torch.full_like(cage.vertices, _GREY)

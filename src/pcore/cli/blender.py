@@ -17,6 +17,7 @@ from pcore.errors import InputError
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
     from pcore.cli.cameras import Named
+    from pcore.geometry.camera import Camera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +79,7 @@ def export_bundle(command: BlenderExportCommand, console: Console) -> None:
     require_marching_cubes()
     prepare_torch(command.threads)
     asset = load(command.run_folder, device=pick_device(command.device))
-    views = _views(command, asset)
+    views, photos = _views(command, asset)
     try:
         pictures_folder(command.output, overwrite=command.overwrite)
     except OSError as error:
@@ -91,6 +92,7 @@ def export_bundle(command: BlenderExportCommand, console: Console) -> None:
             command.output,
             asset,
             views,
+            lookers=photos,
             fps=command.fps,
             resolution=command.resolution,
             progress=tell,
@@ -99,16 +101,19 @@ def export_bundle(command: BlenderExportCommand, console: Console) -> None:
     console.print(Text(said), soft_wrap=True)
 
 
-def _views(command: BlenderExportCommand, asset: Asset) -> Named:
-    """Cameras of a file, of the scene's training views, or of an orbit."""
+def _views(command: BlenderExportCommand, asset: Asset) -> tuple[Named, list[Camera] | None]:
+    """Cameras of a file, of the scene's training views, or of an orbit; and those of the photos."""
     from pcore.cli import cameras
 
-    if command.cameras is not None:
-        given = cameras.cameras_of_file(command.cameras, None)
-        return cameras.that_see(given, asset.points, str(command.cameras))
     folder = command.scene or asset.record.scene_folder
     if folder is None:
-        return cameras.orbit_of_cloud(asset.points, cameras.OrbitWish(count=24))
-    scene = asset.scene(folder)
-    split = "train" if "train" in scene.splits else scene.splits[0]
-    return cameras.cameras_of_split(scene, split, None)
+        views, photos = cameras.orbit_of_cloud(asset.points, cameras.OrbitWish(count=24)), None
+    else:
+        scene = asset.scene(folder)
+        split = "train" if "train" in scene.splits else scene.splits[0]
+        views = cameras.cameras_of_split(scene, split, None)
+        photos = [camera for _, camera in views]
+    if command.cameras is not None:
+        given = cameras.cameras_of_file(command.cameras, None)
+        views = cameras.that_see(given, asset.points, str(command.cameras))
+    return views, photos
