@@ -44,7 +44,7 @@ def test_a_bundle_holds_the_object_as_it_is(tmp_path: Path, monkeypatch: pytest.
     assert abs(float(np.linalg.norm(proxy.vertices, axis=1).mean()) - 0.8) < 0.05
     near = torch.tensor(json.loads((bundle / "anchors.json").read_text())["near"])
     assert near.shape == (128, 3)
-    assert float(torch.cdist(near, points).amin(dim=1).max()) < 1e-6
+    assert float(torch.cdist(near.double(), points.double()).amin(dim=1).max()) < 1e-6
     assert len(load_cameras(bundle / "cameras.json")) == 24
     with pytest.raises(InputError, match="holds files already"):
         export_bundle(command(tmp_path), Console(quiet=True))

@@ -17,6 +17,7 @@ from pcore.asset.saving import load
 from pcore.capture.load import load_cameras
 from pcore.data.meshes import read_mesh
 from pcore.editing.animation import load_animation
+from pcore.editing.regions import Setting
 
 BPY = os.environ.get("PCORE_BPY") or (sys.executable if importlib.util.find_spec("bpy") else None)
 SOURCE = Path(__file__).parents[2] / "blender" / "pcore_bridge"
@@ -61,13 +62,17 @@ def test_anchors_go_where_the_empties_are_at_every_frame(bundle: Path):
     points, animation = load(bundle.parent / "ball").points, load_animation(bundle / "drag.json")
     handles = json.loads((bundle / "drag.json").read_text())["edits"][0]["handles"]
     near = torch.tensor([handle["near"] for handle in handles])
-    index = torch.cdist(near, points).argmin(dim=1)
+    index = torch.cdist(near.double(), points.double()).argmin(dim=1)
     assert any(np.allclose(handle["near"], seen["pinned"]) for handle in handles)
     first = int((near - torch.tensor(seen["anchors"][0])).norm(dim=1).argmin())
     for frame, place in enumerate(seen["anchors"]):
-        bound = animation.at(frame / 24).bind(points)
-        there = bound(points)[index[first]]
-        assert float((there - torch.tensor(place)).norm()) < 1e-4 * size
+        script, wanted = animation.at(frame / 24), torch.tensor(place)
+        edit = script.edits[0]
+        handle = [*edit.placed(edit.rig(Setting(points=points, rest=points))).values()][first]
+        assert float((handle.place - wanted).norm()) < 1e-4 * size
+        # A point goes with 8 anchors, so the one at a turned handle is beside it by a little.
+        there = script.bind(points)(points)[index[first]]
+        assert float((there - wanted).norm()) < 1e-3 * size
     keys = handles[first]["to"]["keyframes"]
     assert 2 < len(keys) < 21
 
