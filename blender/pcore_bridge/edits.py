@@ -71,7 +71,7 @@ def export_edit(
     return path, notes
 
 
-def _anchors(context, root, bundle: Bundle, fps, notes, *, moving) -> dict:  # noqa: ANN001
+def _anchors(context, root, bundle: Bundle, fps, notes, *, moving) -> dict:
     anchors = [item for item in root.children_recursive if item.get(ROLE) == ANCHOR]
     places: list[list[np.ndarray]] = [[] for _ in anchors]
     turns: list[list[np.ndarray]] = [[] for _ in anchors]
@@ -108,7 +108,7 @@ def _anchors(context, root, bundle: Bundle, fps, notes, *, moving) -> dict:  # n
     return {"type": "anchors", "handles": handles}
 
 
-def _shapes(context, root, bundle, mode, stem, fps, *, moving) -> dict:  # noqa: ANN001
+def _shapes(context, root, bundle, mode, stem, fps, *, moving) -> dict:
     role = {"cage": CAGE, "mesh": PROXY, "points": POINTS}[mode]
     item, rest = member(root, role), bundle.mesh(role)
     if mode == "points":
@@ -140,7 +140,7 @@ def _npy(values: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-def _track(values: np.ndarray, tolerance: float, fps: float, *between) -> object:  # noqa: ANN002
+def _track(values: np.ndarray, tolerance: float, fps: float, *between) -> object:
     kept = reduced(values, tolerance, *between)
     if len(kept) == 1:
         return values[0].tolist()

@@ -34,7 +34,7 @@ def command_of(
         raise BridgeError(f"{program!r}: no such program; set the path of pcore in the preferences")
     named = bundle.about.get("run_folder")
     folder = Path(run) if run else bundle.folder / (named or "")
-    if not run and not named or not folder.is_dir():
+    if (not run and not named) or not folder.is_dir():
         raise BridgeError(f"{folder}: no such folder of a run; choose it")
     files = [bundle.folder / name for name in (edit, cameras) if name]
     for file in files:
@@ -50,7 +50,7 @@ def command_of(
 def start(words: list[str], folder: Path) -> subprocess.Popen:
     """Start it without a shell; what it says goes into a file in the folder of the bundle."""
     with (folder / LOG).open("wb") as log:
-        return subprocess.Popen(  # noqa: S603 - the program is the user's own, from the preferences
+        return subprocess.Popen(
             words, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
         )
 

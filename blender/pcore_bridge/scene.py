@@ -158,13 +158,13 @@ def rest_places(item: bpy.types.Object) -> np.ndarray:
     return _array(item.data.vertices if keys is None else keys.reference_key.data, "co", "f4", 3)
 
 
-def _array(items, name: str, kind, width: int) -> np.ndarray:  # noqa: ANN001 - a bpy collection
+def _array(items, name: str, kind, width: int) -> np.ndarray:
     values = np.empty(len(items) * width, dtype=kind)
     items.foreach_get(name, values)
     return values.reshape(-1, width)
 
 
-def _add(collection, parent, name, role, data=None) -> bpy.types.Object:  # noqa: ANN001
+def _add(collection, parent, name, role, data=None) -> bpy.types.Object:
     item = bpy.data.objects.new(name, data)
     item[ROLE] = role
     item.parent = parent
@@ -172,7 +172,7 @@ def _add(collection, parent, name, role, data=None) -> bpy.types.Object:  # noqa
     return item
 
 
-def _add_mesh(collection, root, name, role, content: Mesh) -> bpy.types.Object:  # noqa: ANN001
+def _add_mesh(collection, root, name, role, content: Mesh) -> bpy.types.Object:
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(content.vertices, [], content.faces)
     if content.colors is not None:

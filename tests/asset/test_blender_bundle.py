@@ -9,9 +9,9 @@ import pytest
 import torch
 import trimesh
 import tyro
-from gaussian_ball import ball_run
 from rich.console import Console
 
+from gaussian_ball import ball_run
 from pcore.asset import meshing
 from pcore.asset.blender_bundle import cage_around
 from pcore.asset.saving import load

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from gaussian_ball import ball_run
-
 from pcore.asset import meshing
 from pcore.asset.blender_bundle import save_bundle
 from pcore.asset.saving import load

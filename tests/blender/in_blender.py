@@ -112,7 +112,8 @@ try:
     shapes()
     cameras()
     (BUNDLE / "seen.json").write_text(json.dumps(SEEN))
-    print("done", flush=True)
+    sys.stdout.write("done\n")
+    sys.stdout.flush()
     code = 0
 except Exception:
     traceback.print_exc()
