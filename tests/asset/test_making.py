@@ -92,6 +92,11 @@ def test_training_and_tuning_make_what_the_commands_make(
     assert records[0].config == records[1].config
     assert records[0].scene == records[1].scene
     assert_same(pcore.train(views, settings()), pcore.load(run))
+    # As if killed after the last save of the training.
+    (tmp_path / "mine" / LIGHT_FILE).unlink()
+    again = pcore.RunOptions(resume=True, note=notes.append)
+    assert_same(pcore.train(views, settings(), folder=tmp_path / "mine", options=again), mine)
+    assert (tmp_path / "mine" / LIGHT_FILE).is_file()
     dark = pcore.train(views, settings(), options=pcore.RunOptions(light=False))
     assert dark.light is None
     after = pcore.finetune(mine, mine.scene(), tuning(), folder=tmp_path / "tuned")
@@ -112,7 +117,7 @@ def test_a_finished_run_is_handed_over(scene: Path, tmp_path: Path) -> None:
     first = pcore.train(
         views, config, folder=tmp_path / "run", options=pcore.RunOptions(light=False)
     )
-    again = pcore.RunOptions(resume=True, note=notes.append)
+    again = pcore.RunOptions(light=False, resume=True, note=notes.append)
     assert_same(pcore.train(views, config, folder=tmp_path / "run", options=again), first)
     assert notes == ["finished already; nothing is left to do"]
     with pytest.raises(InputError, match="holds a run already"):

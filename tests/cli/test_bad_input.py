@@ -314,7 +314,9 @@ CASES = [
     Case("demo -o new --device cpu --threads 0", "--threads: expected a whole number of at least"),
     Case("demo -o mine --device cpu", "mine/demo.json: expected the record of a", strange_demo),
     Case("doctor everything", "Unrecognized options: everything"),
-    Case("finetun run", "unknown command 'finetun': expected one of demo, train|did you mean"),
+    Case(
+        "finetun run", "unknown command 'finetun': expected one of demo, check, train|did you mean"
+    ),
 ]
 
 

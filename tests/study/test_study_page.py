@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,14 +14,7 @@ from pcore.study.answers import read_answers, read_key
 from pcore.study.page import QUESTION, write_study
 from pcore.study.trials import plan_study
 
-CHROMIUM = shutil.which("chromium")
-playwright = pytest.importorskip(
-    "playwright.sync_api", reason="pages are tested with playwright, which is not installed"
-)
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine"),
-]
+pytestmark = pytest.mark.browser
 
 
 def write_pictures(root: Path) -> dict[str, Path]:
@@ -35,12 +28,13 @@ def write_pictures(root: Path) -> dict[str, Path]:
     return folders
 
 
-def test_a_person_goes_through_it(tmp_path: Path) -> None:
+def test_a_person_goes_through_it(tmp_path: Path, browser: Any) -> None:
     study = plan_study(write_pictures(tmp_path), catch=1)
     write_study(tmp_path, study, question=QUESTION, per_person=2)
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1000, "height": 700}, accept_downloads=True)
+    with browser.new_context(
+        viewport={"width": 1000, "height": 700}, accept_downloads=True
+    ) as context:
+        page = context.new_page()
         errors: list[str] = []
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.goto((tmp_path / "study.html").as_uri())
@@ -66,7 +60,6 @@ def test_a_person_goes_through_it(tmp_path: Path) -> None:
         answers = tmp_path / "answers.json"
         download.value.save_as(answers)
         assert json.loads(page.input_value("#text")) == json.loads(answers.read_text())
-        browser.close()
     assert errors == []
     (person,) = read_answers([answers], read_key(tmp_path / "key.json"), caught=0.0).people
     assert [one.chosen == one.left for one in person.answers] == [True, False, False]

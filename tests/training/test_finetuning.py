@@ -234,7 +234,7 @@ def falling(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Trained]]:
     def script(*psnrs: float) -> list[Trained]:
         rest, seen = list(psnrs), list[Trained]()
 
-        def validate(model: Trained, *others: object) -> dict[str, float]:
+        def validate(model: Trained, *others: object, fitted: bool = False) -> dict[str, float]:
             seen.append(model)
             return {"psnr": rest.pop(0)}
 

@@ -136,7 +136,7 @@ def test_a_budget_that_binds_leaves_the_skinning_whole(
     psnrs = [30.0, 29.9, 20.0, 29.8, *[20.0] * 6]
     seen: list[Trained] = []
 
-    def validate(model: Trained, *others: object) -> dict[str, float]:
+    def validate(model: Trained, *others: object, fitted: bool = False) -> dict[str, float]:
         seen.append(model)
         return {"psnr": psnrs.pop(0)}
 

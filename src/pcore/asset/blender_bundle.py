@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from pcore.asset.asset import Asset
@@ -28,6 +29,7 @@ from pcore.files.run_record import relative
 from pcore.geometry.camera import Camera
 from pcore.geometry.extent import size_of
 from pcore.geometry.farthest_points import ANCHORS, farthest_points
+from pcore.geometry.neighbours import nearest
 from pcore.geometry.surface_mesh import SurfaceMesh
 from pcore.sample.surface_nets import surface_nets
 
@@ -97,13 +99,12 @@ def cage_around(points: Tensor) -> Cage:
     if not longest > 0:
         raise InputError("cage: expected points that extend in space, got all in one place")
     cell = longest / _CAGE_CELLS
-    tree: Any = cKDTree(places)
     for widening in range(_WIDENINGS):
         margin = cell * 1.2 * 1.15**widening
         lower, upper = (end(axis=0) for end in (places.min, places.max))
         slack = margin + 2 * cell
         vertices, faces = surface_nets(
-            lambda at, margin=margin: tree.query(at)[0] - margin,
+            _Around(points=torch.from_numpy(places), margin=margin),
             lower - slack,
             upper + slack,
             cell,
@@ -119,6 +120,18 @@ def cage_around(points: Tensor) -> Cage:
     raise InputError(
         "cage: found no closed mesh around all points; are some of them strays far from the object?"
     )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Around:
+    """Distance of places (M, 3) from points (N, 3), less a margin."""
+
+    points: Tensor
+    margin: float
+
+    def __call__(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        _, distance = nearest(self.points, torch.from_numpy(places), 1)
+        return distance[:, 0].numpy() - self.margin
 
 
 def _outer_shells(vertices: Any, faces: Any) -> tuple[Tensor, Tensor]:

@@ -85,7 +85,8 @@ def train(
         asset, learned = train_gaussians(
             scene, settings, plan, listener, device, keep=folder is not None
         )
-        return _lit(asset, scene, chosen) if learned else asset
+        # Whoever was killed after the last save and before the light was has none yet.
+        return _lit(asset, scene, chosen) if learned or asset.light is None else asset
     config = presets.preset(settings) if isinstance(settings, str) else settings
     name = settings if isinstance(settings, str) else presets.preset_of(config)
     limit = config.grow.limit if config.grow else config.points
@@ -282,7 +283,8 @@ def _made(
         trained = train_in_folder(plan, run, listener)
         asset = load(record.path, device=device)
         if trained is None:
-            return asset
+            # Whoever was killed after the last save and before the light was has none yet.
+            return _lit(asset, scene, options) if asset.light is None else asset
     return _lit(asset, scene, options, trained.observed)
 
 

@@ -18,7 +18,6 @@ from pcore.capture.photo_folders import find_named
 from pcore.capture.photos import Capture, Photo, RawPoints
 from pcore.data.image_files import read_header
 from pcore.data.image_paths import Finder, Wanted
-from pcore.data.points import read_point_file
 from pcore.data.scene import Skipped
 from pcore.data.transforms import PosedFrame, Transforms, read_transforms
 from pcore.errors import InputError, SceneError
@@ -170,6 +169,9 @@ def _points(transforms: Transforms, finder: Finder) -> RawPoints | None:
     if path is None:
         finder.spelled[f"the points {named} ('ply_file_path') are not there"] += 1
         return None
+    # Reading such files takes a package that nothing else here needs.
+    from pcore.data.points import read_point_file
+
     try:
         file = read_point_file(path)
     except InputError as problem:

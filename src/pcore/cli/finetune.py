@@ -97,10 +97,12 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     from pcore.cli.light import show_light
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result, shown_training
+    from pcore.cli.torchrun import refuse_ranks
     from pcore.cli.train import announce
     from pcore.files.run_record import finished
     from pcore.training.config import FinetuneConfig
 
+    refuse_ranks("pcore finetune")
     prepare_torch(command.threads)
     device = pick_device(command.device)
     asset, output = load(command.run_folder), _output(command)

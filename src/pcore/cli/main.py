@@ -58,9 +58,11 @@ VERBS: tuple[Verb, ...] = (
     Verb("view", "pcore.cli.view", "ViewCommand", "look at a run, or make one HTML file of it"),
     Verb("studio", "pcore.cli.studio", "StudioCommand", "edit a run by hand, in the browser"),
     Verb("animate", "pcore.cli.animate", "AnimateCommand", "film a run under keyframes"),
+    Verb("fit", "pcore.cli.fit", "FitCommand", "find the pose of a run in photos of another state"),
     Verb("eval", "pcore.cli.eval", "EvalCommand", "score a run on true images, also deformed"),
     Verb("compare", "pcore.cli.compare", "CompareCommand", "score rival methods beside our own"),
     Verb("ablate", "pcore.cli.ablate", "AblateCommand", "fine-tune with parts left out, compare"),
+    Verb("sweep", "pcore.cli.sweep", "SweepCommand", "run a plan: scenes x settings x seeds"),
     Verb("study make", "pcore.cli.study", "StudyMakeCommand", "ask people which of two is better"),
     Verb("study read", "pcore.cli.study", "StudyReadCommand", "say what people chose"),
     Verb(
@@ -114,20 +116,20 @@ def _dispatch(words: list[str]) -> None:
         print(f"pcore {_version()}")
     else:
         verb = _find(words)
-        _run(verb, words[len(verb.name.split()) :])
+        command_of(verb, words[len(verb.name.split()) :]).run()
 
 
-def _run(verb: Verb, options: list[str]) -> None:
+def command_of(verb: Verb, options: Sequence[str]) -> Command:
+    """Parse the options of a verb; SystemExit, after saying why on stderr, where they are wrong."""
     import tyro
 
     kind: type[Command] = getattr(import_module(verb.module), verb.command)
-    command = tyro.cli(
+    return tyro.cli(
         kind,
         prog=f"pcore {verb.name}",
         args=options,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
-    command.run()
 
 
 def _find(words: list[str]) -> Verb:

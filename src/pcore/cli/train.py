@@ -16,6 +16,7 @@ from pcore.cli.losses import LossOptions, check_weights
 from pcore.cli.minutes import Promise, promised_papr, say_duration
 from pcore.cli.options import Count, optional
 from pcore.cli.runtime import DeviceName
+from pcore.cli.torchrun import is_first
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -70,6 +71,10 @@ class TrainCommand:
     """Where rays begin for the networks: camera (the original) or reference (close
     before the object, whatever camera renders); default: that of the preset."""
 
+    patches: Count = None
+    """Patches of a step, whose loss is their mean; default: those of the preset. The processes
+    that `torchrun` starts share them (papr)."""
+
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of every random draw."""
 
@@ -120,11 +125,13 @@ class TrainCommand:
 
             train_gaussians(self, Console())
         else:
-            train(self, Console())
+            train(self, Console(quiet=not is_first()))
 
 
 def train(command: TrainCommand, console: Console) -> None:
-    """Train as the command says.
+    """Train as the command says, together with the other processes that torchrun started.
+
+    Only the first of them has the folder and says anything.
 
     Raises:
         SceneError: the scene cannot be read.
@@ -135,6 +142,7 @@ def train(command: TrainCommand, console: Console) -> None:
     """
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
+    from pcore.cli.torchrun import refuse_ranks, trained_together
 
     began = time.monotonic()
     prepare_torch(command.threads)
@@ -145,12 +153,15 @@ def train(command: TrainCommand, console: Console) -> None:
     check_weights(config.lpips_weight, config.lpips_trunk)
     plan = f"{command.preset}, {config.steps:,} steps"
     if command.minutes is not None:
+        refuse_ranks("--minutes")
         promise = Promise(minutes=command.minutes, began=began)
         scene, config, plan = promised_papr(command, scene, config, device, promise)
     announce(console, scene, f"{plan} on {device}")
     if command.minutes is None:
         say_duration(console, scene, config, device)
-    asset = trained(command, scene, config, device, console)
+    asset = trained_together(command, scene, config, device, console)
+    if asset is None:
+        return
     if config.steps >= EARLY:
         check_shows(asset, scene)
     show_result(console, asset)
@@ -252,7 +263,10 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     elif not all(view.has_alpha for view in scene.split("train")):
         console.print("images without alpha have no visual hull: points start on a grid")
         changes["start"] = "grid"
-    config = replace(preset(command.preset), **changes)
+    start = preset(command.preset)
+    if command.patches is not None:
+        changes["patch"] = replace(start.patch, views=command.patches)
+    config = replace(start, **changes)
     warn_of_start(scene, config.start, console, otherwise="grid")
     return config
 

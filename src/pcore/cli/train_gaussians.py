@@ -40,8 +40,10 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     """
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
+    from pcore.cli.torchrun import refuse_ranks
     from pcore.training.gaussian_start import chosen_start
 
+    refuse_ranks("--model gaussians")
     began = time.monotonic()
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -70,7 +72,11 @@ def _config(command: TrainCommand) -> GaussianConfig:
     """Return the preset with what the command changes."""
     from pcore.training.presets import gaussian_preset
 
-    foreign = {"--origin": command.origin, "--no-compile": command.no_compile or None}
+    foreign = {
+        "--origin": command.origin,
+        "--patches": command.patches,
+        "--no-compile": command.no_compile or None,
+    }
     foreign |= {f"--{name.replace('_', '-')}": x for name, x in command.losses.changes().items()}
     given = [name for name, value in foreign.items() if value is not None]
     if command.init == "grid":

@@ -8,11 +8,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 from scipy.spatial import KDTree
 from torch import Tensor
 
 from pcore.errors import InputError
+from pcore.geometry.shortest_paths import shortest_paths
 
 _BRIDGE_NEIGHBOURS = 32
 
@@ -53,7 +54,8 @@ def nearest_in(tree: Any, queries: Tensor, k: int) -> tuple[Tensor, Tensor]:
     if k < 1:
         raise InputError(f"neighbours: expected k of at least 1, got {k}")
     k = min(k, tree.n)
-    distance, index = tree.query(queries.detach().cpu().double().numpy(), k=k)
+    places = queries.detach().cpu().double().numpy()
+    distance, index = tree.query(places, k=k, workers=torch.get_num_threads())
     shape = (queries.shape[0], k)
     return (
         torch.from_numpy(index.reshape(shape).astype(np.int64)),
@@ -79,7 +81,8 @@ def neighbour_graph(points: Tensor, k: int) -> csr_array:
     if k < 1:
         raise InputError(f"neighbour graph: expected k of at least 1, got {k}")
     count = len(places)
-    _, index = KDTree(places).query(places, k=min(k + 1, count))
+    workers = torch.get_num_threads()
+    _, index = KDTree(places).query(places, k=min(k + 1, count), workers=workers)
     index = np.asarray(index, dtype=np.int64).reshape(count, -1)
     rows, columns = np.repeat(np.arange(count), index.shape[1]), index.ravel()
     graph = _symmetric(places, rows, columns)
@@ -101,8 +104,15 @@ def path_lengths(graph: csr_array, sources: Tensor) -> Tensor:
         graph: (N, N) from `neighbour_graph`.
         sources: (M,) int64 nodes.
     """
-    lengths = dijkstra(graph, directed=False, indices=sources.numpy())
-    return torch.from_numpy(np.ascontiguousarray(lengths.T, dtype=np.float32))
+    # Neighbours close to one another in memory: a third less time.
+    order = reverse_cuthill_mckee(graph, symmetric_mode=True)
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    near = csr_array(graph[order][:, order])
+    first, ends = (one.astype(np.int64) for one in (near.indptr, near.indices))
+    lengths = near.data.astype(np.float64)
+    found = shortest_paths(first, ends, lengths, place[sources.numpy()])
+    return torch.from_numpy(found[place])
 
 
 def _symmetric(places: FloatArray, rows: IntArray, columns: IntArray) -> csr_array:

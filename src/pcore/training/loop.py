@@ -13,6 +13,7 @@ from torch import Tensor
 from pcore.data.scene import View
 from pcore.errors import TrainingError
 from pcore.files.run_folder import RunFolder
+from pcore.files.training_state import TrainingState
 from pcore.training.budget import Budget, largest_part
 from pcore.training.compiling import compiler_errors_explained
 from pcore.training.config import Background
@@ -28,6 +29,7 @@ from pcore.training.exposure import ViewExposure
 from pcore.training.interrupt import deferred_interrupt
 from pcore.training.losses import Losses
 from pcore.training.pace import Pace
+from pcore.training.ranks import Ranks, current_ranks
 from pcore.training.schedule import Schedule
 from pcore.training.work import Work
 
@@ -85,7 +87,8 @@ def run_loop(
         budget: what the result may cost; None takes the last weights. Where the last ones cost
             more, it is as much of the way to them as the budget allows. A run that is stopped has
             the weights of the last validation that met it, else those before.
-        folder: where to save; None keeps everything in memory.
+        folder: where to save; None keeps everything in memory. Of several processes that train
+            together, only the first has one.
         listener: told everything.
 
     Raises:
@@ -95,29 +98,33 @@ def run_loop(
     """
     if budget is not None:
         work.best = {"weights": {k: t.clone() for k, t in budget.before.items()}, "kept_step": 0}
+    ranks = current_ranks()
     pace = plan.pace or Pace(
         plan.steps, validate_every=plan.validate_every, save_every=plan.save_every
     )
-    _resume(work, plan, pace, folder)
+    state = folder.load_state() if folder is not None else None
+    _resume(work, plan, pace, ranks.from_first(state))
     if pace.done(work.step):
         # Killed between the files of the last save: complete them.
         finish(listener)
         _save(work, plan, pace, folder, listener, finished=True)
     with deferred_interrupt() as interrupted:
         while not pace.done(work.step):
-            found = _step(work, plan, pace, losses)
+            found = _step(work, plan, pace, losses, ranks)
             after_step(listener)
             pace.after(work.step)
             if work.step % _REPORT_EVERY == 0 or pace.done(work.step):
                 listener(_report(work, pace, found))
             if pace.validates(work.step):
                 _validate(work, plan, budget, listener, last=pace.done(work.step))
-            last = pace.done(work.step) or bool(interrupted)
-            if last and not interrupted:
+            stop = ranks.any(bool(interrupted))
+            last = pace.done(work.step) or stop
+            if last and not stop:
                 finish(listener)
             if last or pace.saves(work.step):
-                _save(work, plan, pace, folder, listener, finished=last and not interrupted)
-            if interrupted:
+                ranks.check_same(work.weights(), work.step)
+                _save(work, plan, pace, folder, listener, finished=last and not stop)
+            if stop:
                 _stop(work, folder, listener)
     listener(_finished(work))
     return _result(work)
@@ -134,16 +141,22 @@ def _finished(work: Work[Any]) -> Stopped:
     return Stopped(stage=work.stage, step=work.step, reason="finished", message=message)
 
 
-def _step(work: Work[Any], plan: Plan, pace: Pace, losses: Callable[[], Losses]) -> Losses:
+def _step(
+    work: Work[Any], plan: Plan, pace: Pace, losses: Callable[[], Losses], ranks: Ranks
+) -> Losses:
     work.set_rates(plan.rates, pace.length(work.step))
     work.optimizer.zero_grad(set_to_none=True)
     with compiler_errors_explained():
         found = losses()
         found.total.backward()
+    learned = [p for group in work.optimizer.param_groups for p in group["params"]]
+    ranks.add_gradients(learned if plan.exposure is None else [*learned, plan.exposure.change])
     work.optimizer.step()
     if plan.exposure is not None:
         plan.exposure.step(pace.progress(work.step))
     work.step += 1
+    with torch.no_grad():
+        ranks.add([found.squared_error, *found.terms.values()])
     return found
 
 
@@ -218,8 +231,7 @@ def _result(work: Work[Result]) -> Result:
     return work.result(work.best.get("weights"))
 
 
-def _resume(work: Work[Any], plan: Plan, pace: Pace, folder: RunFolder | None) -> None:
-    state = folder.load_state() if folder is not None else None
+def _resume(work: Work[Any], plan: Plan, pace: Pace, state: TrainingState | None) -> None:
     if state is not None:
         work.restore(state)
         pace.restore(state.optimisers.get("pace", {}), work.step)

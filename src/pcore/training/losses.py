@@ -39,16 +39,19 @@ class Losses:
         return torch.stack(list(self.terms.values())).sum()
 
 
-def mean_of(losses: Sequence[Losses]) -> Losses:
-    """Mean of the same terms over several patches."""
-    count = len(losses)
+def mean_of(losses: Sequence[Losses], *, of: int | None = None) -> Losses:
+    """Mean of the same terms over several patches, or the part of it that these few have `of` all.
+
+    Parts add up to the mean.
+    """
+    count = of or len(losses)
     return Losses(
         terms={
             name: torch.stack([one.terms[name] for one in losses if name in one.terms]).sum()
             / count
             for name in dict.fromkeys(name for one in losses for name in one.terms)
         },
-        squared_error=torch.stack([one.squared_error for one in losses]).mean(),
+        squared_error=torch.stack([one.squared_error for one in losses]).sum() / count,
     )
 
 

@@ -35,6 +35,7 @@ from pcore.training.losses import (
 from pcore.training.pace import Clock, Pace
 from pcore.training.patches import draw_patch
 from pcore.training.population import growth_mixture, growth_sites, replace_rows
+from pcore.training.ranks import current_ranks
 from pcore.training.reduced_view import Photo, PhotosInTurn
 from pcore.training.scene_frame import in_frame, network_frame
 from pcore.training.schedule import reduction_at
@@ -132,7 +133,7 @@ def patch_losses(
         for _ in range(config.patch.views)
     ]
     found: list[Losses] = []
-    for patch in patches:
+    for patch in current_ranks().share(patches):
         with autocast(where, enabled=config.mixed_precision):
             posed = PosedCloud.at_rest(work.cloud)
             image = training_image(work.papr, posed, patch.rays, patch.background)
@@ -149,7 +150,7 @@ def patch_losses(
                 front_weight=config.front_weight / work.papr.config.unit**2,
             )
         )
-    return mean_of(found)
+    return mean_of(found, of=len(patches))
 
 
 def begin(

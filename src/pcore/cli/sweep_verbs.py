@@ -1,0 +1,140 @@
+"""What a trial of a sweep runs: the ordinary commands, with the options of the plan."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.cli.main import Command
+    from pcore.sweep.sweep_trial import Trial
+
+RUN, TUNED = "run", "tuned"
+"""Folders of a trial's trainings."""
+_OURS = {
+    "train": {"scene", "output", "o", "seed", "resume", "device", "threads"},
+    "finetune": {"run-folder", "output", "o", "scene", "seed", "resume", "device", "threads"},
+    "eval": {"run-folder", "output", "o", "scene", "device", "threads"},
+    "compare": {"runs", "output", "o", "scene", "seeds", "device", "threads", "export-field"},
+}
+"""Options that a plan cannot give, because every trial has its own."""
+
+
+def run_trial(trial: Trial) -> None:
+    """Run the verbs of a trial one after another; trainings go on from what lies in its folder.
+
+    Raises:
+        PcoreError: as the commands.
+        KeyboardInterrupt: Ctrl-C, after saving.
+    """
+    for verb in trial.verbs:
+        parsed(trial, verb).run()
+
+
+def parsed(trial: Trial, verb: str) -> Command:
+    """One command of a trial, ready to run.
+
+    Raises:
+        InputError: the plan has an option that the verb does not, or that is the sweep's.
+    """
+    from pcore.cli.main import VERBS, command_of
+
+    known = {one.name: one for one in VERBS}
+    if verb not in known:
+        raise InputError(f"plan: setting {trial.setting!r}: this pcore has no verb {verb!r}")
+    where = f"plan: setting {trial.setting!r}, {verb}"
+    words = [*_own_words(trial, verb), *_words(trial.verbs, verb, where)]
+    told = io.StringIO()
+    try:
+        with redirect_stderr(told), redirect_stdout(told):
+            return command_of(known[verb], words)
+    except SystemExit as error:
+        reason = " ".join(re.sub(r"[^\x20-\x7e]", " ", told.getvalue()).split())
+        raise InputError(f"{where}: {reason}; `pcore {verb} --help` has all options") from error
+
+
+def words_of(trial: Trial, verb: str) -> list[str]:
+    """The same command as words of a command line, without `pcore`."""
+    return [verb, *_own_words(trial, verb), *_words(trial.verbs, verb, verb)]
+
+
+def check_trials(trials: Sequence[Trial]) -> None:
+    """Refuse what can be known to be wrong before anything starts.
+
+    Args:
+        trials: all of the sweep; every setting and every scene is checked once.
+
+    Raises:
+        InputError: an unknown option or state.
+        SceneError: a scene that is missing or damaged.
+    """
+    from pcore.capture.load import load_scene
+    from pcore.evaluation.states import open_states
+
+    commands = {one.setting: {verb: parsed(one, verb) for verb in one.verbs} for one in trials}
+    for place, setting in dict.fromkeys((one.scene_folder, one.setting) for one in trials):
+        train: Any = commands[setting]["train"]
+        load_scene(place, factor=train.factor)
+        for verb in {"eval", "compare"} & {*commands[setting]}:
+            scored: Any = commands[setting][verb]
+            states = scored.state or (() if verb == "eval" and scored.edit else ("all",))
+            open_states(place, factor=scored.factor or train.factor).select(states)
+
+
+def _own_words(trial: Trial, verb: str) -> list[str]:
+    """What the sweep itself says: places, seed, resources, whether there is something to resume."""
+    from pcore.files.run_record import begun
+    from pcore.sweep.sweep_scores import COMPARE, EVAL
+
+    run, tuned = trial.folder / RUN, trial.folder / TUNED
+    last = tuned if "finetune" in trial.verbs else run
+    scene, seed = str(trial.scene_folder), str(trial.seed)
+    shared = ["--device", trial.device, "--threads", str(trial.threads)]
+    if verb in ("train", "finetune"):
+        made = run if verb == "train" else tuned
+        first = [scene] if verb == "train" else [str(run), "--scene", scene]
+        resume = ["--resume"] if begun(made) else []
+        return [*first, "--output", str(made), "--seed", seed, *shared, *resume]
+    folder = trial.folder / (EVAL if verb == "eval" else COMPARE)
+    seeds = [] if verb == "eval" else ["--seeds", seed]
+    subjects = [str(last)] if verb == "eval" else [str(one) for one in dict.fromkeys((run, last))]
+    return [*subjects, "--scene", scene, "--output", str(folder), *seeds, *shared]
+
+
+def _words(verbs: Mapping[Any, Mapping[str, Any]], verb: str, where: str) -> list[str]:
+    """Options of the plan as words; true is a flag that is given, false one that is not."""
+    found: list[str] = []
+    for key, value in verbs[verb].items():
+        name = key.replace("_", "-").lstrip("-")
+        if name in _OURS[verb]:
+            raise InputError(
+                f"{where}: '{key}': expected options that are the same for all trials, got one "
+                "that the sweep gives to each; remove it (seeds and resources have their own keys)"
+            )
+        if value is None or isinstance(value, dict):
+            raise InputError(f"{where}: '{key}': expected a value or a list, got {value!r}")
+        if isinstance(value, list):
+            found += [f"--{name}", *map(str, value)]
+        elif not isinstance(value, bool):
+            found.append(f"--{name}={value}")
+        elif value:
+            found.append(f"--{name}")
+    return found
+
+
+def output_folder(folder: Path, file: str) -> None:
+    """Make the folder of a sweep; refuse one that holds something else.
+
+    Raises:
+        InputError: it is a file, or holds other files.
+        OSError: it cannot be made.
+    """
+    from pcore.cli.output import pictures_folder
+
+    pictures_folder(folder, overwrite=(folder / file).is_file())

@@ -1,0 +1,1 @@
+"""Poses of trained objects found from photos of their deformed states."""

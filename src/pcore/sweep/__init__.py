@@ -1,0 +1,1 @@
+"""Many trials from one plan: in turn or on Ray, resumable, gathered into one table."""

@@ -1,0 +1,125 @@
+"""The plan of a sweep: a YAML file of scenes, settings, seeds and what a trial may take."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+
+from pcore.errors import InputError
+from pcore.validation import describe_problem, read_text
+
+ALL = "all"
+"""Name of the mean over scenes; no scene may be called so."""
+VerbName = Literal["train", "finetune", "eval", "compare"]
+VERB_NAMES: tuple[VerbName, ...] = get_args(VerbName)
+"""What a trial may do, in this order."""
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=64)]
+Seed = Annotated[int, Field(ge=0)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class TrialResources(_Strict):
+    """What one trial may take."""
+
+    cpus: int = Field(default=1, ge=1)
+    """Threads of a trial, and cores of its machine."""
+    gpus: float = Field(default=0, ge=0, le=1)
+    """0: trials compute on the CPU; 1: each has a GPU; less: several share one."""
+    memory_gb: float | None = Field(default=None, gt=0)
+    """Memory that a machine must have free for it."""
+
+
+class SweepSetting(_Strict):
+    """Which verbs a trial runs, each with options as on the command line."""
+
+    train: dict[str, Any] | None
+    finetune: dict[str, Any] | None = None
+    eval: dict[str, Any] | None = None
+    compare: dict[str, Any] | None = None
+
+    def verbs(self) -> dict[VerbName, Mapping[str, Any]]:
+        """Options by verb, in the order in which they run; a verb without any has none."""
+        found: dict[VerbName, Mapping[str, Any]] = {}
+        for name in VERB_NAMES:
+            if name in self.model_fields_set:
+                found[name] = getattr(self, name) or {}
+        return found
+
+
+class SweepPlan(_Strict):
+    """Every scene with every setting and every seed is one trial."""
+
+    version: Literal[1]
+    scenes: dict[Name, str] = Field(min_length=1)
+    """Name -> folder, seen from the plan's own folder."""
+    settings: dict[Name, SweepSetting] = Field(min_length=1)
+    """Name -> verbs; the first setting is what the others are compared with."""
+    seeds: list[Seed] = Field(min_length=1)
+    resources: TrialResources = TrialResources()
+
+
+def read_plan(path: Path) -> SweepPlan:
+    """Read a plan.
+
+    Raises:
+        InputError: there is no file, it is no YAML, or it holds what a plan does not.
+    """
+    where = f"plan {path}"
+    text = read_text(path, where=where, error=InputError)
+    try:
+        # JSON's rules let lists be lists of any kind and numbers be nothing but numbers.
+        data = json.dumps(yaml.load(text, _OneOfEach), allow_nan=False)
+    except yaml.YAMLError as error:
+        told = " ".join(str(error).split())
+        raise InputError(f"{where}: expected YAML, got text that does not parse: {told}") from error
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InputError(
+            f"{where}: expected texts, numbers, lists and mappings, got something else ({error}); "
+            "put quotes around dates and the like"
+        ) from error
+    try:
+        plan = SweepPlan.model_validate_json(data)
+    except ValidationError as error:
+        raise InputError(f"{where}: {describe_problem(error)}") from error
+    _check_names(plan, where)
+    return plan
+
+
+def _check_names(plan: SweepPlan, where: str) -> None:
+    if len({*plan.seeds}) < len(plan.seeds):
+        raise InputError(f"{where}: 'seeds': expected each seed once, got {plan.seeds}")
+    if ALL in plan.scenes:
+        raise InputError(
+            f"{where}: 'scenes': expected another name than {ALL!r}, which stands for the mean "
+            "over scenes; rename the scene"
+        )
+    for kind, names in (("scenes", plan.scenes), ("settings", plan.settings)):
+        # They become folders, and some disks do not tell case apart.
+        if len({name.lower() for name in names}) < len(names):
+            raise InputError(
+                f"{where}: '{kind}': expected names that differ by more than case, got "
+                f"{', '.join(names)}"
+            )
+
+
+class _OneOfEach(yaml.SafeLoader):
+    """Refuses keys that stand twice, of which YAML would silently take the last."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
+        found = super().construct_mapping(node, deep=deep)
+        names = [key.value for key, _ in node.value if key.tag != "tag:yaml.org,2002:merge"]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"the key {twice!r} stands twice", node.start_mark
+            )
+        return found

@@ -1,0 +1,153 @@
+"""One trial of a sweep: its folder, its record, and an attempt to bring it to its end."""
+
+from __future__ import annotations
+
+import json
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pcore.errors import PcoreError
+from pcore.evaluation.tables import jsonable, write_json
+from pcore.files.run_record import relative
+from pcore.sweep.sweep_plan import SweepPlan, VerbName
+
+TRIALS = "trials"
+RECORD_FILE, OUTPUT_FILE = "trial.json", "output.txt"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """One scene with one setting and one seed.
+
+    Attributes:
+        scene: its name in the plan.
+        setting: the setting's name.
+        seed: of every training in it.
+        scene_folder: where the scene lies, absolute.
+        folder: for everything the trial writes, absolute.
+        verbs: what is run, in this order, each with its options as on the command line.
+        threads: of the CPU.
+        device: to compute on.
+    """
+
+    scene: str
+    setting: str
+    seed: int
+    scene_folder: Path
+    folder: Path
+    verbs: Mapping[VerbName, Mapping[str, Any]]
+    threads: int
+    device: str
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"{self.scene}/{self.setting}/seed-{self.seed}"
+
+    @property
+    def stamp(self) -> Any:
+        """All that its results depend on, as JSON values."""
+        scene = relative(self.scene_folder, self.folder)
+        verbs = [[name, dict(options)] for name, options in self.verbs.items()]
+        return [scene, verbs, self.seed, self.threads, self.device]
+
+
+Runner = Callable[[Trial], None]
+"""Runs all verbs of a trial, going on from whatever lies in its folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialResult:
+    """How an attempt at a trial ended.
+
+    Attributes:
+        trial: which.
+        failed: why it did not come to its end; None where it did.
+        seconds: on the clock, if no earlier attempt did a part of the work; else None.
+    """
+
+    trial: Trial
+    failed: str | None = None
+    seconds: float | None = None
+
+
+def trials_of(plan: SweepPlan, *, beside: Path, folder: Path) -> list[Trial]:
+    """List all trials: scenes, settings, seeds from slow to fast.
+
+    Args:
+        plan: what to do.
+        beside: folder that the plan's paths are seen from.
+        folder: of the sweep.
+    """
+    return [
+        Trial(
+            scene=scene,
+            setting=setting,
+            seed=seed,
+            scene_folder=(beside / place).resolve(),
+            folder=folder.resolve() / TRIALS / scene / setting / f"seed-{seed}",
+            verbs=given.verbs(),
+            threads=plan.resources.cpus,
+            device="cuda" if plan.resources.gpus > 0 else "cpu",
+        )
+        for scene, place in plan.scenes.items()
+        for setting, given in plan.settings.items()
+        for seed in plan.seeds
+    ]
+
+
+def finished_trial(trial: Trial) -> TrialResult | None:
+    """What is on record of a trial that came to its end as it stands in the plan; else None."""
+    try:
+        record: dict[str, Any] = json.loads((trial.folder / RECORD_FILE).read_bytes())
+        if record["stamp"] != jsonable(trial.stamp) or record["failed"] is not None:
+            return None
+        return TrialResult(trial=trial, seconds=record["seconds"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def attempt(trial: Trial, run: Runner) -> TrialResult:
+    """Run a trial, with what it prints in a file of its folder, and write how it ended.
+
+    A trial that fails must not cost the others: every error becomes a result.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C; trainings have saved their state.
+    """
+    begun, fresh = time.monotonic(), not trial.folder.exists()
+    try:
+        trial.folder.mkdir(parents=True, exist_ok=True)
+        path = trial.folder / OUTPUT_FILE
+        with path.open("a", encoding="utf-8", buffering=1) as file:
+            failed = _failure(trial, run, file)
+        result = TrialResult(
+            trial=trial,
+            failed=failed,
+            seconds=time.monotonic() - begun if fresh and failed is None else None,
+        )
+        record = {"stamp": trial.stamp, "failed": failed, "seconds": result.seconds}
+        write_json(trial.folder / RECORD_FILE, record)
+    except OSError as error:
+        return TrialResult(trial=trial, failed=f"{trial.folder}: {error.strerror or error}")
+    return result
+
+
+def _failure(trial: Trial, run: Runner, file: Any) -> str | None:
+    """Run it and say why it failed; None when it did not."""
+    with redirect_stdout(file), redirect_stderr(file):
+        try:
+            run(trial)
+        except PcoreError as error:
+            file.write(f"{error}\n")
+            return str(error)
+        except Exception as error:
+            # Of packages that are not ours, or a mistake of ours: the file has the whole story.
+            file.write(traceback.format_exc())
+            return f"{type(error).__name__}: {error}"
+    return None

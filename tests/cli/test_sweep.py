@@ -1,0 +1,165 @@
+"""`pcore sweep`: trials are the ordinary commands, go on, fail alone, and end in one table."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from toys import write_scene
+
+from pcore.cli.main import main
+
+PLAN = """
+version: 1
+scenes: {ball: ball}
+seeds: [0, 1]
+settings:
+  papr:
+    train: {model: papr, steps: 3, points: 60}
+    finetune: {preset: tiny, steps: 2}
+    eval: {state: ["scale:1.5"], rays: plain, protocol: standard}
+  more:
+    train: {model: papr, steps: 3, points: 80, no_tensorboard: true}
+    eval: {state: ["scale:1.5"], rays: plain, protocol: standard}
+"""
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    write_scene(tmp_path / "ball")
+    path = tmp_path / "plan.yaml"
+    path.write_text(PLAN, encoding="utf-8")
+    return path
+
+
+def sweep(plan: Path, *words: str) -> int:
+    return main(["sweep", str(plan), "-o", str(plan.parent / "out"), *words])
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    return [*csv.DictReader(path.read_text(encoding="utf-8").splitlines())]
+
+
+def test_a_plan_in_turn(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its figures are those of the commands typed by hand; a second time nothing is repeated."""
+    assert sweep(plan) == 0
+    said = capsys.readouterr().out
+    assert "4/4 ball/more/seed-1: finished in 0:0" in said
+    assert "mean ± standard deviation over 2 seeds" in said
+    out, hand = plan.parent / "out", str(plan.parent / "hand")
+    scene = str(plan.parent / "ball")
+    machine = ["--device", "cpu", "--threads", "1"]
+    train = ["--model", "papr", "--steps", "3", "--points", "60", "--seed", "1", *machine]
+    assert main(["train", scene, "-o", hand, *train]) == 0
+    tune = ["--preset", "tiny", "--steps", "2", "--seed", "1", *machine]
+    assert main(["finetune", hand, "-o", hand + "-tuned", *tune]) == 0
+    score = ["--state", "scale:1.5", "--rays", "plain", "--protocol", "standard", *machine]
+    assert main(["eval", hand + "-tuned", "-o", hand + "-eval", *score]) == 0
+    trial = out / "trials" / "ball" / "papr" / "seed-1"
+    mine = (trial / "eval" / "images.csv").read_bytes()
+    assert mine == (Path(hand + "-eval") / "images.csv").read_bytes()
+    _check_tables(out)
+    before = {path: path.stat().st_mtime_ns for path in (out / "trials").rglob("*")}
+    tables = (out / "sweep.json").read_bytes()
+    capsys.readouterr()
+    assert sweep(plan) == 0
+    assert "4 of 4 trials are finished already" in capsys.readouterr().out
+    assert {path: path.stat().st_mtime_ns for path in (out / "trials").rglob("*")} == before
+    assert (out / "sweep.json").read_bytes() == tables
+    assert sweep(plan, "--dry-run") == 0
+    assert "0 to run, 1 at a time: about 0:00" in capsys.readouterr().out
+
+
+def _check_tables(out: Path) -> None:
+    scores = rows(out / "results.csv")
+    keys = {(one["setting"], one["method"], one["seed"], one["state"]) for one in scores}
+    methods = (("papr", "PAPR"), ("papr", "P-CORE"), ("more", "PAPR"))
+    states = ("canonical", "scale:1.5")
+    assert keys == {(*m, seed, state) for m in methods for seed in "01" for state in states}
+
+    def values(table: list[dict[str, str]], **wanted: str) -> list[float]:
+        found = [one for one in table if all(one[key] == wanted[key] for key in wanted)]
+        return [float(one["psnr"]) for one in found]
+
+    papr = values(scores, setting="papr", method="PAPR", state="canonical")
+    more = values(scores, setting="more", method="PAPR", state="canonical")
+    means = rows(out / "means.csv")
+    assert values(means, setting="papr", method="PAPR", state="canonical") == pytest.approx(
+        [sum(papr) / 2]
+    )
+    differences = rows(out / "differences.csv")
+    assert values(
+        differences, setting="more", against_setting="papr", state="canonical"
+    ) == pytest.approx([sum(more) / 2 - sum(papr) / 2])
+    record: dict[str, Any] = json.loads((out / "sweep.json").read_bytes())
+    assert record["status"] == "finished"
+    assert len(record["trials"]) == 4
+
+
+def test_failures_are_listed_and_cost_nobody_else(
+    plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The folder of one trial holds somebody's files; once they are away, it alone is run."""
+    text = PLAN.replace("seeds: [0, 1]", "seeds: [0]").replace(
+        "    finetune: {preset: tiny, steps: 2}\n", ""
+    )
+    plan.write_text(text, encoding="utf-8")
+    blocked = plan.parent / "out" / "trials" / "ball" / "papr" / "seed-0" / "run"
+    (plan.parent / "out").mkdir()
+    (plan.parent / "out" / "sweep.json").write_text("{}")
+    blocked.mkdir(parents=True)
+    (blocked / "notes.txt").write_text("of somebody")
+    assert sweep(plan) == 2
+    told = capsys.readouterr()
+    assert "1/2 ball/papr/seed-0: failed: " in told.out
+    assert "holds other files (notes.txt)" in told.out
+    assert "1 of 2 trials failed, the others are finished: ball/papr/seed-0" in told.err
+    assert {one["setting"] for one in rows(plan.parent / "out" / "results.csv")} == {"more"}
+    (blocked / "notes.txt").unlink()
+    assert sweep(plan) == 0
+    told = capsys.readouterr()
+    assert "1 of 2 trials are finished already" in told.out
+    assert "ball/more/seed-0: finished" not in told.out
+    settings = [one["setting"] for one in rows(plan.parent / "out" / "results.csv")]
+    assert {*settings} == {"papr", "more"}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("ball: ball", "ball: nowhere"), "nowhere"),
+        (("points: 60", "pionts: 60"), "setting 'papr', train: "),
+        (("steps: 3", "steps: many"), "setting 'papr', train: "),
+        (("points: 60", "seed: 60"), "one that the sweep gives to each"),
+        (("points: 60", "-o: x"), "one that the sweep gives to each"),
+        (("points: 60", "points:"), "'points': expected a value or a list, got None"),
+        (("preset: tiny, steps", "presets: tiny, steps"), "setting 'papr', finetune: "),
+        (("scale:1.5", "twist90"), "twist90"),
+        (("version: 1", "version: 1\nresources: {cpus: 4096}"), "expected a machine with 4096"),
+        (("version: 1", "version: 1\nresources: {memory_gb: 1000000}"), "GB of memory for each"),
+    ],
+)
+def test_mistakes_are_said_before_anything_starts(
+    plan: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], said: str
+) -> None:
+    assert change[0] in PLAN
+    plan.write_text(PLAN.replace(*change), encoding="utf-8")
+    assert sweep(plan) == 2
+    assert said in capsys.readouterr().err
+    assert not (plan.parent / "out").exists()
+
+
+def test_a_folder_of_somebody_else_is_left_alone(
+    plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (plan.parent / "out").mkdir()
+    (plan.parent / "out" / "thesis.tex").write_text("of somebody")
+    assert sweep(plan) == 2
+    assert "thesis.tex" in capsys.readouterr().err
+    assert sweep(plan, "--workers", "9999") == 2
+    assert "expected at most" in capsys.readouterr().err
+    assert sweep(plan, "--workers", "1", "--address", "nowhere:1") == 2
+    assert "no number with --address" in capsys.readouterr().err

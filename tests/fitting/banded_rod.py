@@ -1,0 +1,79 @@
+"""A rod of Gaussians in coloured bands, and photos of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from PIL import Image
+
+from pcore.asset.asset import Asset, Posed
+from pcore.asset.gaussian_content import GaussianContent
+from pcore.files.provenance import Provenance
+from pcore.files.run_record import RunRecord
+from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.render import Footprint
+from pcore.geometry.camera import Camera
+from pcore.geometry.orbit import orbit_cameras
+
+LENGTH = 1.6
+COUNT = 400
+SIDE = 32
+
+
+def rod(*, bands: float = 9.0, radius: float = 0.15, scale: float = 1.0) -> Asset:
+    """A rod along x of a radius, whose colours change along and around it."""
+    draw = torch.Generator().manual_seed(1)
+    along = LENGTH * (torch.rand(COUNT, generator=draw) - 0.5)
+    angle = 2 * torch.pi * torch.rand(COUNT, generator=draw)
+    means = torch.stack([along, radius * angle.cos(), radius * angle.sin()], dim=1)
+    phases = torch.tensor([0.0, 2.0, 4.0])
+    colors = 0.5 + 0.4 * torch.sin(bands * along[:, None] + phases + 0.5 * angle.cos()[:, None])
+    gaussians = Gaussians(
+        means=scale * means,
+        quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(COUNT, 1),
+        scales=torch.full((COUNT, 3), 0.045 * scale),
+        opacities=torch.full((COUNT,), 0.95),
+        sh=((colors - 0.5) / 0.28209479).unsqueeze(1),
+    )
+    came = Provenance(
+        scene="none",
+        stage="pretrain",
+        step=1,
+        background=(1.0, 1.0, 1.0),
+        extent=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
+        pcore="0",
+    )
+    content = GaussianContent(
+        gaussians=gaussians, footprint=Footprint(), background=(1.0, 1.0, 1.0)
+    )
+    return Asset(content=content, provenance=came, record=RunRecord(stage="pretrain"))
+
+
+def cameras(count: int, *, elevation: float = 0.3, scale: float = 1.0) -> list[Camera]:
+    """Cameras around the rod."""
+    around = orbit_cameras(
+        torch.zeros(3), 4 * scale, count, elevation=elevation, width=SIDE, height=SIDE, angle_x=0.6
+    )
+    return list(around)
+
+
+def write_photos(folder: Path, asset: Asset, posed: Posed | None, places: Sequence[Camera]) -> Path:
+    """Write photos of a posed object, with masks, as a scene; return its folder."""
+    (folder / "train").mkdir(parents=True)
+    frames = []
+    for number, camera in enumerate(places):
+        seen = asset.over((0.0, 0.0, 0.0)).render(posed, camera)
+        alpha = seen.alpha.unsqueeze(-1)
+        rgba = torch.cat([seen.rgb / alpha.clamp_min(1e-4), alpha], dim=-1).clamp(0, 1)
+        pixels = (255 * rgba).round().byte().numpy()
+        Image.fromarray(pixels).save(folder / "train" / f"r_{number}.png")
+        pose = camera.world_from_camera.tolist()
+        frames.append({"file_path": f"./train/r_{number}", "transform_matrix": pose})
+    angle = 2 * math.atan(SIDE / (2 * places[0].fx))
+    content = {"camera_angle_x": angle, "frames": frames}
+    (folder / "transforms_train.json").write_text(json.dumps(content))
+    return folder
