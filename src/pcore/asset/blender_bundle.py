@@ -110,11 +110,11 @@ def cage_around(points: Tensor) -> Cage:
             cell,
         )
         outer_vertices, outer_faces = _outer_shells(vertices, faces)
-        try:
-            cage = Cage(vertices=outer_vertices, faces=outer_faces)
-        except InputError:
-            # Two sheets that touch along an edge; farther out they have merged.
+        edges = torch.stack([outer_faces, outer_faces.roll(-1, dims=1)], dim=-1).reshape(-1, 2)
+        if len(torch.unique(edges, dim=0)) < len(edges):
+            # Two sheets touch along an edge; farther out they have merged.
             continue
+        cage = Cage(vertices=outer_vertices, faces=outer_faces)
         if bool(cage.holds(points).all()):
             return cage
     raise InputError(
