@@ -88,6 +88,12 @@ VERBS: tuple[Verb, ...] = (
         "make a run of a 3DGS file",
     ),
     Verb("export", "pcore.cli.export", "ExportCommand", "write a run for other programs"),
+    Verb(
+        "blender export",
+        "pcore.cli.blender",
+        "BlenderExportCommand",
+        "write a run for the add-on for Blender",
+    ),
     Verb("info", "pcore.cli.info", "InfoCommand", "say what a run or model file is"),
     Verb("doctor", "pcore.cli.doctor", "DoctorCommand", "check this machine"),
 )
