@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -226,7 +226,7 @@ def _default_output(command: RenderCommand) -> Path:
     if command.overwrite:
         return wish
     # A folder that nobody chose is no reason to refuse: the next one that is free.
-    names = (wish, *(wish.with_name(f"{wish.name}-{n}") for n in count(2)))
+    names = chain([wish], (wish.with_name(f"{wish.name}-{n}") for n in count(2)))
     return next(one for one in names if not one.exists() or not any(one.iterdir()))
 
 
