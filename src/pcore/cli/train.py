@@ -143,10 +143,13 @@ def train(command: TrainCommand, console: Console) -> None:
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
     from pcore.cli.torchrun import refuse_ranks, trained_together
+    from pcore.files.run_folder import check_place
 
     began = time.monotonic()
     prepare_torch(command.threads)
     device = pick_device(command.device)
+    if is_first():
+        check_place(command.output, resume=command.resume)  # Before the photos are read.
     scene = opened(command, console)
     config = _config(command, scene, console)
     command.losses.check(config, scene.split("train"))

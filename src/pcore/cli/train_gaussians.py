@@ -41,12 +41,14 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
     from pcore.cli.torchrun import refuse_ranks
+    from pcore.files.run_folder import check_place
     from pcore.training.gaussian_start import chosen_start
 
     refuse_ranks("--model gaussians")
     began = time.monotonic()
     prepare_torch(command.threads)
     device = pick_device(command.device)
+    check_place(command.output, resume=command.resume)  # Before the photos are read.
     config = _config(command)
     scene = opened(command, console)
     plan = f"{command.preset}, {config.steps:,} steps"

@@ -87,13 +87,13 @@ class RunFolder(Closing):
             TrainingError: the folder cannot be written or its disk is too full.
             CheckpointError: its `run.json` is damaged or not ours.
         """
-        _check_content(path, resume=resume)
+        check_place(path, resume=resume)
         _check_space(path, needed)
         with _unwritable(path):
             path.mkdir(parents=True, exist_ok=True)
             lock = FolderLock.acquire(path)
             try:
-                _check_content(path, resume=resume)  # Somebody may have been faster.
+                check_place(path, resume=resume)  # Somebody may have been faster.
                 remove_partials(path)
                 _probe(path)
                 manifest = new_manifest(stage, scene, config)
@@ -242,8 +242,8 @@ def _what_is_saved(folder: Path) -> str:
     return f"already saved and undamaged in {folder}: {', '.join(parts)}"
 
 
-def _check_content(path: Path, *, resume: bool) -> None:
-    """Raise when `path` holds what must not be overwritten; write nothing."""
+def check_place(path: Path, *, resume: bool) -> None:
+    """Raise InputError when `path` holds what must not be overwritten; write nothing."""
     if path.exists() and not path.is_dir():
         raise InputError(f"{path} is a file: expected a folder for the run; use another -o")
     if not path.exists():
