@@ -18,7 +18,8 @@ import pcore
 from pcore.cli.main import main
 
 pytest.importorskip("viser", reason="the extra studio is not installed")
-pytestmark = [pytest.mark.browser, pytest.mark.slow, pytest.mark.timeout(240)]
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
 
 
 class Page:
