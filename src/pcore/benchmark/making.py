@@ -7,7 +7,6 @@ folder for each state, `deformation.json` in it, and all meshes in one vertex or
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import tempfile
@@ -26,6 +25,7 @@ from pcore.benchmark.model import Model
 from pcore.benchmark.model_states import BenchmarkPlan, State, canonical_shape, plan_states
 from pcore.benchmark.true_picture import Shape, take
 from pcore.errors import InputError
+from pcore.sample.sample import write_json, write_views
 from pcore.sample.sample_render import camera_poses, sample_surface, seen_samples
 from pcore.sample.sample_states import ANGLE_X
 
@@ -100,7 +100,7 @@ def _write(
     for name, state in states.items():
         shape = Shape.of(state.vertices, model.faces, model.look)
         jobs += _views(folder / name, "test", test, state.angle_x, shape)
-        _write_json(folder / name / "deformation.json", state.description)
+        write_json(folder / name / "deformation.json", state.description)
     _take_all(jobs, model, plan, canonical, progress)
     _write_meshes(folder / "meshes.npz", model, plan, canonical, states, train)
 
@@ -136,12 +136,7 @@ def _take_all(
 
 
 def _views(folder: Path, split: str, poses: FloatArray, angle_x: float, shape: Shape) -> list[_Job]:
-    frames = [
-        {"file_path": f"./{split}/r_{i}", "transform_matrix": pose.tolist()}
-        for i, pose in enumerate(poses)
-    ]
-    content = {"camera_angle_x": angle_x, "frames": frames}
-    _write_json(folder / f"transforms_{split}.json", content)
+    write_views(folder, split, poses, angle_x)
     return [
         _Job(path=folder / split / f"r_{i}.png", shape=shape, pose=pose, angle_x=angle_x)
         for i, pose in enumerate(poses)
@@ -196,9 +191,4 @@ def _write_manifest(
         "canonical_pose": None if plan.canonical is None else list(plan.canonical),
         "states": {name: state.description for name, state in states.items()},
     }
-    _write_json(path, content)
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_json(path, content)

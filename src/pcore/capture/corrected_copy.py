@@ -91,13 +91,18 @@ def write_corrected(
     return len(chosen)
 
 
-def _check_folder(scene: Scene, folder: Path) -> None:
+def check_outside(scene: Scene, folder: Path) -> None:
+    """Raise InputError where a place to write to lies in the scene's own folder."""
     home = (scene.folder or scene.root).resolve()
     if folder.resolve().is_relative_to(home):
         raise InputError(
             f"{folder}: lies in the scene's own folder {home}, which is never written to; choose "
             "another one"
         )
+
+
+def _check_folder(scene: Scene, folder: Path) -> None:
+    check_outside(scene, folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: expected a new or empty folder for the corrected copy")
 

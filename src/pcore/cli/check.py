@@ -148,12 +148,13 @@ def _show(found: SceneCheck, console: Console) -> None:
 
 
 def _write_masks(found: SceneCheck, command: CheckCommand, console: Console) -> None:
+    from pcore.capture.corrected_copy import check_outside
     from pcore.capture.mask_folder import write_masks
 
     assert command.masks_out is not None, "asked for"
     if found.masks is None:
         raise InputError(f"--masks-out: there are no masks to write: {found.no_masks or 'none'}")
-    _outside(found.scene, command.masks_out)
+    check_outside(found.scene, command.masks_out)
     write_masks(found.views, found.masks.masks, command.masks_out)
     console.print(
         Text(
@@ -188,23 +189,15 @@ def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> 
     )
 
 
-def _outside(scene: Scene, folder: Path) -> None:
-    home = (scene.folder or scene.root).resolve()
-    if folder.resolve().is_relative_to(home):
-        raise InputError(
-            f"{folder}: lies in the scene's own folder {home}, which is never written to; choose "
-            "another one"
-        )
-
-
 def _write_page(
     found: SceneCheck, command: CheckCommand, following: list[str], console: Console
 ) -> None:
+    from pcore.capture.corrected_copy import check_outside
     from pcore.data.whole_file import write_whole
     from pcore.evaluation.check_page import check_page
 
     assert command.html is not None, "asked for"
-    _outside(found.scene, command.html)
+    check_outside(found.scene, command.html)
     write_whole(command.html, check_page(found, following).encode(), "report")
     console.print(Text(f"report with pictures: {command.html}"), soft_wrap=True)
 

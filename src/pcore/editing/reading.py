@@ -31,7 +31,10 @@ def read_edit_file(path: Path) -> Any:
     """
     if not path.exists():
         raise EditError(f"{path}: edit file not found; expected a JSON file")
-    kind = kind_of(path.read_bytes()[:64]) if path.is_file() else None
+    kind = None
+    if path.is_file():
+        with path.open("rb") as file:
+            kind = kind_of(file.read(64))
     if kind not in (None, "JSON text"):
         raise EditError(f"{path}: expected an edit file in JSON, got {kind}; give another file")
     text = read_text(path, where=str(path), error=EditError)

@@ -148,30 +148,31 @@ def _write_scene(folder: Path, settings: dict[str, int], progress: Progress | No
     size = settings["resolution"]
     canonical = MeshCaster(mesh.vertices, mesh.faces)
     for split, poses in (("train", train), ("test", test)):
-        _write_views(folder, split, poses, ANGLE_X)
+        write_views(folder, split, poses, ANGLE_X)
         _write_images(folder / split, canonical, mesh.colors, poses, (ANGLE_X, size), tick)
     moved: dict[str, Array] = {}
     for name, state in states.items():
         vertices = state.deformation(torch.from_numpy(mesh.vertices)).numpy()
         moved[name] = vertices
         caster = MeshCaster(vertices, mesh.faces)
-        _write_views(folder / name, "test", test, state.angle_x)
+        write_views(folder / name, "test", test, state.angle_x)
         view = (state.angle_x, size)
         _write_images(folder / name / "test", caster, mesh.colors, test, view, tick)
-        _write_json(
+        write_json(
             folder / name / "deformation.json", describe_state(state, mesh.vertices, vertices)
         )
     _write_meshes(folder / "meshes.npz", mesh, moved, canonical, train)
     _write_manifest(folder / MANIFEST, settings, mesh, states)
 
 
-def _write_views(folder: Path, split: str, poses: Array, angle_x: float) -> None:
+def write_views(folder: Path, split: str, poses: Array, angle_x: float) -> None:
+    """Write the cameras of a split, poses (C, 4, 4), as a NeRF-Synthetic scene names them."""
     frames = [
         {"file_path": f"./{split}/r_{i}", "transform_matrix": pose.tolist()}
         for i, pose in enumerate(poses)
     ]
     content = {"camera_angle_x": angle_x, "frames": frames}
-    _write_json(folder / f"transforms_{split}.json", content)
+    write_json(folder / f"transforms_{split}.json", content)
 
 
 def _write_images(
@@ -221,9 +222,10 @@ def _write_manifest(
         "canonical_bbox": [mesh.vertices.min(axis=0).tolist(), mesh.vertices.max(axis=0).tolist()],
         "states": {name: state.description for name, state in states.items()},
     }
-    _write_json(path, content)
+    write_json(path, content)
 
 
-def _write_json(path: Path, content: dict[str, Any]) -> None:
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a record, and the folders above it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content, indent=1), encoding="utf-8")
