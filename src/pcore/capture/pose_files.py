@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from pcore.capture.colmap import opengl_pose
 from pcore.capture.photo_folders import find_photos
 from pcore.capture.photos import Capture, Photo, inside, natural_key, pictures_in
-from pcore.capture.transforms_capture import region_of_box
 from pcore.errors import InputError, SceneError
 from pcore.geometry.lens_distortion import LensDistortion
-from pcore.geometry.object_region import Region
+from pcore.geometry.object_region import Region, region_of_box
 
 
 def read_nsvf(root: Path, path: Path, factor: int) -> Capture:
@@ -153,7 +152,8 @@ def _nsvf_box(path: Path) -> Region | None:
     if not path.is_file():
         return None
     try:
-        return region_of_box(torch.from_numpy(_numbers(path, 6)).reshape(2, 3))
+        lower, upper = torch.from_numpy(_numbers(path, 6)).reshape(2, 3)
+        return region_of_box(lower, upper)
     except InputError as problem:
         raise SceneError(f"{path}: {problem}") from problem
 

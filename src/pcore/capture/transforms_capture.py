@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import torch
-from torch import Tensor
 
 from pcore.capture.photo_folders import find_named
 from pcore.capture.photos import Capture, Photo, RawPoints
@@ -22,7 +21,7 @@ from pcore.data.scene import Skipped
 from pcore.data.transforms import PosedFrame, Transforms, read_transforms
 from pcore.errors import InputError, SceneError
 from pcore.geometry.lens_distortion import LensDistortion
-from pcore.geometry.object_region import Region
+from pcore.geometry.object_region import Region, region_of_box
 
 _NGP_SCALE, _NGP_OFFSET = 0.33, 0.5
 """instant-ngp's own world: coordinates times this plus that, then x, y, z <- y, z, x."""
@@ -193,7 +192,8 @@ def _region(content: Mapping[str, Any], where: str) -> Region | None:
         box = torch.tensor(content[given], dtype=torch.float64)
         if given == "render_aabb":
             box = (box.roll(1, dims=-1) - _NGP_OFFSET) / _NGP_SCALE
-        return region_of_box(box)
+        lower, upper = box
+        return region_of_box(lower, upper)
     except (TypeError, ValueError, RuntimeError, IndexError) as problem:
         raise SceneError(
             f"{where}: expected two corners of a box in {given!r}, got {str(content[given])[:80]}; "
@@ -210,13 +210,3 @@ def _own_region(given: Any, where: str) -> Region:
             f"{where}: expected center and radius in {REGION_KEY!r}, got {str(given)[:80]}; mend "
             "it or remove the key"
         ) from problem
-
-
-def region_of_box(box: Tensor) -> Region:
-    """Region of a box (2, 3) and the sphere around it; InputError for none."""
-    box = box.float()
-    if tuple(box.shape) != (2, 3):
-        raise InputError(f"region: expected two corners, got numbers of shape {tuple(box.shape)}")
-    return Region(
-        center=box.mean(dim=0), radius=float((box[1] - box[0]).norm()) / 2 or -1.0, box=box
-    )
