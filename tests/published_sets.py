@@ -29,7 +29,7 @@ def neural_editor(root: Path) -> Path:
         content = (state / f"transforms_{split}.json").read_text()
         (state / f"transforms_{split}.json").unlink()
         (new / "transforms.json").write_text(content.replace(f"./{split}/", f"./{new.name}/"))
-    inside = np.random.default_rng(1).uniform(-0.65, 0.65, (40_000, 3))
+    inside = np.random.default_rng(1).uniform(-1, 1, (40_000, 3)) * [0.65, 0.5, 0.4]
     np.save(state / "points_before.npy", inside.astype(np.float32))
     np.save(state / "points_after.npy", grown(inside).astype(np.float32))
     return scene
