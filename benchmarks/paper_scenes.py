@@ -1,7 +1,7 @@
 """Data sets of the paper, and those at hand: where they lie below DATA, at which resolution.
 
-Splits: rendered sets bring their own; of captures every 8th photo is held out, as the codes do
-whose figures the paper quotes. Widths are those of the published pictures; the paper halves the
+Splits: rendered sets bring their own; of captures every 8th photo is held out, as is usual for both
+(the paper names no splits). Widths are those of the published pictures; the paper halves the
 pictures of Mip-NeRF 360 once more, for its own method.
 """
 

@@ -173,10 +173,25 @@ def figure(states: Sequence[Drawn], views: Sequence[int]) -> bytes:
     rows: list[tuple[str, Sequence[Any]]] = []
     for view in views:
         shown = [state.pictures[view] for state in states]
+        part = _box(torch.stack([one.alpha for one in shown]))
         span = depth_range([(one.alpha, one.depth) for one in shown])
-        rows.append(("picture", [color_pixels(one.rgb) for one in shown]))
-        rows.append(("depth", [depth_pixels(one.alpha, one.depth, span) for one in shown]))
+        rows.append(("picture", [color_pixels(one.rgb[part]) for one in shown]))
+        rows.append(
+            ("depth", [depth_pixels(one.alpha[part], one.depth[part], span) for one in shown])
+        )
     return png_bytes(sheet([state.title for state in states], rows, cell=240))
+
+
+def _box(alpha: Tensor) -> tuple[slice, slice]:
+    """Rows and columns of pictures (N, H, W) in which anything is to be seen, and a margin."""
+    seen = (alpha >= SOLID_ALPHA).any(dim=0)
+    ends: list[slice] = []
+    for axis in (1, 0):
+        places = seen.any(dim=axis).nonzero()
+        first, last = (int(places.min()), int(places.max())) if len(places) else (0, len(seen))
+        margin = (last - first) // 20 + 1
+        ends.append(slice(max(first - margin, 0), last + margin + 1))
+    return ends[0], ends[1]
 
 
 def rate(state: Drawn, name: str) -> float:

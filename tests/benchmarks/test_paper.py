@@ -56,7 +56,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     published_sets.time_sequence(root / "realistic" / "hand")
     published_sets.dtu(root / "dtu")
     published_sets.mip_nerf_360(root / "360_v2")
-    tiny_scene.write_scene(root / "deformed" / "box")
+    box = tiny_scene.write_scene(root / "deformed" / "box")
+    tiny_scene.write_split(box / "walk", "train", tiny_scene.CORNERS, tiny_scene.orbit(4))
     return root
 
 
@@ -95,6 +96,8 @@ def test_a_dry_run_says_what_is_done_and_what_is_left_out(
     assert "--state canonical --methods papr 3dgs-fixed" in out
     assert "--every 4" in out
     assert "--factor 8" in out
+    out = said(capsys, "motion", data, tmp_path, "--dry-run")
+    assert "--state walk --methods papr motion" in out
     out = said(capsys, "ablation", data, tmp_path, "--dry-run", "--only", "box")
     assert f"pcore ablate {tmp_path / 'box'}" in out
     assert "left out: the user study" in said(capsys, "study", data, tmp_path)
