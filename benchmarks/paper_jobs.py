@@ -13,7 +13,7 @@ from pcore.errors import PcoreError
 from pcore.evaluation.contestants import METHODS
 from pcore.files.run_record import begun, finished
 
-_AT_REST = ("papr", "3dgs-fixed", "2dgs")
+_AT_REST = ("papr", "3dgs-fixed", "2dgs-affine")
 """Methods that differ before any editing; those of them that `pcore compare` knows."""
 MODELS = ("papr", "pcore", "gaussians")
 """What is trained of a scene: the first is fine-tuned to the second."""
