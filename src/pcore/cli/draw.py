@@ -117,14 +117,16 @@ def _layers(
 ) -> dict[str, Tensor]:
     """Colours (H, W, 3) by the ending of their file's name."""
     from pcore.data.pictures import depth_picture, normal_picture
-    from pcore.render.image import normals
+    from pcore.render.image import whole_normals
 
     layers = {"": picture.rgb}
     if wanted.depth:
         near, far = shades
         layers["_depth"] = depth_picture(picture.depth, picture.alpha, near=near, far=far)
     if wanted.normals:
-        layers["_normals"] = normal_picture(normals(picture, camera), camera.world_from_camera)
+        layers["_normals"] = normal_picture(
+            whole_normals(picture, camera), camera.world_from_camera
+        )
     return layers
 
 
@@ -137,7 +139,7 @@ def _write(
     wanted: Wanted,
 ) -> list[Path]:
     from pcore.data.pictures import write_png, write_raw
-    from pcore.render.image import normals
+    from pcore.render.image import whole_normals
 
     files: list[Path] = []
     if wanted.png:
@@ -152,7 +154,7 @@ def _write(
             "surface": picture.surface,
         }
         if wanted.normals:
-            arrays["normals"] = normals(picture, camera)
+            arrays["normals"] = whole_normals(picture, camera)
         files.append(output / f"{name}.npz")
         write_raw(files[-1], **arrays)
     return files

@@ -151,10 +151,10 @@ def _write_picture(
 
     from pcore.data.depth_files import save_depth_png, save_exr
     from pcore.data.pictures import normal_picture, write_png
-    from pcore.render.image import normals
+    from pcore.render.image import whole_normals
 
     depth = torch.where(image.alpha >= 0.5, image.depth, torch.nan)
-    facing = normals(image, camera)
+    facing = whole_normals(image, camera)
     save_depth_png(folder / f"{name}_depth.png", depth, step)
     write_png(folder / f"{name}_normals.png", normal_picture(facing, camera.world_from_camera))
     if exr:

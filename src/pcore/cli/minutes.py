@@ -116,9 +116,10 @@ def _recorded(
     """
     from pcore.cli.train import opened
     from pcore.files.records import from_dict
+    from pcore.files.run_folder import saved_nothing
     from pcore.files.run_record import RunRecord, begun
 
-    if not begun(command.output):
+    if not begun(command.output) or saved_nothing(command.output):
         return None
     record = RunRecord.read(command.output).config
     settings: Any = record.get(key)

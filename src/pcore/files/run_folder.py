@@ -27,6 +27,9 @@ from pcore.model.papr_config import PaprConfig
 from pcore.validation import first_names
 
 LOG_FILE = "log.jsonl"
+RUNNING = "running"
+"""Status of a run that has not ended, or whose process was killed."""
+_TENSORBOARD = "tensorboard"
 _BYTES_PER_NUMBER = 4
 
 
@@ -97,10 +100,13 @@ class RunFolder(Closing):
                 remove_partials(path)
                 _probe(path)
                 manifest = new_manifest(stage, scene, config)
-                if (path / MANIFEST_FILE).exists():
+                if saved_nothing(path):
+                    (path / LOG_FILE).unlink(missing_ok=True)
+                    shutil.rmtree(path / _TENSORBOARD, ignore_errors=True)
+                elif (path / MANIFEST_FILE).exists():
                     manifest = same_run(path, manifest)
                 run = cls(path, manifest, lock)
-                run.update(status="running")
+                run.update(status=RUNNING)
             except BaseException:
                 lock.release()
                 raise
@@ -139,7 +145,7 @@ class RunFolder(Closing):
     @property
     def tensorboard(self) -> Path:
         """The folder of TensorBoard's event files."""
-        return self.path / "tensorboard"
+        return self.path / _TENSORBOARD
 
     @property
     def renders(self) -> Path:
@@ -254,7 +260,7 @@ def check_place(path: Path, *, resume: bool) -> None:
             )
         return
     if (path / MANIFEST_FILE).exists():
-        if resume:
+        if resume or saved_nothing(path):
             return
         raise InputError(
             f"{path} holds a run already, which is not overwritten: continue it with --resume, "
@@ -266,6 +272,14 @@ def check_place(path: Path, *, resume: bool) -> None:
             f"{path} holds other files ({foreign}): "
             "expected a new or empty folder for the run; choose another one with -o"
         )
+
+
+def saved_nothing(path: Path) -> bool:
+    """Whether the run in a folder ended before its first save, so that it can begin anew."""
+    saved = (STATE_FILE, MODEL_FILE, GAUSSIANS_FILE)
+    if not (path / MANIFEST_FILE).is_file() or any((path / name).exists() for name in saved):
+        return False
+    return read_manifest(path)["notes"].get("status") == RUNNING
 
 
 def _is_leftover(item: Path) -> bool:
