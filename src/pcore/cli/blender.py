@@ -70,7 +70,7 @@ def export_bundle(command: BlenderExportCommand, console: Console) -> None:
     from pcore.cli.output import pictures_folder
     from pcore.cli.results import counting
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.render.fusion import require_marching_cubes
+    from pcore.render.distance_grid import require_marching_cubes
 
     for name, value in (("--fps", command.fps), ("--resolution", command.resolution - 7)):
         if value < 1:
