@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -110,6 +109,7 @@ def _write_depth(
     from pcore.cli.results import counting
     from pcore.data.camera_output import TRANSFORMS, save_transforms
     from pcore.data.depth_files import depth_step
+    from pcore.data.whole_file import save_json
 
     folder = command.output
     # One step for all pictures, before any is taken: what is behind the farthest point is nothing.
@@ -139,7 +139,7 @@ def _write_depth(
         "exr": None if command.no_exr else "Y: camera z, world units; infinity: nothing there",
         "normals": "world axes in .exr; in .png right is red, up green, to the camera blue",
     }
-    (folder / "depth.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    save_json(folder / "depth.json", about, "description")
     return [f"{folder}: depth and normals of {len(shots)} pictures; a step of a PNG is {step:g}"]
 
 

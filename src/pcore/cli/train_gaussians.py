@@ -10,16 +10,9 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from pcore.cli.minutes import Promise, promised_gaussians, say_duration
-from pcore.cli.train import (
-    EARLY,
-    TrainCommand,
-    announce,
-    check_shows,
-    opened,
-    trained,
-    warn_of_start,
-)
+from pcore.cli.minutes import Promise, promised, say_duration
+from pcore.cli.train import TrainCommand, opened, trained
+from pcore.cli.train_checks import EARLY, announce, check_shows, warn_of_start
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,7 +47,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     plan = f"{command.preset}, {config.steps:,} steps"
     if command.minutes is not None:
         promise = Promise(minutes=command.minutes, began=began)
-        scene, config, plan = promised_gaussians(command, scene, config, device, promise)
+        scene, config, plan = promised(command, scene, config, device, promise)
     start = chosen_start(scene, config.start)
     if start != "sparse":
         warn_of_start(scene, start, console, otherwise="views")

@@ -65,15 +65,7 @@ def finetune_gaussians(
         )
     return run_loop(
         work,
-        Plan(
-            steps=config.steps,
-            rates=config.rates.named(),
-            validate_every=config.validate_every,
-            save_every=config.save_every,
-            validation=validation,
-            background=config.background,
-            scene=scene.name,
-        ),
+        Plan.of(config, validation, scene.name),
         GaussianObjective(config, work, start, views),
         budget=budget,
         folder=folder,

@@ -16,7 +16,7 @@ from pcore.files.run_folder import RunFolder
 from pcore.files.training_state import TrainingState
 from pcore.training.budget import Budget, largest_part
 from pcore.training.compiling import compiler_errors_explained
-from pcore.training.config import Background
+from pcore.training.config import Background, FinetuneConfig, PretrainConfig
 from pcore.training.events import (
     BudgetReport,
     Listener,
@@ -26,6 +26,7 @@ from pcore.training.events import (
     ValidationReport,
 )
 from pcore.training.exposure import ViewExposure
+from pcore.training.gaussian_config import GaussianConfig, GaussianFinetuneConfig
 from pcore.training.interrupt import deferred_interrupt
 from pcore.training.losses import Losses
 from pcore.training.pace import Pace
@@ -36,6 +37,9 @@ from pcore.training.work import Work
 Result = TypeVar("Result")
 
 _REPORT_EVERY = 10
+
+
+Schedulable = PretrainConfig | FinetuneConfig | GaussianConfig | GaussianFinetuneConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +67,30 @@ class Plan:
     scene: str
     pace: Pace | None = None
     exposure: ViewExposure | None = None
+
+    @classmethod
+    def of(
+        cls,
+        config: Schedulable,
+        validation: Sequence[View],
+        scene: str,
+        *,
+        rates: Mapping[str, Schedule] | None = None,
+        pace: Pace | None = None,
+        exposure: ViewExposure | None = None,
+    ) -> Plan:
+        """Take from settings what a loop needs of them; `rates` are more than those."""
+        return cls(
+            steps=config.steps,
+            rates={**config.rates.named(), **(rates or {})},
+            validate_every=config.validate_every,
+            save_every=config.save_every,
+            validation=validation,
+            background=config.background,
+            scene=scene,
+            pace=pace,
+            exposure=exposure,
+        )
 
 
 def run_loop(

@@ -100,17 +100,7 @@ def pretrain(
 
     return run_loop(
         work,
-        Plan(
-            steps=config.steps,
-            rates=config.rates.named(),
-            validate_every=config.validate_every,
-            save_every=config.save_every,
-            validation=validation,
-            background=config.background,
-            scene=scene.name,
-            pace=pace,
-            exposure=exposure,
-        ),
+        Plan.of(config, validation, scene.name, pace=pace, exposure=exposure),
         losses,
         after_step=lambda tell: _change_population(work, config, tell),
         finish=lambda tell: work.complete(scene.split("train"), tell),
