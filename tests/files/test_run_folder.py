@@ -15,7 +15,8 @@ import torch
 from pcore.errors import CheckpointError, InputError, TrainingError
 from pcore.files import run_folder as output
 from pcore.files.lock import held
-from pcore.files.run_folder import RunFolder, bytes_needed
+from pcore.files.run_folder import RunFolder
+from pcore.files.run_place import bytes_needed
 from pcore.files.training_state import TrainingState
 
 CONFIG = {"steps": 100, "papr": {"neighbours": 8, "size": (1, 2)}}

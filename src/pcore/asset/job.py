@@ -11,7 +11,8 @@ from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.run_options import RunOptions
 from pcore.asset.saving import asset_of, load
 from pcore.data.scene import Scene
-from pcore.files.run_folder import RunFolder, bytes_needed
+from pcore.files.run_folder import RunFolder
+from pcore.files.run_place import bytes_needed
 from pcore.files.run_record import RunRecord
 from pcore.training.events import Listener
 from pcore.training.in_folder import FolderPlan, train_in_folder

@@ -112,7 +112,7 @@ def _recorded(command: TrainCommand, base: Config) -> tuple[Scene, Config] | Non
     """
     from pcore.cli.train import opened
     from pcore.files.records import from_dict
-    from pcore.files.run_folder import saved_nothing
+    from pcore.files.run_place import saved_nothing
     from pcore.files.run_record import RunRecord, begun
     from pcore.training.config import PretrainConfig
 

@@ -135,7 +135,7 @@ def train(command: TrainCommand, console: Console) -> None:
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
     from pcore.cli.torchrun import refuse_ranks, trained_together
-    from pcore.files.run_folder import check_place
+    from pcore.files.run_place import check_place
 
     began = time.monotonic()
     prepare_torch(command.threads)

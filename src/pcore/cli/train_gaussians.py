@@ -34,7 +34,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
     from pcore.cli.torchrun import refuse_ranks
-    from pcore.files.run_folder import check_place
+    from pcore.files.run_place import check_place
     from pcore.training.gaussian_start import chosen_start
 
     refuse_ranks("--model gaussians")

@@ -15,7 +15,8 @@ from pcore.training.compiling import compile_networks
 from pcore.training.config import FinetuneConfig
 from pcore.training.events import Listener, silent
 from pcore.training.held_out import validate
-from pcore.training.loop import Plan, autocast, run_loop
+from pcore.training.loop import autocast, run_loop
+from pcore.training.loop_plan import Plan
 from pcore.training.losses import Losses, mean_of, perceptual_loss
 from pcore.training.objective import Objective
 from pcore.training.patches import draw_patch

@@ -11,7 +11,8 @@ from pcore.training.events import Listener, silent
 from pcore.training.gaussian_config import GaussianFinetuneConfig
 from pcore.training.gaussian_consistency import GaussianObjective
 from pcore.training.gaussian_start import camera_distance
-from pcore.training.loop import Plan, run_loop
+from pcore.training.loop import run_loop
+from pcore.training.loop_plan import Plan
 from pcore.training.trainable_gaussians import TrainedGaussians, trainable_gaussians
 
 _LOGIT = 1e-6

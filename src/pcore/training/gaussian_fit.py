@@ -18,7 +18,8 @@ from pcore.training.exposure import ViewExposure
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from pcore.training.gaussian_density import changes
 from pcore.training.gaussian_start import camera_distance, start_gaussians
-from pcore.training.loop import Plan, run_loop
+from pcore.training.loop import run_loop
+from pcore.training.loop_plan import Plan
 from pcore.training.losses import Losses
 from pcore.training.pace import Clock, Leg, Pace
 from pcore.training.reduced_view import PhotosInTurn

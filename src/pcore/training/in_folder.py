@@ -15,7 +15,8 @@ from pcore.errors import DependencyError, PcoreError
 from pcore.files.lock import LOCK_FILE
 from pcore.files.manifest import MANIFEST_FILE, new_manifest, same_run
 from pcore.files.provenance import Stage
-from pcore.files.run_folder import RunFolder, bytes_needed, saved_nothing
+from pcore.files.run_folder import RunFolder
+from pcore.files.run_place import bytes_needed, saved_nothing
 from pcore.files.run_record import finished, relative
 from pcore.model.papr import Papr
 from pcore.model.papr_config import PaprConfig

@@ -23,7 +23,8 @@ from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.exposure import ViewExposure
 from pcore.training.gaussian_start import mean_colors
-from pcore.training.loop import Plan, autocast, run_loop
+from pcore.training.loop import autocast, run_loop
+from pcore.training.loop_plan import Plan
 from pcore.training.losses import (
     Losses,
     Perceptual,
