@@ -190,32 +190,23 @@ def trained(
     console: Console,
 ) -> Asset:
     """Train with progress shown; say what the light is, unless the run was finished before."""
-    from pcore.asset.training import RunOptions
     from pcore.asset.training import train as make
-    from pcore.cli.light import show_light
-    from pcore.cli.sessions import shown_training
-    from pcore.files.run_record import finished
+    from pcore.cli.sessions import trained_with
 
-    done = command.resume and finished(command.output)
-    with shown_training(console) as (listener, note):
-        options = RunOptions(
-            resume=command.resume,
-            tensorboard=not command.no_tensorboard,
-            compiled=not command.no_compile,
-            preset=command.preset,
-            note=note,
-        )
-        asset = make(
+    return trained_with(
+        command,
+        console,
+        command.output,
+        command.preset,
+        lambda listener, options: make(
             scene,
             config,
             folder=command.output,
             listener=listener,
             device=device,
             options=options,
-        )
-    if not done:
-        show_light(asset, console)
-    return asset
+        ),
+    )
 
 
 def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainConfig:
