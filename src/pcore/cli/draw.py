@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -183,14 +182,9 @@ class _Films:
 
 @contextmanager
 def _bar(console: Console, total: int) -> Generator[Callable[[float], None]]:
-    progress = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-    )
+    from pcore.cli.results import bar
+
+    progress = bar(console)
     task = progress.add_task("views", total=total)
     with progress:
         yield lambda done: progress.update(task, completed=done)

@@ -33,16 +33,10 @@ def check(command: ExportCommand) -> None:
 
 def write(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
     """Write depth and normals, cameras, or a data set."""
-    from pcore.cli.output import pictures_folder
+    from pcore.cli.output import export_folder
 
     shots = _shots(command, asset)
-    try:
-        pictures_folder(command.output, overwrite=command.overwrite)
-    except OSError as error:
-        raise InputError(
-            f"{command.output}: cannot make the folder ({error.strerror}); expected a place that "
-            "can be written to"
-        ) from error
+    export_folder(command.output, overwrite=command.overwrite)
     if command.to == "depth":
         return _write_depth(command, asset, shots, console)
     named = [(name, camera) for name, camera, _ in shots]

@@ -11,12 +11,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import Protocol
 
 from rich.console import Console
 from rich.table import Table
 
+import pcore
 from pcore.cli.console import guarded
 from pcore.errors import InputError
 
@@ -113,7 +113,7 @@ def _dispatch(words: list[str]) -> None:
     if not words or words[0] in ("-h", "--help"):
         _show_help()
     elif words[0] == "--version":
-        print(f"pcore {_version()}")
+        print(f"pcore {pcore.__version__}")
     elif (group := _group(words)) and words[1:] in ([], ["-h"], ["--help"]):
         console = Console()
         console.print(f"usage: pcore {words[0]} VERB [OPTIONS]\n", markup=False)
@@ -172,13 +172,6 @@ def _show_help() -> None:
     console.print(_table(VERBS))
     console.print("\n`pcore VERB --help` shows its options; `pcore --version` the version.")
     console.print("With PCORE_DEBUG=1 in the environment errors show where they were raised.")
-
-
-def _version() -> str:
-    try:
-        return version("pcore-edit")
-    except PackageNotFoundError:
-        return "(not installed)"
 
 
 if __name__ == "__main__":

@@ -15,8 +15,7 @@ from pcore.cli.minutes import Promise, promised, say_duration
 from pcore.cli.options import Count, optional
 from pcore.cli.runtime import DeviceName
 from pcore.cli.torchrun import is_first
-from pcore.cli.train_checks import EARLY, announce, check_shows, warn_of_start
-from pcore.errors import InputError
+from pcore.cli.train_checks import EARLY, announce, check_shows, start_file, warn_of_start
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
@@ -220,12 +219,7 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     if command.init in ("hull", "grid"):
         changes["start"] = command.init
     elif command.init is not None:
-        if command.points is not None:
-            raise InputError(
-                f"--points {command.points}: expected no number where the points come from a file, "
-                f"got --init {command.init} as well; leave one of the options out"
-            )
-        changes["start"] = str(Path(command.init).resolve())
+        changes["start"] = start_file(command.init, command.points)
     elif not all(view.has_alpha for view in scene.split("train")):
         console.print("images without alpha have no visual hull: points start on a grid")
         changes["start"] = "grid"

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.text import Text
 
+from pcore.errors import InputError
+
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
     from pcore.data.scene import Scene
@@ -19,6 +21,16 @@ EARLY = 50
 """Pictures of a training of fewer steps may still be empty."""
 _HAZE = 0.5
 """More faint pixels than that per solid one are no rims (clean masks: `faint_share`)."""
+
+
+def start_file(init: str, points: int | None) -> str:
+    """Full path of the file that points start from; InputError where their number is given, too."""
+    if points is not None:
+        raise InputError(
+            f"--points {points}: expected no number where the points come from a file, got --init "
+            f"{init} as well; leave one of the options out"
+        )
+    return str(Path(init).resolve())
 
 
 def warn_of_start(scene: Scene, start: str, console: Console, *, otherwise: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -12,7 +11,7 @@ from rich.text import Text
 
 from pcore.cli.minutes import Promise, promised, say_duration
 from pcore.cli.train import TrainCommand, opened, trained
-from pcore.cli.train_checks import EARLY, announce, check_shows, warn_of_start
+from pcore.cli.train_checks import EARLY, announce, check_shows, start_file, warn_of_start
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -88,10 +87,5 @@ def _config(command: TrainCommand) -> GaussianConfig:
     if command.init in ("hull", "sparse", "views"):
         changes["start"] = command.init
     elif command.init is not None:
-        if command.points is not None:
-            raise InputError(
-                f"--points {command.points}: expected no number where the points come from a file, "
-                f"got --init {command.init} as well; leave one of the options out"
-            )
-        changes["start"] = str(Path(command.init).resolve())
+        changes["start"] = start_file(command.init, command.points)
     return replace(gaussian_preset(command.preset), **changes)

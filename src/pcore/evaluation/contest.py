@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import statistics
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +19,7 @@ from pcore.evaluation.picture_method import folder_of
 from pcore.evaluation.protocol import STANDARD, Perceptual, Protocol
 from pcore.evaluation.runner import ImageRow, Method, Tells, evaluate
 from pcore.evaluation.states import State
-from pcore.evaluation.tables import jsonable, write_json
+from pcore.evaluation.tables import jsonable, numbers_of, write_json
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
 
@@ -227,7 +227,7 @@ def _read(path: Path, stamp: Any) -> Outcome | None:
             return None
         record["cost"] = Cost(**record["cost"])
         record["rows"] = tuple(
-            _row({**row, "scores": _numbers(row["scores"])}) for row in record["rows"]
+            _row({**row, "scores": numbers_of(row["scores"])}) for row in record["rows"]
         )
         return Outcome(**record)
     except (OSError, ValueError, KeyError, TypeError):
@@ -236,8 +236,3 @@ def _read(path: Path, stamp: Any) -> Outcome | None:
 
 def _row(values: dict[str, Any]) -> ImageRow:
     return ImageRow(**values)
-
-
-def _numbers(scores: Mapping[str, Any]) -> dict[str, Any]:
-    """Undo how infinity is written in JSON."""
-    return {k: float(v) if v in ("inf", "-inf") else v for k, v in scores.items()}
