@@ -24,19 +24,18 @@ RUNNING = "running"
 _BYTES_PER_NUMBER = 4
 
 
-def bytes_needed(numbers: int, *, renders: int = 0) -> int:
+def bytes_needed(numbers: int) -> int:
     """Estimate the disk space of a run in bytes.
 
     Args:
         numbers: parameters of the networks and of the largest cloud together.
-        renders: bytes of pictures that will be written as well.
 
     Counted are weights, two moments of Adam, a running average and the best weights in the state,
     and the model file; all twice, because the old files stay until the new ones are complete;
     and 16 MB for logs.
     """
     state, model = 5 * numbers, numbers
-    return 2 * (state + model) * _BYTES_PER_NUMBER + 16_000_000 + renders
+    return 2 * (state + model) * _BYTES_PER_NUMBER + 16_000_000
 
 
 def check_place(path: Path, *, resume: bool) -> None:
