@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from figure_model import TURN, bar, bowed, figure
+from figure_model import TURN, bar, bowed, figure, picture
 from gltf_files import Builder
 from PIL import Image
 
@@ -251,6 +251,70 @@ def test_other_files_have_their_paint(tmp_path: Path) -> None:
     model = read_model(tmp_path / "b.ply")
     assert model.look.rgba(model.faces, np.array([0]), place)[0, :3] == pytest.approx([1, 0, 0])
     assert model.vertices[2] == pytest.approx([0, 1, 0])
+
+
+def in_files(made: Builder, folder: Path) -> Path:
+    """The model as a .gltf with its numbers and its texture in files beside it."""
+    folder.mkdir()
+    tree = made.tree
+    (folder / "my numbers.bin").write_bytes(made.binary)
+    tree["buffers"] = [{"byteLength": len(made.binary), "uri": "my%20numbers.bin"}]
+    (folder / "skin.png").write_bytes(picture())
+    tree["images"] = [{"uri": "skin.png"}]
+    path = folder / "figure.gltf"
+    path.write_text(json.dumps(tree))
+    return path
+
+
+def test_a_model_in_several_files_is_the_same(tmp_path: Path) -> None:
+    one = read_model(save(figure(), tmp_path))
+    path = in_files(figure(), tmp_path / "parts")
+    other = read_model(path)
+    assert np.array_equal(one.vertices, other.vertices)
+    assert np.array_equal(one.at(one.clips[0], 1.3), other.at(other.clips[0], 1.3))
+    face, middle = np.arange(20), np.full((20, 3), 1 / 3)
+    assert np.array_equal(
+        one.look.rgba(one.faces, face, middle), other.look.rgba(other.faces, face, middle)
+    )
+    (path.parent / "skin.png").unlink()
+    with pytest.raises(InputError, match=r"expected the file 'skin.png' beside it"):
+        read_model(path)
+    path.write_text(path.read_text().replace("skin.png", "../figure.glb"))
+    with pytest.raises(InputError, match="outside its folder"):
+        read_model(path)
+
+
+def test_paint_of_an_older_kind_of_material(tmp_path: Path) -> None:
+    made = figure()
+    diffuse = {"diffuseFactor": [0.5, 0.25, 1, 1]}
+    old = {"KHR_materials_pbrSpecularGlossiness": diffuse}
+    made.tree["materials"] = [{"extensions": old}]
+    model = read_model(save(made, tmp_path))
+    rgba = model.look.rgba(model.faces, np.array([0]), np.full((1, 3), 1 / 3))
+    assert rgba[0] == pytest.approx([0.5, 0.25, 1, 1])
+
+
+def test_two_skeletons_move_each_their_own_mesh(tmp_path: Path) -> None:
+    """A second figure on bones of its own, moved aside and bent by half of the angle."""
+    made = figure()
+    tree = made.tree
+    aside = np.array([3.0, 0.0, 0.0])
+    tree["skins"].append({**tree["skins"][0], "joints": [4, 5]})
+    tree["nodes"] += [
+        {"mesh": 0, "skin": 1},
+        {"children": [5], "translation": aside.tolist()},
+        {"translation": [0, 1, 0]},
+    ]
+    tree["scenes"] = [{"nodes": [0, 1, 3, 4]}]
+    half = TURN / 4
+    keys = made.array(np.array([[0, 0, 0, 1], [0, 0, np.sin(half), np.cos(half)]]))
+    clip = tree["animations"][0]
+    clip["samplers"].append({"input": clip["samplers"][0]["input"], "output": keys})
+    clip["channels"].append({"sampler": 1, "target": {"node": 5, "path": "rotation"}})
+    model = read_model(save(made, tmp_path))
+    place, *_ = bar()
+    expected = np.concatenate([bowed(place, TURN), bowed(place, TURN / 2) + aside])
+    assert np.abs(model.at(model.clips[0], 2.0) - z_up(expected)).max() < 1e-6
 
 
 def no_keys(made: Builder) -> None:

@@ -19,7 +19,7 @@ from pcore.benchmark.look import (
     linear_rgba,
     smooth_patches,
 )
-from pcore.data.gltf import Glb, read_glb
+from pcore.data.gltf import Glb, read_glb, read_gltf
 from pcore.data.gltf_animation import Clip, at_time, read_clips
 from pcore.data.gltf_mesh import read_shape
 from pcore.data.meshes import read_mesh
@@ -73,18 +73,23 @@ def read_model(path: Path, *, up: Up | None = None) -> Model:
     """Read a model with its paint and clips.
 
     Args:
-        path: a .glb (textures, skins, morph targets, clips), .obj (with its .mtl) or .ply (colours
-            of vertices).
+        path: a .glb or .gltf (textures, skins, morph targets, clips), .obj (with its .mtl) or .ply
+            (colours of vertices).
         up: the axis that points up in the file; None: y, but z for .ply.
 
     Raises:
         InputError: missing, damaged, without triangles, NaN, or something that is not read.
     """
     shape = read_mesh(path)  # All that can be wrong with the shape is said there.
-    if path.suffix.lower() != ".glb":
-        return _static(path, up or ("z" if path.suffix.lower() == ".ply" else "y"))
+    suffix, content = path.suffix.lower(), path.read_bytes()
+    if suffix not in (".glb", ".gltf"):
+        return _static(path, up or ("z" if suffix == ".ply" else "y"))
     axis = up or "y"
-    glb = read_glb(path.read_bytes(), str(path))
+    glb = (
+        read_glb(content, str(path))
+        if suffix == ".glb"
+        else read_gltf(content, str(path), path.parent)
+    )
     vertices = shape.vertices.numpy()
     return Model(
         name=path.stem,

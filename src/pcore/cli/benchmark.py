@@ -22,7 +22,8 @@ class BenchmarkMakeCommand:
     """Make a scene with true deformed states of a model, for train, eval and compare."""
 
     models: Annotated[Positional[tuple[Path, ...]], arg(metavar="MODEL")]
-    """.glb with textures, skins, morph targets and clips; .obj with its .mtl; .ply with colours."""
+    """.glb or .gltf with textures, skins, morph targets and clips; .obj with its .mtl; .ply with
+    colours."""
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="FOLDER")]
     """Folder to make; with several models, each gets one of its name in it."""
@@ -38,6 +39,10 @@ class BenchmarkMakeCommand:
 
     light: Literal["fixed", "baked"] = "fixed"
     """fixed: light stands still while the object moves; baked: it sticks to the surface."""
+
+    renderer: Literal["embedded", "blender"] = "embedded"
+    """embedded: ray casting, on any machine; blender: Cycles, with light between surfaces (the
+    extra `blender`, or a Python that has `bpy` in PCORE_BPY)."""
 
     edits: Annotated[tuple[Path, ...], arg(metavar="FILE")] = ()
     """Edit files, each a state of the file's name; they see an object of radius 1, z up."""
@@ -57,12 +62,15 @@ class BenchmarkMakeCommand:
 
     def run(self) -> None:
         """Do it; raises PcoreError subclasses for what the user can mend."""
+        from pcore.benchmark.blender_renderer import blender_python
         from pcore.benchmark.making import make_benchmark
         from pcore.benchmark.model import read_model
         from pcore.cli.results import counting
         from pcore.sample.sample_render import ray_caster_class
 
         ray_caster_class()
+        if self.renderer == "blender":
+            blender_python()
         plan, console = self._plan(), Console()
         folders = self._folders()
         for path, folder in zip(self.models, folders, strict=True):
@@ -106,6 +114,7 @@ class BenchmarkMakeCommand:
             train_views=check_count("--train-views", self.train_views, minimum=2),
             test_views=check_count("--test-views", self.test_views),
             light=self.light,
+            renderer=self.renderer,
             analytic=not self.no_analytic,
             edits=tuple((path.stem, script_of(path)) for path in self.edits),
             clips=tuple(_clip(one) for one in self.clips),
