@@ -17,7 +17,7 @@ from toys import write_scene
 pytest.importorskip("ray", reason="the extra `cluster` is not installed")
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.timeout(1200),
+    pytest.mark.timeout(5400),
     pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's /proc"),
 ]
 
