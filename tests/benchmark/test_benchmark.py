@@ -412,3 +412,50 @@ def test_it_is_a_scene(made: Path) -> None:
     assert [len(scene.split(name)) for name in ("train", "test")] == [4, VIEWS]
     assert scene.split("train")[0].has_alpha
     assert len(camera_poses(3, radius=1, highest=0.9, phase=0)) == 3
+
+
+RECIPE = """
+version: 1
+options: {size: 24, train_views: 3, test_views: 1, no_analytic: true}
+models:
+  one: {file: figure.glb}
+  two: {file: figure.glb, options: {size: 16, clips: [Bow@0.5]}}
+"""
+
+
+def test_a_recipe_makes_all_its_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("embreex", reason="benchmarks are ray cast with embreex")
+    save(figure(), tmp_path)
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(RECIPE)
+    words = ["benchmark", "make", "--recipe", str(recipe), "-o", str(tmp_path / "out")]
+    assert main(words) == 0
+    records = [
+        json.loads((tmp_path / "out" / n / "scene.json").read_text()) for n in ("one", "two")
+    ]
+    assert [one["resolution"] for one in records] == [24, 16]
+    assert [one["states"]["bow"]["time"] for one in records] == [2.0, 0.5]
+    capsys.readouterr()
+    for text, message in (
+        (RECIPE, "expected a new or empty folder"),
+        (RECIPE.replace("one: {file: figure.glb}", "one: {file: a.glb, source: b}"), "a.glb (b)"),
+        (RECIPE.replace("size: 16", "sise: 16"), "recipe.yaml: two: "),
+        (RECIPE.replace("size: 16", "output: x"), "got one that the recipe gives to each"),
+        (RECIPE.replace("version", "versions"), "'version' is missing"),
+        ("[", "expected YAML"),
+    ):
+        recipe.write_text(text)
+        assert main(words) == 2
+        assert message in capsys.readouterr().err
+    assert main([*words, "--size", "9"]) == 2
+    assert "expected no models or options besides -o, got size" in capsys.readouterr().err
+
+
+def test_the_recipe_of_the_papers_says_what_is_missing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    recipe = Path(__file__).parents[2] / "examples" / "recipes" / "paper_scenes.yaml"
+    assert main(["benchmark", "make", "--recipe", str(recipe), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "missing: butterfly.glb (Objaverse, by name)" in said
+    assert "motion_two.glb" in said

@@ -40,6 +40,10 @@ class BenchmarkMakeCommand:
     light: Literal["fixed", "baked"] = "fixed"
     """fixed: light stands still while the object moves; baked: it sticks to the surface."""
 
+    recipe: Annotated[Path | None, optional("FILE")] = None
+    """YAML file of models by name, each with its file and options as here, in the place of MODEL;
+    see the guide "Benchmarks of your own"."""
+
     renderer: Literal["embedded", "blender"] = "embedded"
     """embedded: ray casting, on any machine; blender: Cycles, with light between surfaces (the
     extra `blender`, or a Python that has `bpy` in PCORE_BPY)."""
@@ -62,6 +66,12 @@ class BenchmarkMakeCommand:
 
     def run(self) -> None:
         """Do it; raises PcoreError subclasses for what the user can mend."""
+        if self.recipe is not None:
+            from pcore.cli.benchmark_recipe import commands_of
+
+            for one in commands_of(self):
+                one.run()
+            return
         from pcore.benchmark.blender_renderer import blender_python
         from pcore.benchmark.making import make_benchmark
         from pcore.benchmark.model import read_model
@@ -72,7 +82,7 @@ class BenchmarkMakeCommand:
         if self.renderer == "blender":
             blender_python()
         plan, console = self._plan(), Console()
-        folders = self._folders()
+        folders = self.folders()
         for path, folder in zip(self.models, folders, strict=True):
             model = read_model(path, up=self.up)
             with counting(console, "pictures") as tell:
@@ -82,10 +92,10 @@ class BenchmarkMakeCommand:
             lines.append(f"next: pcore train {folder} -o RUN && pcore eval RUN")
             print_lines(console, lines)
 
-    def _folders(self) -> list[Path]:
+    def folders(self) -> list[Path]:
         """Where each model goes; InputError before any work when a place is taken."""
         if not self.models:
-            raise InputError("benchmark make: expected at least one model, got none")
+            raise InputError("benchmark make: expected at least one model or --recipe, got none")
         names = [path.stem for path in self.models]
         if len(set(names)) < len(names):
             raise InputError(
