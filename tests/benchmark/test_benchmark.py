@@ -251,6 +251,15 @@ def test_other_files_have_their_paint(tmp_path: Path) -> None:
     model = read_model(tmp_path / "b.ply")
     assert model.look.rgba(model.faces, np.array([0]), place)[0, :3] == pytest.approx([1, 0, 0])
     assert model.vertices[2] == pytest.approx([0, 1, 0])
+    # A triangle and a square: trimesh gives such files up.
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 5\nproperty float x\n"
+    head += "property float y\nproperty float z\nelement face 2\n"
+    head += "property list uchar uint vertex_indices\nend_header\n"
+    corners = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0)], "<f4").tobytes()
+    square = b"\4" + np.array([0, 1, 2, 3], "<u4").tobytes()
+    third = b"\3" + np.array([1, 4, 2], "<u4").tobytes()
+    (tmp_path / "c.ply").write_bytes(head.encode() + corners + square + third)
+    assert len(read_model(tmp_path / "c.ply").faces) == 3
 
 
 def in_files(made: Builder, folder: Path) -> Path:
