@@ -16,7 +16,7 @@ from pcore.files.run_record import RunRecord
 from pcore.gaussians.gaussians import Gaussians
 from pcore.studio.drawing import OVERLAYS, Drawer
 from pcore.studio.editor import Editor
-from pcore.studio.handle_edit import HandlePose
+from pcore.studio.handle_pose import HandlePose
 from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import PageFrame
 from pcore.studio.recording import record

@@ -5,17 +5,21 @@ HELP = """
 |---|---|
 | **Orbit, move, zoom** | left, right button, wheel |
 | **Put a handle** | Ctrl-click the object; it holds the place until it is dragged |
+| **Put a pin** | Alt-click: this place stays where it was before the edit |
 | **Drag** | the ball, or the arrows and rings of the selected one |
-| **Select points** | drag a box with Shift; with Ctrl-Shift it adds |
-| **Undo, redo** | Ctrl-Z, Ctrl-Shift-Z |
-| **Save** | Ctrl-S |
+| **Along one axis** | X, Y or Z, also while dragging; once more lets it go |
+| **Select points** | drag with Shift; Ctrl-Shift adds, Alt-Shift takes away |
+| **With which tool** | R box, B brush, L lasso, G ball along the surface |
+| **Reach of handles** | PageUp, PageDown; the dots show where it ends |
+| **Undo, redo, save** | Ctrl-Z, Ctrl-Shift-Z, Ctrl-S |
 | **Back, take away** | Escape while dragging, Delete for the selected handle |
-| **Freeze, let go** | H, Shift-H |
+| **Freeze, unfreeze all** | H, Shift-H |
+| **Mirror, next overlay** | M, O |
 | **Key, play** | I, space |
-| **Overlay, whole object** | O, F |
+| **Whole object, this help** | F, K |
 
-Red dots: space folds there. Let go and the handle returns to the last good place; hold less still
-(freeze fewer points), or drag less far.
+Grey balls rest and hold their place. Red dots: space folds there. Let go and the handle returns to
+the last good place; freeze fewer points, or drag less far.
 """
 
 TOUR = (
@@ -26,7 +30,20 @@ TOUR = (
     "That was the tour. Ctrl-click more places: handles that rest hold what is around them.",
 )
 """Of the demo, one step after another."""
-SAID = {"anchors": "handles"}
-"""What the page calls kinds of edit that edit files call otherwise."""
 NO_EDIT = "*No edits yet.* Ctrl-click the object to put a handle on it, or add an edit above."
-NO_BOX = "Drag a box with Shift held."
+NOT_SELECTED = "*Nothing is selected.* Hold Shift and drag over the object."
+TOOL_NAMES = {
+    "box": "Box (R)",
+    "brush": "Brush (B)",
+    "lasso": "Lasso (L)",
+    "ball": "Ball on the surface (G)",
+}
+OVERLAY_NAMES = {
+    "none": "nothing",
+    "strain": "stretched or squeezed",
+    "holes": "torn open",
+    "handles": "far from all handles",
+    "exposed": "seen in no photo",
+    "frozen": "frozen",
+}
+"""What the page calls overlays."""
