@@ -163,6 +163,8 @@ class Alone(Tabs):
 
     def _show_drag(self) -> None: ...
 
+    def _show_working(self) -> None: ...
+
     def _let_go(self) -> None:
         self.editor.cancel()
 

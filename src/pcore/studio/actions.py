@@ -67,7 +67,7 @@ class Actions:
         """Add an edit, or one of `CAGES`."""
         if kind in CAGES:
             file = self._studio.outputs.next("cage", ".ply")
-            self._editor.add_cage(file, close=kind == CAGES[1])
+            self._editor.add_cage(file, cells=CAGES[kind])
         else:
             self._editor.add(kind)
 

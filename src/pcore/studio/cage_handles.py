@@ -26,13 +26,11 @@ MOST = 200
 _SAME = 1e-9
 _MARGIN = 0.08
 """How far a box stands off, in shares of the longest side."""
-_CELLS = 3
-"""Of a box along its longest side."""
 _GREY = 0.6
 
 
-def loose_box(points: Tensor) -> Cage:
-    """A box with few vertices that stands around points (N, 3), world units.
+def loose_box(points: Tensor, cells: int) -> Cage:
+    """A box around points (N, 3), world units, of so many cells along its longest side.
 
     Raises:
         EditError: all points are in one place.
@@ -43,7 +41,7 @@ def loose_box(points: Tensor) -> Cage:
         raise EditError("cage: expected points that extend in space, got all in one place")
     margin = _MARGIN * longest
     sides = (upper - lower + 2 * margin).tolist()
-    x, y, z = (max(1, round(_CELLS * side / max(sides))) for side in sides)
+    x, y, z = (max(1, round(cells * side / max(sides))) for side in sides)
     return box_cage(lower - margin, upper + margin, (x, y, z))
 
 

@@ -80,8 +80,8 @@ CHOICES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
 """Texts of an edit that may be one of a few."""
 NEW = ("twist", "bend", "taper", "stretch", "scale", "rigid", "part")
 """Kinds that the page makes by name; handles make "anchors", the others come from files."""
-CAGES = ("cage", "close cage")
-"""What the page makes besides: a box, and a mesh that follows the shape."""
+CAGES: Mapping[str, int] = {"cage": 3, "fine cage": 5}
+"""What the page makes besides: boxes, of so many cells along their longest side."""
 LABELS: Mapping[str, str] = {
     **{kind: kind.capitalize() for kind in (*SLIDERS, *CAGES)},
     "anchors": "Handles",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,8 +10,8 @@ from pcore.editing.stack import raw_edit
 from pcore.geometry.extent import size_of
 from pcore.studio.edit_forms import AXES, CAGES, CHOICES, LABELS, NEW, SLIDERS, SOFT, value_at
 from pcore.studio.edit_handles import TURNING
-from pcore.studio.editor import Editor
-from pcore.studio.handle_pose import degrees_of
+from pcore.studio.editor import FINE, Editor
+from pcore.studio.handle_pose import HandlePose, degrees_of
 from pcore.studio.help_text import NO_EDIT
 from pcore.studio.panel import Panel, Wish
 from pcore.studio.select_actions import EVERYWHERE, SELECTED
@@ -70,9 +71,9 @@ class EditPanel(Panel):
         number, handles = editor.shown.handle, editor.handles
         if number is None or number >= len(handles):
             return
-        turn = tuple(round(one, 2) + 0.0 for one in degrees_of(handles[number].turn))
-        for widget, value in ((self._place, handles[number].place), (self._turn, turn)):
-            if widget is not None and _apart(widget.value, value) > widget.step / 2:
+        place, turn = _rounded(editor, handles[number])
+        for widget, value in ((self._place, place), (self._turn, turn)):
+            if widget is not None and tuple(widget.value) != value:
                 widget.value = value
 
     def _rebuild(self, editor: Editor, names: list[str]) -> None:
@@ -141,16 +142,13 @@ class EditPanel(Panel):
         number, handles, gui = editor.shown.handle, editor.handles, self._gui
         if number is None or number >= len(handles):
             return
-        step = float(f"{size_of(editor.asset.points) * 1e-3:.0e}")
-        self._place = gui.add_vector3(
-            "Handle", handles[number].place, step=step, hint="Where it is, world units"
-        )
+        place, turn = _rounded(editor, handles[number])
+        step = 10.0 ** -_digits(editor)
+        self._place = gui.add_vector3("Handle", place, step=step, hint="Where it is, world units")
         self._on_update(self._place, "put")
         self._card.append(self._place)
         if kind in TURNING:
-            self._turn = gui.add_vector3(
-                "Turned", degrees_of(handles[number].turn), step=1.0, hint="Degrees about x, y, z"
-            )
+            self._turn = gui.add_vector3("Turned", turn, step=1.0, hint="Degrees about x, y, z")
             self._on_update(self._turn, "turn")
             self._card.append(self._turn)
         if kind == "anchors":
@@ -184,5 +182,13 @@ def _held(editor: Editor) -> tuple[int | None, bool]:
     return number, number is not None and number < len(editor.handles)
 
 
-def _apart(one: Any, other: Any) -> float:
-    return max(abs(a - b) for a, b in zip(one, other, strict=True))
+def _rounded(editor: Editor, handle: HandlePose) -> tuple[Any, Any]:
+    """Place and angles of a handle as its fields show them; no number is -0."""
+    digits = _digits(editor)
+    place = tuple(round(one, digits) + 0.0 for one in handle.place)
+    return place, tuple(round(one, 2) + 0.0 for one in degrees_of(handle.turn))
+
+
+def _digits(editor: Editor) -> int:
+    """Decimals that tell places apart that are a thousandth of the object from one another."""
+    return math.ceil(-math.log10(FINE * size_of(editor.asset.points)))

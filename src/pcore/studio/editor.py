@@ -10,19 +10,22 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from pcore.asset.blender_bundle import cage_around
 from pcore.editing.dragging import Mirror
 from pcore.editing.tracks import set_key, set_value, tracks_of
 from pcore.errors import EditError
+from pcore.geometry.extent import size_of
 from pcore.studio.cage_handles import KINDS, loose_box, moved_vertices, write_cage
 from pcore.studio.edit_forms import AXES, SLIDERS, value_at
 from pcore.studio.edit_handles import handles_of_edit, with_handle, without_handle
 from pcore.studio.handle_edit import arriving, handle_points
-from pcore.studio.handle_pose import HandlePose, turn_of_degrees
+from pcore.studio.handle_pose import HandlePose, degrees_of, turn_of_degrees
 from pcore.studio.selection_editor import SelectionEditor
 
 _UNEVEN = 4.0
 """Spacings."""
+FINE = 1e-3
+"""What pages round places to, in sizes of the object."""
+_DEGREE = 0.01
 
 
 class Editor(SelectionEditor):
@@ -101,15 +104,23 @@ class Editor(SelectionEditor):
     def put(self, *, place: Any = None, degrees: Any = None) -> bool:
         """Put the selected handle at a place (3,), or turn it by `degrees_of`, as one step.
 
+        Numbers that are those of now but for the rounding of a page change nothing.
+
         Returns:
             Whether it is there: as `drop`.
         """
         _, number = self._held()
         now = self.handles[number]
         if place is not None:
-            now = replace(now, place=tuple(place))
+            fine = FINE * size_of(self.asset.points)
+            x, y, z = (
+                b if abs(a - b) <= fine else a for a, b in zip(place, now.place, strict=True)
+            )
+            now = replace(now, place=(x, y, z))
         if degrees is not None:
-            now = replace(now, turn=turn_of_degrees(degrees))
+            old = degrees_of(now.turn)
+            kept = [b if abs(a - b) <= _DEGREE else a for a, b in zip(degrees, old, strict=True)]
+            now = replace(now, turn=turn_of_degrees(kept))
         self.drag(now)
         return self.drop()
 
@@ -123,25 +134,25 @@ class Editor(SelectionEditor):
         if dragged is None:
             return True
         index, _ = self._held()
-        if kept is not None:
+        if kept is not None and kept != self.raw(index):
             self._keep(index, kept)
         return not len(dragged.folds)
 
-    def add_cage(self, file: Path, *, close: bool) -> None:
-        """Add a cage around the selected points, or the object, that changes nothing yet.
+    def add_cage(self, file: Path, *, cells: int) -> None:
+        """Add a box around the selected points, or the object, that changes nothing yet.
 
         Args:
             file: where its mesh is written, .ply.
-            close: it follows the shape; otherwise it is a box of few vertices.
+            cells: of the box along its longest side.
 
         Raises:
             EditError: points without an extent.
-            InputError: no close cage is found, or the file cannot be written.
+            InputError: the file cannot be written.
         """
         points = self.session.state.points.detach().cpu()
         region = self.region() if self.shown.chosen else None
         held = points[self.mask] if region else points
-        vertices = write_cage(file, cage_around(held) if close else loose_box(held))
+        vertices = write_cage(file, loose_box(held, cells))
         raw = {"type": "cage", "before": str(file.absolute()), "after": vertices}
         self.session.do(raw if region is None else {**raw, "region": region})
         self._select(len(self.session.stack.edits) - 1)

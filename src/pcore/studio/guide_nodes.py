@@ -11,7 +11,7 @@ from pcore.studio.guides import Guides
 from pcore.studio.page_frame import SIZE, PageFrame
 
 _DOT = 0.004 * SIZE
-_RIM = (0, 150, 136)
+_RIM = (38, 50, 56)
 _WIDE = 2.0
 """Pixels of a line."""
 

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pcore.data.meshes import MeshFile
 from pcore.deform.frame import axis_frame, axis_vector, bend_frame
 from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.regions import FALLOFF
@@ -25,6 +26,7 @@ AXIS_COLORS = ((217, 57, 48), (62, 145, 65), (42, 98, 207))
 _LINE = (255, 130, 0)
 _CAGE = (0, 121, 107)
 _CIRCLE = 48
+_SAME = 1 - 1e-6
 _BEYOND = 0.12
 """How far an axis goes beyond the object, in shares of its length there."""
 _LOCKED = 0.35
@@ -93,17 +95,30 @@ def _reach(editor: Editor, raw: dict[str, Any]) -> tuple[Tensor, float] | None:
 def _shape(editor: Editor, raw: dict[str, Any]) -> list[tuple[Tensor, tuple[int, int, int]]]:
     if raw["type"] in KINDS:
         shapes = cage_shapes(raw)
-        return [] if shapes is None else [(_edges(shapes[0].faces, shapes[1]), _CAGE)]
+        return [] if shapes is None else [(_edges(*shapes), _CAGE)]
     if raw["type"] in CENTRED and "axis" in raw:
         points = arriving(editor.session.state, editor.shown.selected or 0).points
         return _axis(raw, points)
     return []
 
 
-def _edges(faces: Tensor, vertices: Tensor) -> Tensor:
-    """Edges (E, 2, 3) of a mesh, each once, without diagonals of flat quads."""
-    around = torch.stack([faces, faces.roll(-1, dims=1)], dim=-1).reshape(-1, 2)
-    return vertices[torch.unique(around.sort(dim=1).values, dim=0)]
+def _edges(mesh: MeshFile, vertices: Tensor) -> Tensor:
+    """Edges (E, 2, 3) of a mesh, each once; diagonals of sides that are flat at rest are none."""
+    rest, faces = mesh.vertices.double(), mesh.faces
+    around = torch.stack([faces, faces.roll(-1, dims=1)], dim=-1)
+    corners = rest[faces]
+    normal = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal = torch.nn.functional.normalize(normal, dim=1)
+    length = (rest[around[..., 0]] - rest[around[..., 1]]).norm(dim=2)
+    longest = (length >= length.amax(dim=1, keepdim=True) * _SAME).reshape(-1)
+    edges, which = torch.unique(
+        around.reshape(-1, 2).sort(dim=1).values, dim=0, return_inverse=True
+    )
+    sums = torch.zeros(len(edges), 3, dtype=torch.float64)
+    sums.index_add_(0, which, normal.repeat_interleave(3, dim=0))
+    always = torch.zeros(len(edges), dtype=torch.int64).index_add_(0, which, longest.long()) == 2
+    flat = sums.norm(dim=1) > 2 * _SAME
+    return vertices[edges[~(always & flat)]]
 
 
 def _axis(raw: dict[str, Any], points: Tensor) -> list[tuple[Tensor, tuple[int, int, int]]]:

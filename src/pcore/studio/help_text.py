@@ -47,3 +47,5 @@ OVERLAY_NAMES = {
     "frozen": "frozen",
 }
 """What the page calls overlays."""
+WORKING = "*Working&hellip;* The first time on a machine takes longer."
+LOADING = "*Loading&hellip;* The first picture takes a moment."

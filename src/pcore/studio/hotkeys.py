@@ -26,6 +26,7 @@ HOTKEYS: tuple[tuple[Any, ...], ...] = (
     ("Next overlay", "O", None, "overlay"),
     ("Whole object", "F", None, "home"),
     ("Put a drag back", "escape", None, "cancel"),
+    ("Put a stroke back", "escape", "shift", "cancel"),
     ("Take handle away", "delete", None, "remove_handle"),
     ("Keys and mouse", "K", None, "help"),
 )

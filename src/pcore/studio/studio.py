@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from pcore.asset.asset import Asset
@@ -15,13 +15,14 @@ from pcore.studio.guide_nodes import GuideNodes
 from pcore.studio.guides import GuideMaker
 from pcore.studio.handle_nodes import HandleNodes
 from pcore.studio.handle_pose import HandlePose
-from pcore.studio.help_text import TOUR
+from pcore.studio.help_text import WORKING
 from pcore.studio.hotkeys import HOTKEYS
 from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import SIZE, PageFrame
 from pcore.studio.select_actions import SELECT_COMMANDS, SelectActions
 from pcore.studio.server import open_server
 from pcore.studio.showing import Showing
+from pcore.studio.status_line import StatusLine
 from pcore.studio.stroke_nodes import HELD, StrokeNodes
 from pcore.studio.studio_files import StudioFiles
 from pcore.studio.tabs import Tabs
@@ -71,7 +72,7 @@ class Studio(Tabs):
         super().__init__(report)
         edit = outputs.edit if outputs.edit.is_file() else None
         self.editor, self.title = Editor(asset, edit), title
-        self.outputs, self._tour = outputs, 0 if tour else None
+        self.outputs, self._line = outputs, StatusLine(tour=tour)
         self.drawer = Drawer(asset)
         self.frame = PageFrame.around(asset.points)
         self.files = StudioFiles(self)
@@ -246,7 +247,7 @@ class Studio(Tabs):
         if number != self._seen:
             self._seen = number
             self.files.autosave()
-            self._go_on_with_tour()
+            self._line.go_on(self.editor.session.history.present.label)
         self.panels.show(
             editor,
             self._status(),
@@ -272,25 +273,20 @@ class Studio(Tabs):
         self.selecting.take_back()
         self.editor.cancel()
 
+    def _show_working(self) -> None:
+        self.panels.say(WORKING)
+
     def _move(self) -> None:
         self._showing.move(list(self._viewports.values()))
 
-    def _rest(self, cancelled: Callable[[], bool]) -> Any:
-        return self._showing.rest(list(self._viewports.values()), cancelled)
+    def _rest(self, cancelled: Callable[[], bool]) -> Iterator[None]:
+        before = self._status()
+        for _ in self._showing.rest(list(self._viewports.values()), cancelled):
+            yield
+            if (text := self._status()) != before:  # The first picture is there.
+                self.panels.say(before := text)
 
     def _status(self) -> str:
-        count = len(self.editor.session.stack.edits)
-        saved = "saved" if self.files.saved else "not saved"
-        edits = "no edits" if not count else f"{count} edit{'s' * (count > 1)}, {saved}"
-        lines = [f"**{len(self.editor.asset.points):,} points** · {edits}"]
-        if self._said:
-            lines.append(self._said)
-        elif self._tour is not None and self._tour < len(TOUR):
-            lines.append(TOUR[self._tour])
-        return "\n\n".join(lines)
-
-    def _go_on_with_tour(self) -> None:
-        label = self.editor.session.history.present.label
-        done = (label == "do anchors", "anchors" in label, label != "do twist", True)
-        if self._tour is not None and self._tour < len(done) and done[self._tour]:
-            self._tour += 1
+        drawn = all(viewport.drawn for viewport in self._viewports.values())
+        saved, said = self.files.saved, self._said
+        return self._line.text(self.editor, saved=saved, said=said, drawn=drawn)

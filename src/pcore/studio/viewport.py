@@ -50,7 +50,7 @@ class Viewport:
         self._splats: Any = None
         self._dots: Any = None
         self._ink: Any = None
-        self._resting = False
+        self.drawn, self._resting = False, False
         self._since: float | None = None
 
     @property
@@ -126,7 +126,7 @@ class Viewport:
 
     def show_picture(self, pixels: NDArray[np.uint8], depth: NDArray[np.float32] | None) -> None:
         """Show a picture of ours in the place of the splats."""
-        self._resting, self._since = True, None
+        self.drawn, self._resting, self._since = True, True, None
         with self.client.atomic():
             self.client.scene.set_background_image(
                 pixels, format="jpeg", jpeg_quality=_QUALITY, depth=depth

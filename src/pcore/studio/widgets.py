@@ -8,7 +8,7 @@ from typing import Any
 
 from pcore.studio.edit_panel import EditPanel
 from pcore.studio.editor import Editor
-from pcore.studio.help_text import OVERLAY_NAMES
+from pcore.studio.help_text import LOADING, OVERLAY_NAMES
 from pcore.studio.panel import Panel, Wish
 from pcore.studio.select_panel import SelectPanel
 
@@ -47,7 +47,7 @@ class Panels(Panel):
         """
         super().__init__(server.gui, wishes)
         gui = self._gui
-        status = gui.add_markdown("Loading&hellip;")
+        status = gui.add_markdown(LOADING)
         owner = gui.add_button("Edit in this tab", visible=False, color="orange")
         self._on_click(owner, "take_over")
         history = gui.add_button_group("Session", ("Undo", "Redo", "Save", "Help"))
@@ -160,6 +160,10 @@ class Panels(Panel):
         self._times(editor, camera_keys)
         self._edits.show(editor, names)
         self._selection.show(editor, names)
+
+    def say(self, status: str) -> None:
+        """Show another text at the top, until the next state."""
+        self._w.status.content = status
 
     def several(self, tabs: int) -> None:
         """Only one of several tabs edits; offer to go on in another."""
