@@ -73,8 +73,9 @@ def test_a_pin_holds_where_a_place_was_and_leaves_the_handle_selected(editor: Ed
     back = editor.state.points[taken] - editor.asset.points[taken]
     assert float(back.norm()) < 0.2 * float(away[taken])
     editor.undo()
+    now = editor.state.points[taken].tolist()
     editor.place_handle(taken)
-    assert editor.handles[1].place == pytest.approx(editor.state.points[taken].tolist(), abs=1e-5)
+    assert editor.handles[1].place == pytest.approx(now, abs=1e-5)
     assert editor.shown.handle == 1
 
 
