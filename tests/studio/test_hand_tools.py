@@ -174,7 +174,9 @@ def test_vertices_of_a_cage_move_in_pairs_and_have_keys(editor: Editor, tmp_path
     before = [one.place for one in editor.handles]
     editor.drag(moved(editor.handles[0], y=0.1, z=0.1))
     editor.drop()
-    ways = [torch.tensor(b.place) - torch.tensor(a) for a, b in zip(before, editor.handles, strict=True)]
+    ways = [
+        torch.tensor(b.place) - torch.tensor(a) for a, b in zip(before, editor.handles, strict=True)
+    ]
     assert [float(way.norm()) > 0 for way in ways].count(True) == 2
     assert float(torch.stack(ways).sum(dim=0)[1]) == pytest.approx(0, abs=1e-6)
     editor.key(0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +9,7 @@ from pcore.editing.stack import raw_edit
 from pcore.geometry.extent import size_of
 from pcore.studio.edit_forms import AXES, CAGES, CHOICES, LABELS, NEW, SLIDERS, SOFT, value_at
 from pcore.studio.edit_handles import TURNING
-from pcore.studio.editor import FINE, Editor
+from pcore.studio.editor import Editor
 from pcore.studio.handle_pose import HandlePose, degrees_of
 from pcore.studio.help_text import NO_EDIT
 from pcore.studio.panel import Panel, Wish
@@ -143,7 +142,7 @@ class EditPanel(Panel):
         if number is None or number >= len(handles):
             return
         place, turn = _rounded(editor, handles[number])
-        step = 10.0 ** -_digits(editor)
+        step = 10.0**-editor.digits
         self._place = gui.add_vector3("Handle", place, step=step, hint="Where it is, world units")
         self._on_update(self._place, "put")
         self._card.append(self._place)
@@ -184,11 +183,5 @@ def _held(editor: Editor) -> tuple[int | None, bool]:
 
 def _rounded(editor: Editor, handle: HandlePose) -> tuple[Any, Any]:
     """Place and angles of a handle as its fields show them; no number is -0."""
-    digits = _digits(editor)
-    place = tuple(round(one, digits) + 0.0 for one in handle.place)
+    place = tuple(round(one, editor.digits) + 0.0 for one in handle.place)
     return place, tuple(round(one, 2) + 0.0 for one in degrees_of(handle.turn))
-
-
-def _digits(editor: Editor) -> int:
-    """Decimals that tell places apart that are a thousandth of the object from one another."""
-    return math.ceil(-math.log10(FINE * size_of(editor.asset.points)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,8 +24,8 @@ from pcore.studio.selection_editor import SelectionEditor
 
 _UNEVEN = 4.0
 """Spacings."""
-FINE = 1e-3
-"""What pages round places to, in sizes of the object."""
+_FINE = 1e-3
+"""Places that pages tell apart, in sizes of the object."""
 _DEGREE = 0.01
 
 
@@ -112,7 +113,7 @@ class Editor(SelectionEditor):
         _, number = self._held()
         now = self.handles[number]
         if place is not None:
-            fine = FINE * size_of(self.asset.points)
+            fine = 0.51 * 10.0**-self.digits
             x, y, z = (
                 b if abs(a - b) <= fine else a for a, b in zip(place, now.place, strict=True)
             )
@@ -123,6 +124,11 @@ class Editor(SelectionEditor):
             now = replace(now, turn=turn_of_degrees(kept))
         self.drag(now)
         return self.drop()
+
+    @property
+    def digits(self) -> int:
+        """Decimals that pages show of places, world units."""
+        return math.ceil(-math.log10(max(_FINE * size_of(self.asset.points), 1e-12)))
 
     def drop(self) -> bool:
         """Keep what was dragged, as one step; whether it stays where it was let go.
