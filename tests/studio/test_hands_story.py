@@ -14,6 +14,19 @@ pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
 MIDDLE = (355, 350)
 
 
+def without_webgl(browser: Any, url: str) -> None:
+    """A browser that cannot show anything says why."""
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    flags = ["--disable-gpu", "--disable-3d-apis"]
+    bare = browser.browser_type.launch(executable_path=program, args=flags)
+    try:
+        tab = bare.new_page()
+        tab.goto(url)
+        tab.get_by_text("WebGL is unavailable").first.wait_for(timeout=30_000)
+    finally:
+        bare.close()
+
+
 def test_hands_on_the_page(browser: Any, run: Path, free_port: int) -> None:
     page = Page(browser, run, free_port)
     keys = page.tab.keyboard
@@ -91,19 +104,7 @@ def test_hands_on_the_page(browser: Any, run: Path, free_port: int) -> None:
         page.says("3 edits, saved")
         assert (kept(run) if (run / "studio" / "autosave.json").is_file() else None) == before
         assert page.problems == []
+        page.tab.close()
+        without_webgl(browser, page.url)
     finally:
-        page.end(signal.SIGKILL)
-
-
-def test_a_browser_without_webgl_is_told_so(browser: Any, run: Path, free_port: int) -> None:
-    page = Page(browser, run, free_port, ready=False)
-    kind = browser.browser_type
-    program = shutil.which("chromium") or shutil.which("google-chrome")
-    bare = kind.launch(executable_path=program, args=["--disable-gpu", "--disable-3d-apis"])
-    try:
-        tab = bare.new_page()
-        tab.goto(page.url)
-        tab.get_by_text("WebGL is unavailable").first.wait_for(timeout=30_000)
-    finally:
-        bare.close()
         page.end(signal.SIGKILL)
