@@ -80,7 +80,7 @@ def test_hands_on_the_page(browser: Any, run: Path, free_port: int) -> None:
         page.choose("Acts in", "top")
         until(lambda: "region" in kept(run)["edits"][1])
         origin = kept(run)["edits"][1]["origin"]
-        page.fill("Handle", "0.1")
+        page.fill("Centre", "0.1")
         until(lambda: kept(run)["edits"][1]["origin"][2] == pytest.approx(0.1))
         assert kept(run)["edits"][1]["origin"][:2] == pytest.approx(origin[:2])
 

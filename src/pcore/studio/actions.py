@@ -21,7 +21,19 @@ if TYPE_CHECKING:
 
 COMMANDS = (
     *("undo", "redo", "add", "select", "enable", "order", "remove_handle", "cancel"),
-    *("play", "key", "unkey", "overlay", "still", "mirror", "lock", "reach", "put", "turn"),
+    *(
+        "play",
+        "key",
+        "unkey",
+        "overlay",
+        "still",
+        "mirror",
+        "lock",
+        "click",
+        "reach",
+        "put",
+        "turn",
+    ),
     *("save", "open"),
 )
 """Wishes that are all fulfilled, in their order."""
@@ -140,6 +152,10 @@ class Actions:
     def lock(self, axis: str) -> None:
         """Let handles move along one axis alone; the same once more, or "off", lets them go."""
         self._shown(lock="off" if axis == self._editor.shown.lock else axis)
+
+    def click(self, what: str) -> None:
+        """What a click without a key puts, one of `CLICKS`."""
+        self._shown(click=what)
 
     def reach(self, by: float) -> None:
         """Let the selected handles reach so many times as far."""

@@ -10,10 +10,12 @@ from pcore.geometry.extent import size_of
 from pcore.studio.edit_forms import AXES, CAGES, CHOICES, LABELS, NEW, SLIDERS, SOFT, value_at
 from pcore.studio.edit_handles import TURNING
 from pcore.studio.editor import Editor
+from pcore.studio.formula_handles import CENTRED
 from pcore.studio.handle_pose import HandlePose, degrees_of
 from pcore.studio.help_text import NO_EDIT
 from pcore.studio.panel import Panel, Wish
 from pcore.studio.select_actions import EVERYWHERE, SELECTED
+from pcore.studio.stack_editor import CLICKS
 
 _OWN = "as it is"
 
@@ -44,6 +46,10 @@ class EditPanel(Panel):
             "Only along", ("off", *AXES), hint="Handles move along this axis alone (X, Y, Z)"
         )
         self._on_update(self._lock, "lock")
+        self._click = gui.add_dropdown(
+            "A click puts", CLICKS, hint="Without a key; Ctrl-click puts a handle, Alt-click a pin"
+        )
+        self._on_update(self._click, "click")
         self._edits = gui.add_folder("Edits")
         self._values = gui.add_folder("Selected edit", visible=False)
         with self._edits:
@@ -52,6 +58,7 @@ class EditPanel(Panel):
     def show(self, editor: Editor, names: list[str]) -> None:
         """Bring it to the state of an editor, with the names of kept selections."""
         self._mirror.value, self._lock.value = editor.shown.mirror, editor.shown.lock
+        self._click.value = editor.shown.click
         built = (_rows(editor), editor.shown.selected, _region(editor), names, _held(editor))
         if built != self._built:
             self._built = built
@@ -143,7 +150,8 @@ class EditPanel(Panel):
             return
         place, turn = _rounded(editor, handles[number])
         step = 10.0**-editor.digits
-        self._place = gui.add_vector3("Handle", place, step=step, hint="Where it is, world units")
+        label = "Centre" if kind in CENTRED else "Handle"
+        self._place = gui.add_vector3(label, place, step=step, hint="Where it is, world units")
         self._on_update(self._place, "put")
         self._card.append(self._place)
         if kind in TURNING:

@@ -3,23 +3,23 @@
 HELP = """
 | | |
 |---|---|
-| **Orbit, move, zoom** | left, right button, wheel |
-| **Put a handle** | Ctrl-click the object; it holds the place until it is dragged |
-| **Put a pin** | Alt-click: this place stays where it was before the edit |
-| **Drag** | the ball, or the arrows and rings of the selected one |
-| **Along one axis** | X, Y or Z, also while dragging; once more lets it go |
-| **Select points** | drag with Shift; Ctrl-Shift adds, Alt-Shift takes away |
-| **With which tool** | R box, B brush, L lasso, G ball along the surface |
-| **Reach of handles** | PageUp, PageDown; the dots show where it ends |
-| **Undo, redo, save** | Ctrl-Z, Ctrl-Shift-Z, Ctrl-S |
-| **Back, take away** | Escape while dragging, Delete for the selected handle |
-| **Freeze, unfreeze all** | H, Shift-H |
-| **Mirror, next overlay** | M, O |
-| **Key, play** | I, space |
-| **Whole object, this help** | F, K |
+| **Camera** | left, right button, wheel; F shows all |
+| **Handle** | Ctrl-click; it holds the place until it is dragged |
+| **Pin** | Alt-click: stays where it was before the edit |
+| **Drag** | the ball, or arrows and rings; Escape puts back |
+| **One axis** | X, Y, Z, also in a drag; again: free |
+| **Reach** | PageUp, PageDown: to the dots |
+| **Take away** | Delete, for the selected handle |
+| **Select** | Shift-drag; Ctrl-Shift adds, Alt-Shift removes |
+| **Tools** | R box, B brush, L lasso, G ball |
+| **Freeze** | H; Shift-H lets everything go |
+| **Undo** | Ctrl-Z; Ctrl-Shift-Z does it again |
+| **Save** | Ctrl-S |
+| **Time** | I keys, space plays |
+| **View** | M mirror, O overlay, K this help |
 
-Grey balls rest and hold their place. Red dots: space folds there. Let go and the handle returns to
-the last good place; freeze fewer points, or drag less far.
+Grey balls hold their place. Red dots: space folds there; let go, and the handle returns to the last
+good place.
 """
 
 TOUR = (

@@ -18,6 +18,7 @@ from pcore.geometry.surfels import spacing_of
 from pcore.studio.edit_forms import new_edit
 from pcore.studio.edit_handles import ONE, handles_of_edit
 
+CLICKS = ("nothing", "handle", "pin")
 TOOLS = ("box", "brush", "lasso", "ball")
 
 
@@ -34,6 +35,7 @@ class Shown:
         mirror: "off", or the axis across which handles move in pairs: "x", "y" or "z".
         compare: share of the picture, from the left, that shows the object before the edits.
         lock: "off", or the axis along which alone handles move: "x", "y" or "z".
+        click: what a click without a key puts: "nothing", "handle" or "pin".
         tool: what a drag with Shift selects with, one of `TOOLS`.
         brush: radius of the brush, and of the ball of a click, in shares of the object's size.
     """
@@ -46,6 +48,7 @@ class Shown:
     mirror: str = "off"
     compare: float = 0.0
     lock: str = "off"
+    click: str = "nothing"
     tool: str = "box"
     brush: float = 0.05
 

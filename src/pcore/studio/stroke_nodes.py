@@ -37,7 +37,7 @@ class StrokeNodes:
             boxed: told of boxes that were drawn with one of them.
         """
         self._scene, self._frame, self._boxed = scene, frame, boxed
-        self._boxes = False
+        self._boxes = self._clicks = False
         self._catcher = scene.add_box(
             "/strokes",
             dimensions=(_FAR, _FAR, _FAR),
@@ -66,6 +66,18 @@ class StrokeNodes:
             return
         for keys in HELD:
             self._scene.on_rect_select(modifier=keys)(self._boxed)
+
+    def hear(self, clicked: Any, on: bool) -> None:
+        """Tell of clicks without a key from now on, or leave them to the page."""
+        if on == self._clicks:
+            return
+        self._clicks = on
+        if on:
+            self._scene.on_click()(clicked)
+        else:
+            self._scene.remove_click_callback(clicked)
+            for keys in ("cmd/ctrl", "alt", *HELD):
+                self._scene.on_click(modifier=keys)(clicked)
 
     def draw(self, viewport: Viewport, camera: Camera, outline: Tensor) -> None:
         """Show a line over a tab's picture: columns and rows (S, 2); none with fewer than two."""

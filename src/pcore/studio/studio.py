@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -35,6 +36,8 @@ _AWAY = 1.5
 """Distance of the first camera in sizes of the object."""
 _ANGLE = 0.7
 """Its vertical field of view, radians."""
+_CLICK = 0.5
+"""Seconds within which two messages are of one click."""
 
 
 def _nowhere(error: Exception) -> None:
@@ -77,7 +80,7 @@ class Studio(Tabs):
         self.frame = PageFrame.around(asset.points)
         self.files = StudioFiles(self)
         self.actions, self.selecting = Actions(self), SelectActions(self)
-        self._guides = GuideMaker()
+        self._guides, self._grabbed = GuideMaker(), 0.0
         self.wishes = self._wishes()
         self._showing = Showing(self.editor, self.drawer, self.frame)
         self._seen = self.editor.session.history.present.number
@@ -184,8 +187,11 @@ class Studio(Tabs):
         tab, place = int(event.client_id), event.screen_pos
         if event.modifier in HELD:
             self._of_tab(self.selecting.dab)(tab, place, HELD[event.modifier])
-        else:
-            self._of_tab(self.actions.place)(tab, place, event.modifier == "alt")
+        elif event.modifier or time.monotonic() > self._grabbed + _CLICK:
+            pin = event.modifier == "alt" or (
+                not event.modifier and self.editor.shown.click == "pin"
+            )
+            self._of_tab(self.actions.place)(tab, place, pin)
 
     async def _boxed(self, event: Any) -> None:
         choose = self._of_tab(self.selecting.choose)
@@ -207,6 +213,7 @@ class Studio(Tabs):
             self.newest("stroke", lambda: self.selecting.stroke(viewport, how), light=True)
 
     def _select_handle(self, tab: int, number: int) -> None:
+        self._grabbed = time.monotonic()  # The page tells of the click behind the ball, too.
         if self._may(tab):
             self.perform(lambda: self.editor.select_handle(number))
 
@@ -258,6 +265,7 @@ class Studio(Tabs):
         )
         self.panels.several(len(self._viewports))
         self.strokes.use(editor.shown.tool)
+        self.strokes.hear(self._clicked, editor.shown.click != "nothing")
         self.nodes.show(editor, warn=False, moved=True)
         self.guides.show(self._guides.of(editor))
         self.worker.draw(self._move, self._rest)
