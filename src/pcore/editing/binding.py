@@ -108,7 +108,7 @@ class Bound:
         own = own & (self._free == 1)
         return total, folded | own | ~(uprightness(total) > SINGULAR)
 
-    def then(self, edit: Edit, *, check: bool = True) -> Bound:
+    def then(self, edit: Edit, *, check: bool = True, quick: bool = False) -> Bound:
         """Bind one more edit to the points as they arrive at it.
 
         Args:
@@ -122,10 +122,7 @@ class Bound:
         """
         if not edit.enabled:
             return replace(self, steps=(*self.steps, Identity()), before=self)
-        step, points = edit.place(self.setting), self.setting.points
-        if edit.region is not None or edit.freeze:
-            region = None if edit.region is None else bind_region(edit.region, self.setting)
-            step = Weighted(step, region, bind_union(edit.freeze, self.setting))
+        step, points = self._placed(edit, quick), self.setting.points
         said = edit.notes(self.setting, step)
         moved = step(points)
         if self.hold is not None:
@@ -141,6 +138,14 @@ class Bound:
         said = (*said, *_leap(points, moved))
         notes = [f"edit {len(steps)} ({_kind(edit)}): {line}" for line in said]
         return replace(longer, notes=(*self.notes, *notes))
+
+    def _placed(self, edit: Edit, quick: bool) -> Deformation:
+        """An edit bound to the points, in its region."""
+        step = edit.place(self.setting.quickly if quick else self.setting)
+        if edit.region is None and not edit.freeze:
+            return step
+        region = None if edit.region is None else bind_region(edit.region, self.setting)
+        return Weighted(step, region, bind_union(edit.freeze, self.setting))
 
 
 class _Known(Deformation):
