@@ -9,11 +9,9 @@ from pcore.editing.regions import FALLOFF, RegionEntry
 from pcore.editing.session import EditLike, EditSession
 from pcore.editing.stack import (
     EditEntry,
-    RegionLike,
     edit_entry,
     raw_edit,
     raw_region,
-    region_entry,
 )
 from pcore.errors import EditError
 from pcore.geometry.extent import size_of
