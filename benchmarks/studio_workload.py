@@ -225,7 +225,11 @@ def _server(plan: Plan) -> Iterator[tuple[str, Metric]]:
     commands = 60 if plan.quick else _COMMANDS
     words = [sys.executable, "-m", "benchmarks.studio_server", str(commands)]
     outcome = subprocess.run(
-        words, capture_output=True, text=True, check=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
+        words,
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
     )
     found = json.loads(outcome.stdout.splitlines()[-1])
     yield "studio/start/seconds", _time([found["start"]], _START, plan)
