@@ -87,7 +87,7 @@ def _edits(points: Tensor, folder: Path) -> dict[str, Make]:
     """What is dragged, by how far. All are second in a stack, after an even scale by 1.1."""
     here = 1.1 * points
     top = here[int(here[:, 2].argmax())]
-    ball: Any = trimesh.creation.icosphere(3, radius=1.05 * float(here.norm(dim=1).max()))
+    ball: Any = trimesh.creation.icosphere(2, radius=1.15 * float(here.norm(dim=1).max()))
     inner: Any = trimesh.creation.icosphere(3, radius=0.6)
     rest = {"cage": ball, "mesh": inner}
     for name, mesh in rest.items():

@@ -172,11 +172,11 @@ class PointMotion(Deformation):
         part._mended = part._mended | self._mended
         return part
 
-    def folded(self, points: Tensor) -> Tensor:
+    def folded_given(self, points: Tensor, jacobian: Tensor) -> Tensor:
         """Where space is flattened or turned inside out; everywhere when the whole is mirrored."""
         if is_mirrored(self.field.sites, self.field.values):
             return torch.ones(points.shape[:-1], dtype=torch.bool, device=points.device)
-        return super().folded(points)
+        return super().folded_given(points, jacobian)
 
     def mended(self, points: Tensor) -> Tensor:
         """Where the nearest of the points has a substitute for its map: bool (...,)."""

@@ -98,7 +98,7 @@ class Bound:
             return total, folded
         jacobian = step.jacobian(place)
         if type(step).folded is Deformation.folded:
-            own = ~(uprightness(jacobian) > SINGULAR)
+            own = step.folded_given(place, jacobian)
         else:
             own = step.folded(place)
         if self.hold is None:
@@ -115,6 +115,7 @@ class Bound:
             edit: the next one.
             check: look for folds, which takes the Jacobians of the edit; without, only where the
                 points go is computed, for previews while something is dragged.
+            quick: fit local maps that have no formula in one step.
 
         Raises:
             EditError: it does not fit the points, or folds space (see `check_invertible`).

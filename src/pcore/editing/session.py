@@ -141,9 +141,9 @@ class EditSession(Undoable):
             folds: "plain": folds are accepted, no Jacobian is computed, and the state says where
                 they are (`EditState.folds`) and with which rays it can be drawn (`EditState.rays`);
                 "refuse": they are refused, as the command does.
-            frames: "quick": where a displacement, or a mesh that folds over, says where points go
-                but not how space moves around them, that is fitted in one step, in a fiftieth of
-                the time; points are the same. Other edits have the exact ones at once.
+            frames: "quick": how space moves around points is fitted in one step to where they go,
+                of displacements, of cages, and of meshes where they fold over: points are the same,
+                and it takes a fiftieth of the time. Other edits have the exact frames at once.
 
         Raises:
             EditError: as the command, but for folds.

@@ -22,7 +22,7 @@ from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.model.hits import Hits
 from pcore.model.papr import Papr, constant
-from pcore.model.unet import ALIGNMENT
+from pcore.model.unet import ALIGNMENT, RECEPTIVE_MARGIN
 from pcore.render.image import Image
 from pcore.render.means import mean_around
 from pcore.render.raster import Raster
@@ -233,6 +233,10 @@ def colour_tile(canvas: Canvas, papr: Papr, window: Window, step: int) -> None:
         window: the tile.
         step: pixels between those that the UNet sees beside each other (`Raster`).
     """
+    canvas.rgb[window[2]] = constant(papr.config.background, canvas.rgb)
+    window = _shown(canvas, window, step)
+    if window is None:
+        return
     inside, trimmed, kept = window
     seen, columns = inside
     rows = torch.arange(seen.start, seen.stop, device=canvas.alpha.device) % len(canvas.features)
@@ -244,6 +248,29 @@ def colour_tile(canvas: Canvas, papr: Papr, window: Window, step: int) -> None:
     else:
         colours = _laced(papr, features, alpha, gain, step)
     canvas.rgb[kept] = colours[trimmed]
+
+
+def _shown(canvas: Canvas, window: Window, step: int) -> Window | None:
+    """The part of a tile where anything is to be seen, on the UNet's grid; None: nowhere.
+
+    Elsewhere opacity is 0, and the background shows whatever the UNet would say.
+    """
+    inside, _, kept = window
+    opaque = canvas.alpha[kept].detach() > 0
+    grid, margin = ALIGNMENT * step, RECEPTIVE_MARGIN * step
+    spans: list[tuple[slice, slice, slice]] = []
+    for axis, (seen, whole) in enumerate(zip(inside, kept, strict=True)):
+        met = opaque.any(dim=1 - axis).nonzero().flatten()
+        if not len(met):
+            return None
+        # Tiles begin on the grid.
+        first = whole.start + int(met[0]) // grid * grid
+        last = min(whole.stop, whole.start + (int(met[-1]) // grid + 1) * grid)
+        around = slice(max(seen.start, first - margin), min(seen.stop, last + margin))
+        trimmed = slice(first - around.start, last - around.start)
+        spans.append((around, trimmed, slice(first, last)))
+    rows, columns = spans
+    return (rows[0], columns[0]), (rows[1], columns[1]), (rows[2], columns[2])
 
 
 def _laced(papr: Papr, features: Tensor, alpha: Tensor, gain: Tensor, step: int) -> Tensor:
