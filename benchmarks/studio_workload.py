@@ -222,7 +222,7 @@ def _camera(points: Tensor, size: int) -> Camera:
 
 def _server(plan: Plan) -> Iterator[tuple[str, Metric]]:
     """A page's server in a process of its own; see `benchmarks.studio_server`."""
-    commands = 60 if plan.quick else _COMMANDS
+    commands = 500 if plan.quick else _COMMANDS
     words = [sys.executable, "-m", "benchmarks.studio_server", str(commands)]
     outcome = subprocess.run(
         words,

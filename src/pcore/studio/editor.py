@@ -83,7 +83,7 @@ class Editor(StackEditor):
         moved = moved_handle(raw, number, before, pose)
         if self._mirror is not None:
             moved = mirrored(moved, number, self._mirror, self._beside)
-        state = self.session.preview(moved, at=index)
+        state = self.session.preview(moved, at=index, frames="quick")
         self._dragged, self._held_raw = state, moved
         if not len(state.folds):
             self._kept = moved
