@@ -116,7 +116,7 @@ def bind_armature(context: bpy.types.Context, *, chain: bool) -> bpy.types.Objec
     """Make bones at the selected anchors, which carry those and bend the proxy.
 
     Args:
-        context: of Blender.
+        context: Blender's.
         chain: each bone ends where the next anchor is, from the active one on, and carries it
             along; otherwise every bone stands by itself.
 
@@ -147,8 +147,8 @@ def bind_armature(context: bpy.types.Context, *, chain: bool) -> bpy.types.Objec
     for item, name in zip(ordered, names, strict=True):
         tie = item.constraints.new("CHILD_OF")
         tie.target, tie.subtarget = armature, name
-        bone = armature.pose.bones[name]
-        tie.inverse_matrix = (armature.matrix_world @ bone.matrix).inverted()
+        pose = armature.matrix_world @ armature.pose.bones[name].matrix
+        tie.inverse_matrix = pose.inverted()
     if members(root, PROXY):
         _weigh(member(root, PROXY), armature, names, segments)
     _activate(context, armature)

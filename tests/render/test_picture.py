@@ -307,7 +307,7 @@ def test_the_unet_sees_only_where_something_is_and_that_changes_no_colour(
     found = render(papr, small, camera(*size), tile=24)
     used = sum(areas)
     areas.clear()
-    monkeypatch.setattr(tiles_module, "_shown", lambda canvas, window, step: window)
+    monkeypatch.setattr(tiles_module, "shown_part", lambda alpha, window, step: window)
     whole = render(papr, small, camera(*size), tile=24)
     assert 0 < float((whole.alpha > 0).double().mean()) < 0.5
     torch.testing.assert_close(found.rgb, whole.rgb, rtol=0, atol=2e-6)

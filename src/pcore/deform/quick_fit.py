@@ -53,21 +53,31 @@ def quick_fit(
             for b in range(3):
                 turn[a, b] *= scale
                 cross[a, b] += ridge * turn[a, b]
-        _cofactors(spread, other)
-        inverse, found, size = 1.0 / _determinant(spread), linear[i], 0.0
-        for a in range(3):
-            for b in range(3):
-                total = cross[a, 0] * other[0, b] + cross[a, 1] * other[1, b]
-                found[a, b] = inverse * (total + cross[a, 2] * other[2, b])
-                size += found[a, b] * found[a, b]
-        size = math.sqrt(size / 3.0)
-        if size > _LONGEST * scale:
-            found *= _LONGEST * scale / size
-            size = _LONGEST * scale
+        found = linear[i]
+        size = _solve(cross, spread, other, found, _LONGEST * scale)
         bad[i] = not _determinant(found) > singular * size**3
         if bad[i]:
             found[:] = turn
     return linear, bad
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _solve(
+    cross: FloatArray, spread: FloatArray, other: FloatArray, found: FloatArray, most: float
+) -> float:
+    """Write cross spread^-1, scaled down to the root mean square length `most`; return that."""
+    _cofactors(spread, other)
+    inverse, size = 1.0 / _determinant(spread), 0.0
+    for a in range(3):
+        for b in range(3):
+            total = cross[a, 0] * other[0, b] + cross[a, 1] * other[1, b]
+            found[a, b] = inverse * (total + cross[a, 2] * other[2, b])
+            size += found[a, b] * found[a, b]
+    size = math.sqrt(size / 3.0)
+    if size > most:
+        found *= most / size
+        size = most
+    return size
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -142,11 +142,18 @@ class Bound:
 
     def _placed(self, edit: Edit, quick: bool) -> Deformation:
         """An edit bound to the points, in its region."""
-        step = edit.place(self.setting.quickly if quick else self.setting)
+        step = edit.place(_quickly(self.setting) if quick else self.setting)
         if edit.region is None and not edit.freeze:
             return step
         region = None if edit.region is None else bind_region(edit.region, self.setting)
         return Weighted(step, region, bind_union(edit.freeze, self.setting))
+
+
+def _quickly(setting: Setting) -> Setting:
+    """The same with quick local maps, and what it knows already."""
+    other = replace(setting, quick=True)
+    other.__dict__.update({**setting.__dict__, "regions": setting.regions, "quick": True})
+    return other
 
 
 class _Known(Deformation):

@@ -66,13 +66,6 @@ class Setting:
         """Diagonal of the bounding box of the points at rest, world units."""
         return size_of(self.rest)
 
-    @property
-    def quickly(self) -> Setting:
-        """The same with quick local maps."""
-        other = replace(self, quick=True)
-        other.__dict__.update({**self.__dict__, "regions": self.regions, "quick": True})
-        return other
-
     def at(self, points: Tensor) -> Setting:
         """Return the setting of the next edit, where the points (N, 3) are by now."""
         later = replace(self, points=points)
