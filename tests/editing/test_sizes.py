@@ -73,6 +73,7 @@ def test_one_point_is_dragged_like_many(number: int, tmp_path: Path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("number", [0, 1, 2, 4])
 def test_300_000_points_are_dragged(number: int, tmp_path: Path):
     points = ball(300_000)
