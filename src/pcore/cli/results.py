@@ -44,10 +44,9 @@ _HOLES = (
 )
 
 
-@contextmanager
-def counting(console: Console, title: str) -> Generator[Callable[[int, int], None]]:
-    """Give a function (done, total) that moves a bar; one line at the end without a terminal."""
-    progress = Progress(
+def bar(console: Console) -> Progress:
+    """A bar with how many are done and how long the rest takes; nothing without a terminal."""
+    return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
@@ -55,6 +54,12 @@ def counting(console: Console, title: str) -> Generator[Callable[[int, int], Non
         console=console,
         disable=not console.is_terminal,
     )
+
+
+@contextmanager
+def counting(console: Console, title: str) -> Generator[Callable[[int, int], None]]:
+    """Give a function (done, total) that moves a bar; one line at the end without a terminal."""
+    progress = bar(console)
     task = progress.add_task(title, total=None)
     last = [0]
 

@@ -15,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from pcore.data.foreign import foreign_json, foreign_matrix, foreign_text
-from pcore.data.lens import Lens, LensEntry, bend_of, check_pinhole, check_projection, lens_of
+from pcore.data.lens import Lens, lens_of
+from pcore.data.lens_entry import LensEntry, bend_of, check_pinhole, check_projection
 from pcore.data.transform_keys import (
     USED_AT_TOP,
     USED_IN_CAPTURES,
