@@ -9,6 +9,12 @@ from typing import Any
 
 import pytest
 import torch
+from tests.kernels.test_gaussian_rasterization import (
+    HEIGHT,
+    WIDTH,
+    assert_near,
+    some_gaussians,
+)
 from torch import Tensor
 
 from pcore.errors import DependencyError, InputError
@@ -18,12 +24,6 @@ from pcore.kernels.disc_projection import disc_normals, project_discs
 from pcore.kernels.disc_rasterization import rasterization_2dgs
 from pcore.kernels.gaussian_rasterization import rasterization
 from pcore.kernels.reference_discs import ray_transforms
-from tests.kernels.test_gaussian_rasterization import (
-    HEIGHT,
-    WIDTH,
-    assert_near,
-    some_gaussians,
-)
 
 
 def drawn(inputs: dict[str, Tensor], **options: Any) -> tuple[Tensor, Tensor, Tensor]:

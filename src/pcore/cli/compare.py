@@ -38,8 +38,8 @@ class CompareCommand:
 
     methods: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ("all",)
     """papr, aware, light (of the runs); 3dgs-fixed, 3dgs-rotation, 3dgs-affine, 3dgs-light, sc-gs
-    (rules on Gaussians); mani-gs (on a mesh); voxels (in a cage); motion (states with training
-    photos); or all."""
+    (rules on Gaussians); 2dgs-affine, 2dgs-light (on flat ones); mani-gs (on a mesh); voxels (in a
+    cage); motion (states with training photos); or all."""
 
     settings: Annotated[
         tuple[Literal["primitives", "time"], ...], arg(metavar="NAME [NAME ...]")

@@ -1,8 +1,8 @@
-"""How a pixel meets a Gaussian, or a flat one (2DGS), and what follows for their gradients, by numba.
+"""How a pixel meets a Gaussian or a flat one (2DGS), and what follows for gradients, by numba.
 
-All that differs between the two is here. numba chooses by the type: a Gaussian is three numbers, its
-conic; a disc is seven, its map (`disc_projection`) and the precision of the round Gaussian that it
-never is smaller than, 0 for none.
+All that differs between the two is here. numba chooses by the type: a Gaussian is three numbers,
+its conic; a disc is seven, its map (`disc_projection`) and the precision of the round Gaussian that
+it never is smaller than, 0 for none.
 """
 
 from __future__ import annotations

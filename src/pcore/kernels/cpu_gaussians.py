@@ -64,7 +64,10 @@ class _Blend(torch.autograd.Function):
         use_torch_threads()
         splats = _splats(means, shapes, opacities, colors, precision, deep)
         lists = listed(
-            *(_plain(one) for one in (means, shapes, opacities, depths)),
+            _plain(means),
+            _plain(shapes),
+            _plain(opacities),
+            _plain(depths),
             size,
             near_plane,
             precision,

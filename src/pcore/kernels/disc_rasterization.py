@@ -43,9 +43,9 @@ def rasterization_2dgs(
 ) -> tuple[Tensor, Tensor, Tensor, dict[str, Any]]:
     """Draw flat Gaussians by C cameras: every ray meets their planes (Huang et al. 2024).
 
-    Names, order and shapes are those of `gsplat.rasterization_2dgs`, of whose results the distortion
-    and the median depth are left out. Differentiable, and the same for any number of threads, as
-    `gaussian_rasterization.rasterization`, where the arguments are described. What differs:
+    Names, order and shapes are those of `gsplat.rasterization_2dgs`, of whose results those of the
+    distortion and of the median depth are left out. Differentiable, and the same for any number of
+    threads, as `gaussian_rasterization.rasterization`.
 
     Args:
         means: (N, 3) world units.
@@ -81,7 +81,8 @@ def rasterization_2dgs(
     size = (width, height)
     check_inputs(means, quats, scales, opacities, colors, viewmats, Ks, size, tangents=tangents)
     if tangents is None:
-        assert quats is not None and scales is not None
+        assert quats is not None
+        assert scales is not None
         tangents = rotations(quats)[..., :2] * scales[:, None, :2]
     cameras, channels = len(viewmats), colors.shape[-1]
     deep = render_mode == "RGB+ED"
