@@ -86,7 +86,9 @@ class Workshop:
         stamp = [setting, seed, asked, self.config.steps]
         found: list[Entry] = []
         for flat in (False, True):
-            names = [name for name in wanted if name in RULES and (name in FLAT) == flat]
+            names: list[MethodName] = [
+                name for name in wanted if name in RULES and (name in FLAT) == flat
+            ]
             make = cache(partial(self.gaussians, setting, seed, flat=flat))
             found += rule_entries(setting, seed, stamp, names, make, self.scene)
         if "mani-gs" in wanted:
