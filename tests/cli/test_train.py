@@ -177,6 +177,22 @@ def ctrl_c_at(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     return arm
 
 
+def test_ctrl_c_before_the_first_step_leaves_nothing(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pcore.asset import training
+
+    def stop(*args: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    path = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "pretrain", stop)
+        assert call(scene, path, steps=1) == 130
+    assert not path.exists()
+    assert call(scene, path, steps=1) == 0
+
+
 def test_a_resumed_run_equals_one_that_was_never_interrupted(
     scene: Path,
     tmp_path: Path,
@@ -314,6 +330,18 @@ def test_options_that_only_papr_has_are_refused_for_gaussians(
         assert call(scene, run, "--model", "gaussians", *wrong) == 2
         assert "Gaussians" in capsys.readouterr().err
         assert not run.exists()
+
+
+def test_flat_gaussians_are_trained_and_refused_for_papr(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert call(scene, run, "--model", "papr", "--flat") == 2
+    assert "--model gaussians" in capsys.readouterr().err
+    assert not run.exists()
+    assert call(scene, run, "--model", "gaussians", "--flat", steps=2) == 0
+    assert load_gaussians(run).footprint.flat
+    assert main(["info", str(run)]) == 0
 
 
 def test_a_promise_of_minutes_says_its_plan_and_resumes_it(

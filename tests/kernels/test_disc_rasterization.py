@@ -211,7 +211,7 @@ def test_a_disc_across_the_view_is_drawn_and_has_gradients(mode: str) -> None:
 
 def test_widened_discs_are_flat_gaussians_of_the_same_picture() -> None:
     """Seen from afar, where perspective is next to none, they are drawn as 3D Gaussians are."""
-    inputs = some_gaussians(60, 2)
+    inputs: dict[str, Any] = some_gaussians(60, 2)
     inputs["means"] = 0.5 * inputs["means"]
     inputs["viewmats"][:, 2, 3] += 400.0
     inputs["Ks"][:, 0, 0] *= 100

@@ -33,6 +33,7 @@ class BenchmarkPlan:
         resolution: pixels along each side.
         train_views: canonical training views.
         test_views: test views, canonical and of every state.
+        state_train_views: training views of every state, for methods that learn it from photos.
         light: "fixed": it stands still while the object moves; "baked": it sticks to the surface.
         analytic: make twist60, bend60, stretch and scale2x.
         edits: name -> edit file, each a state.
@@ -45,6 +46,7 @@ class BenchmarkPlan:
     resolution: int = 200
     train_views: int = 100
     test_views: int = 20
+    state_train_views: int = 0
     light: Light = "fixed"
     analytic: bool = True
     edits: tuple[tuple[str, EditScript], ...] = ()

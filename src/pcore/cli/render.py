@@ -120,7 +120,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
         DependencyError: a video is asked for and its package is missing.
     """
     from pcore.asset.saving import load
-    from pcore.cli.diagnosing import note
+    from pcore.cli.diagnosing import note_edit
     from pcore.cli.draw import Wanted, draw
     from pcore.cli.output import pictures_folder
     from pcore.cli.runtime import pick_device, prepare_torch
@@ -131,7 +131,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
     device = pick_device(command.device)
     asset = load(command.run_or_file, device=device)
     posed = asset.pose(command.edit, time=command.time, rays=command.rays, light=command.light)
-    note(console, posed.notes)
+    note_edit(console, posed.notes, command.run_or_file, command.edit)
     views = _views(command, asset, posed, console)
     if _films(command):
         require_video()
