@@ -62,15 +62,18 @@ class GaussianShape:
             ones = torch.ones(len(self.gaussians), 1)
             opacity = blended(self.gaussians, ones, camera, footprint=self.footprint)[1]
         solid = ndimage.binary_fill_holes(ndimage.binary_opening(opacity.numpy() > _OUTLINE))
-        labels, count = ndimage.label(solid)
-        if count > 1:
+        labels = np.empty(solid.shape, dtype=np.int32)
+        if ndimage.label(solid, output=labels) > 1:
             areas = np.bincount(labels.ravel())[1:]
             solid = np.isin(labels, 1 + np.flatnonzero(areas >= 0.1 * areas.max()))
         return torch.from_numpy(np.asarray(solid, dtype=np.float32))
 
 
 def find_shape(
-    gaussians: Gaussians, footprint: Footprint, cameras: Sequence[Camera], generator: torch.Generator
+    gaussians: Gaussians,
+    footprint: Footprint,
+    cameras: Sequence[Camera],
+    generator: torch.Generator,
 ) -> GaussianShape | None:
     """Find the object that cameras look at; lengths are measured in their distance.
 
@@ -111,7 +114,10 @@ def find_shape(
 
 @torch.no_grad()
 def _surface(
-    gaussians: Gaussians, footprint: Footprint, cameras: Sequence[Camera], generator: torch.Generator
+    gaussians: Gaussians,
+    footprint: Footprint,
+    cameras: Sequence[Camera],
+    generator: torch.Generator,
 ) -> Tensor:
     """Points (P, 3) of surfaces that the pictures show, evenly from all of them."""
     found: list[Tensor] = []

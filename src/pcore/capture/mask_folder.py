@@ -134,9 +134,7 @@ def in_file(view: View, mask: Tensor) -> Tensor:
     extent = image.factor * torch.tensor([view.camera.width, view.camera.height])
     coarse = (2 * places / extent - 1).float().permute(2, 0, 1)[None]
     grid = F.interpolate(coarse, (height, width), mode="bilinear", align_corners=True)
-    found = F.grid_sample(
-        mask[None, None].float(), grid.permute(0, 2, 3, 1), align_corners=False
-    )
+    found = F.grid_sample(mask[None, None].float(), grid.permute(0, 2, 3, 1), align_corners=False)
     return found[0, 0]
 
 

@@ -100,9 +100,7 @@ def from_line(a: Floats, b: Floats, one: dict[str, Any], other: dict[str, Any]) 
 
 
 def _pinhole(camera: dict[str, Any]) -> Floats:
-    return np.array(
-        [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1.0]]
-    )
+    return np.array([[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1.0]])
 
 
 def _say(line: str) -> None:

@@ -14,6 +14,8 @@ from pcore.errors import InputError
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from pcore.capture.auto_masks import FoundMasks
+    from pcore.data.scene import View
     from pcore.training.locate import Located
 
 
@@ -31,7 +33,8 @@ def located_scene(
     Args:
         path: the scene.
         factor: whole number by which images are down-scaled.
-        masks: "auto", "none", a folder, or None: those that the scene brings.
+        masks: "auto" (cut, or by a short training where that fails), "trained", "none", a folder,
+            or None: those that the scene brings.
         box: six numbers of a lower and an upper corner, or none.
         made: folder that automatic masks are written to; those that lie there already are taken.
         console: told of what is done.
@@ -48,12 +51,13 @@ def located_scene(
     corners = corners_of(box)
     if masks == "none":
         return locate(load_scene(path, factor=factor, masks="none", tell=console.print), corners)
-    if masks != "auto":
+    if masks not in ("auto", "trained"):
         folder = None if masks is None else Path(masks)
         return locate(load_scene(path, factor=factor, masks=folder, tell=console.print), corners)
     if not made.is_dir():
         bare = locate(load_scene(path, factor=factor, masks="none", tell=console.print), corners)
-        _make_masks(bare, made, console)
+        views, found = _cut_masks(bare, console) if masks == "auto" else _learned(bare, console)
+        _write_masks(views, found, made, console)
     masked = load_scene(path, factor=factor, masks=made)
     return locate(masked, corners)
 
@@ -70,13 +74,29 @@ def corners_of(box: Sequence[float]) -> Tensor | None:
     return torch.tensor(box).reshape(2, 3) if box else None
 
 
-def _make_masks(bare: Located, folder: Path, console: Console) -> None:
-    from pcore.capture.mask_folder import write_masks
+def _cut_masks(bare: Located, console: Console) -> tuple[Sequence[View], FoundMasks]:
     from pcore.capture.scene_masks import scene_masks
     from pcore.cli.results import counting
 
-    with counting(console, "masks") as tell:
-        views, found = scene_masks(bare.scene, bare.region, points=bare.points, progress=tell)
+    try:
+        with counting(console, "masks") as tell:
+            return scene_masks(bare.scene, bare.region, points=bare.points, progress=tell)
+    except InputError as problem:
+        console.print(Text(f"{problem}. So the room is learned first"), soft_wrap=True)
+        return _learned(bare, console)
+
+
+def _learned(bare: Located, console: Console) -> tuple[Sequence[View], FoundMasks]:
+    from pcore.cli.results import counting
+    from pcore.training.trained_masks import trained_masks
+
+    with counting(console, "learning the room for masks, steps") as tell:
+        return trained_masks(bare.scene, progress=tell)
+
+
+def _write_masks(views: Sequence[View], found: FoundMasks, folder: Path, console: Console) -> None:
+    from pcore.capture.mask_folder import write_masks
+
     partial = folder.with_name(f"{folder.name}.partial")
     write_masks(views, found.masks, partial)
     partial.rename(folder)  # Whole or not at all.

@@ -161,7 +161,9 @@ def _of_masks(check: SceneCheck) -> list[Finding]:
     if masks is None:
         if check.no_masks:
             text = check.no_masks
-            action = "Without masks the background is learned too, and edits need a region (a box)."
+            action = "Learn the room for a minute or two and take the object out of it (--masks "
+            action += "trained). Without masks the background is learned too, and edits need a "
+            action += "region (a box)."
             return [Finding(level="note", topic="masks", text=text, action=action)]
         return [
             Finding(

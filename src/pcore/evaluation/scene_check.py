@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.object_region import Region
 from pcore.training.forecast import Forecast, forecasts
 from pcore.training.locate import Located, Source, locate
+from pcore.training.trained_masks import trained_masks
 
 _VOTE, _VOXELS = 0.95, 64
 _SIDE = 160
@@ -91,16 +93,17 @@ def check_scene(
     bare: Scene,
     *,
     box: Tensor | None = None,
-    automatic: bool = False,
+    automatic: Literal["cut", "trained"] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> SceneCheck:
-    """Measure a scene; nothing is trained and nothing written.
+    """Measure a scene; nothing is written, and nothing is trained unless masks shall be.
 
     Args:
         scene: with the masks that it has or is given.
         bare: the same without masks: what is behind the object tells whether poses are right.
         box: (2, 3) corners that the user gives, world units.
-        automatic: cut masks out where the scene has none; not to be had without OpenCV.
+        automatic: make masks where the scene has none: cut them out (not to be had without
+            OpenCV), or learn the room first (`trained_masks`).
         progress: told what is done, how much of it, and of how much.
 
     Raises:
@@ -112,9 +115,9 @@ def check_scene(
     region = located.region
     masks, why = None, ""
     if all(view.has_alpha for view in views):
-        masks = _agreed(views, region)
-    elif automatic:
-        masks, why = _automatic(located, whole, progress)
+        masks = _agreed(views, region, tuple(view.alpha() for view in views))
+    elif automatic is not None:
+        masks, why = _automatic(located, whole, automatic, progress)
         if masks is not None:
             located = _with_masks(located, views, masks, box)
             region, views = located.region, ordered_views(located.scene)
@@ -147,6 +150,7 @@ def ordered_views(scene: Scene) -> tuple[View, ...]:
 def _automatic(
     located: Located,
     views: Sequence[View],
+    how: Literal["cut", "trained"],
     progress: Callable[[str, int, int], None] | None,
 ) -> tuple[CheckedMasks | None, str]:
     def tell(done: int, total: int) -> None:
@@ -154,6 +158,11 @@ def _automatic(
             progress("masks", done, total)
 
     try:
+        if how == "trained":
+            learned, found = trained_masks(located.scene, progress=tell)
+            known = {view.name: mask for view, mask in zip(learned, found.masks, strict=True)}
+            masks = tuple(known[view.name] for view in views)
+            return replace(_agreed(views, located.region, masks), automatic=True), ""
         found = find_masks(photos_of(views), located.region, points=located.points, progress=tell)
     except (DependencyError, InputError) as error:
         return None, str(error)
@@ -183,23 +192,22 @@ def _cut_out(view: View, mask: Tensor) -> View:
     return replace(view, image=replace(view.image, cut=mask))
 
 
-def _agreed(views: Sequence[View], region: Region) -> CheckedMasks:
+def _agreed(views: Sequence[View], region: Region, masks: tuple[Tensor, ...]) -> CheckedMasks:
     """How well masks that are there agree with their own hull, looked at small."""
-    small = [_small(view) for view in views]
-    cameras = [one[0] for one in small]
-    masks = [one[1] for one in small]
-    hulls = hull_silhouettes(cameras, masks, region, votes=(_VOTE,), into=cameras, voxels=_VOXELS)[
-        0
-    ]
+    small = [_small(view, mask) for view, mask in zip(views, masks, strict=True)]
+    cameras, bits = [one[0] for one in small], [one[1] for one in small]
+    hulls = hull_silhouettes(cameras, bits, region, votes=(_VOTE,), into=cameras, voxels=_VOXELS)[0]
     return CheckedMasks(
-        masks=tuple(view.alpha() for view in views),
-        agreement=tuple(overlap(a, b) for a, b in zip(masks, hulls, strict=True)),
+        masks=masks,
+        agreement=tuple(overlap(a, b) for a, b in zip(bits, hulls, strict=True)),
         automatic=False,
     )
 
 
-def _small(view: View) -> tuple[Camera, np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]:
+def _small(
+    view: View, mask: Tensor
+) -> tuple[Camera, np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]:
     scale = min(1.0, _SIDE / max(view.camera.width, view.camera.height))
     size = round(scale * view.camera.height), round(scale * view.camera.width)
-    alpha = torch.nn.functional.interpolate(view.alpha()[None, None], size, mode="area")[0, 0]
+    alpha = torch.nn.functional.interpolate(mask[None, None], size, mode="area")[0, 0]
     return view.camera.resized(size[1], size[0]), (alpha > 0.5).numpy().astype(np.uint8)

@@ -7,12 +7,13 @@ tells where the object is.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from pcore.capture.auto_masks import FoundMasks
 from pcore.capture.gaussian_shape import GaussianShape, find_shape
 from pcore.data.scene import Scene, View
 from pcore.errors import InputError
@@ -28,31 +29,21 @@ _SIDE = 160
 _STEPS, _START = 800, 8000
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrainedMasks:
-    """Masks of all views of a scene.
-
-    Attributes:
-        views: those of training first.
-        masks: (H, W) in [0, 1] of each.
-    """
-
-    views: tuple[View, ...]
-    masks: tuple[Tensor, ...]
-
-
 def trained_masks(
     scene: Scene,
     *,
     steps: int = _STEPS,
     progress: Callable[[int, int], None] | None = None,
-) -> TrainedMasks:
+) -> tuple[tuple[View, ...], FoundMasks]:
     """Learn Gaussians of small photos, background included, and find the object among them.
 
     Args:
         scene: photos without masks; its training views alone are learned.
         steps: of the training; 800 take one to two processor minutes.
         progress: told (steps done, steps in all).
+
+    Returns:
+        Views, those of training first, and their masks; all agree, since they show one object.
 
     Raises:
         InputError: nothing stands out of what the cameras look at.
@@ -78,7 +69,8 @@ def trained_masks(
             "cameras look, found nothing; give masks of your own (--masks FOLDER)"
         )
     views = (*train, *others)
-    return TrainedMasks(views=views, masks=tuple(_mask(shape, view.camera) for view in views))
+    masks = tuple(_mask(shape, view.camera) for view in views)
+    return views, FoundMasks(masks=masks, agreement=(1.0,) * len(views))
 
 
 def _config(camera: Camera, steps: int) -> GaussianConfig:
