@@ -39,7 +39,8 @@ _CARRIES = 0.2
 _BEFORE = 0.95
 """Share of the cameras that stand before it."""
 _TRIES, _TRIED = 400, 4000
-_OUTLINE = 0.5
+_OUTLINE, _STEEP = 0.5, 2.0
+"""Opacity where the object ends, and how much steeper its rim is made than it is drawn."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,16 +58,22 @@ class GaussianShape:
     points: Tensor
 
     def mask(self, camera: Camera) -> Tensor:
-        """Outline (H, W), 0 or 1, without holes and specks; the object is drawn alone."""
+        """Mask (H, W) in [0, 1] without holes and specks; the object is drawn alone.
+
+        Its rim is as soft as the object is drawn: one rim in space, which all views agree on.
+        """
         with torch.no_grad():
             ones = torch.ones(len(self.gaussians), 1)
-            opacity = blended(self.gaussians, ones, camera, footprint=self.footprint)[1]
-        solid = ndimage.binary_fill_holes(ndimage.binary_opening(opacity.numpy() > _OUTLINE))
-        labels = np.empty(solid.shape, dtype=np.int32)
-        if ndimage.label(solid, output=labels) > 1:
+            opacity = blended(self.gaussians, ones, camera, footprint=self.footprint)[1].numpy()
+        solid = ndimage.binary_fill_holes(ndimage.binary_opening(opacity > _OUTLINE))
+        labels = np.empty(opacity.shape, dtype=np.int32)
+        ndimage.label(solid, output=labels)
+        if labels.max() > 1:
             areas = np.bincount(labels.ravel())[1:]
             solid = np.isin(labels, 1 + np.flatnonzero(areas >= 0.1 * areas.max()))
-        return torch.from_numpy(np.asarray(solid, dtype=np.float32))
+        inner, near = ndimage.binary_erosion(solid, iterations=2), ndimage.binary_dilation(solid)
+        rim = np.clip((opacity - _OUTLINE) * _STEEP + 0.5, 0, 1) * near
+        return torch.from_numpy(np.where(inner, 1, rim).astype(np.float32))
 
 
 def find_shape(

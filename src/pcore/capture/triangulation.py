@@ -24,6 +24,7 @@ from torch import Tensor
 from pcore.capture.colmap import raw_points
 from pcore.capture.colmap_child import Patience, Tell, run_child
 from pcore.capture.colmap_model import kind_of, read_model
+from pcore.capture.scene_masks import ordered_views
 from pcore.capture.structure import cache_folder, files_key
 from pcore.data.pictures import write_mask, write_png
 from pcore.data.scene import Scene, View
@@ -37,6 +38,8 @@ _SAME_WAY = 0.5
 """Least cosine between the viewing axes of photos that are matched."""
 _SIDE = 1600
 """Longer side, pixels, up to which pictures are used as fine as the files have them."""
+WRONG = 1.0
+"""Distances in pixels that right poses stay well below: 0.2 in those that were tried."""
 _LEAST = 15
 """Fewer matches of two photos are chance."""
 _AGREEMENT, _MODEL = "agreement.npy", "model"
@@ -47,14 +50,21 @@ class PoseAgreement:
     """How far matched features lie from the lines that the poses predict.
 
     Attributes:
-        median: pixels of the photos' files, over pairs of photos.
-        of_views: the same of each view's pairs; NaN where it has none.
+        median: pixels of the pictures that were matched, over pairs of photos.
+        of_views: the same of the pairs of each of `ordered_views`; NaN where it has none.
         pairs: of photos that show common features.
+        points: that were triangulated.
     """
 
     median: float
     of_views: tuple[float, ...]
     pairs: int
+    points: int
+
+    def doubtful(self) -> tuple[int, ...]:
+        """Numbers of the views with large distances."""
+        limit = max(WRONG, 3 * self.median)
+        return tuple(i for i, off in enumerate(self.of_views) if off > limit)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,7 +96,7 @@ def triangulated(scene: Scene, tell: Tell, patience: Patience | None = None) -> 
         SceneError: the child hung or crashed, or images are damaged.
         DependencyError: pycolmap (extra `colmap`) is not installed.
     """
-    views = _views(scene)
+    views = ordered_views(scene)
     wish = _wish(views)
     said = hashlib.sha256(json.dumps(wish).encode()).hexdigest()[:24]
     files = [view.image.path for view in views]
@@ -98,13 +108,8 @@ def triangulated(scene: Scene, tell: Tell, patience: Patience | None = None) -> 
     found = np.load(place / _AGREEMENT, allow_pickle=False)
     return Triangulated(
         scene=scene if sparse is None else replace(scene, sparse=sparse),
-        agreement=_agreement(found, views),
+        agreement=_agreement(found, views, 0 if sparse is None else len(sparse)),
     )
-
-
-def _views(scene: Scene) -> list[View]:
-    names = ["train"] if scene.layout == "NeRF-Synthetic" else scene.splits
-    return [view for name in names for view in scene.split(name)]
 
 
 def _fine(view: View) -> View:
@@ -230,17 +235,15 @@ def _times(views: Sequence[View]) -> Tensor:
 
 
 def _agreement(
-    rows: np.ndarray[tuple[int, ...], np.dtype[np.float64]], views: Sequence[View]
+    rows: np.ndarray[tuple[int, ...], np.dtype[np.float64]], views: Sequence[View], points: int
 ) -> PoseAgreement | None:
     rows = rows[rows[:, 2] >= _LEAST]
     if not len(rows):
         return None
-    fine = np.array([_fine(view).image.factor for view in views])
-    first, second = rows[:, 0].astype(int), rows[:, 1].astype(int)
-    off = rows[:, 3] * fine[first]
-    of_views = [off[(first == one) | (second == one)] for one in range(len(views))]
+    off = [rows[(rows[:, :2] == number).any(axis=1), 3] for number in range(len(views))]
     return PoseAgreement(
-        median=float(np.median(off)),
-        of_views=tuple(float(np.median(one)) if len(one) else float("nan") for one in of_views),
+        median=float(np.median(rows[:, 3])),
+        of_views=tuple(float(np.median(one)) if len(one) else float("nan") for one in off),
         pairs=len(rows),
+        points=points,
     )

@@ -49,6 +49,10 @@ class CheckCommand:
     box: Annotated[tuple[float, ...], arg(metavar="X Y Z X Y Z", help_behavior_hint="")] = ()
     """Lower and upper corner of the object in world units; default: found."""
 
+    triangulate: bool = False
+    """Match features of the photos and hold them against the poses, by COLMAP, some minutes; for
+    scenes without sparse points."""
+
     masks_out: Folder = None
     """Write the masks there, named like the photos, to look at and correct."""
 
@@ -77,6 +81,7 @@ def check(command: CheckCommand, console: Console) -> None:
         DependencyError: the report without jinja2.
         OSError: a file cannot be written.
     """
+    from pcore.capture.triangulation import triangulated
     from pcore.cli.results import counting
     from pcore.cli.runtime import prepare_torch
     from pcore.cli.scenes import corners_of
@@ -88,10 +93,17 @@ def check(command: CheckCommand, console: Console) -> None:
     prepare_torch(command.threads)
     factor = command.factor or _looking_factor(command.scene)
     scene, bare = _opened(command, factor)
+    agreement = None
+    if command.triangulate and scene.sparse is None:
+        done = triangulated(bare, console.print)
+        scene, agreement = replace(scene, sparse=done.scene.sparse), done.agreement
+        if agreement is None:
+            console.print("no two photos show common features, so nothing checks the poses")
     with counting(console, "masks") as tell:
         found = check_scene(
             scene,
             bare,
+            agreement=agreement,
             box=corners_of(command.box),
             automatic=_AUTOMATIC.get(command.masks),
             progress=lambda what, done, total: tell(done, total),
@@ -177,6 +189,8 @@ def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> 
 
     assert command.fix is not None, "asked for"
     bad = {*found.quality.blurred, *found.quality.odd_exposure}
+    if found.agreement is not None:
+        bad |= {*found.agreement.doubtful()}
     if found.reprojection is not None:
         bad |= {*found.reprojection.doubtful()}
     left_out = [found.views[i].name for i in sorted(bad)]

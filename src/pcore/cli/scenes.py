@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 from rich.text import Text
@@ -27,6 +27,7 @@ def located_scene(
     box: Sequence[float],
     made: Path,
     console: Console,
+    points: bool = False,
 ) -> Located:
     """Load a scene, with masks, and find the region of its object.
 
@@ -38,6 +39,7 @@ def located_scene(
         box: six numbers of a lower and an upper corner, or none.
         made: folder that automatic masks are written to; those that lie there already are taken.
         console: told of what is done.
+        points: triangulate points where the scene has none (extra `colmap`).
 
     Raises:
         SceneError: the scene or a mask cannot be read.
@@ -46,20 +48,24 @@ def located_scene(
         OSError: a mask cannot be written.
     """
     from pcore.capture.load import load_scene
+    from pcore.capture.triangulation import triangulated
     from pcore.training.locate import locate
 
     corners = corners_of(box)
-    if masks == "none":
-        return locate(load_scene(path, factor=factor, masks="none", tell=console.print), corners)
+
+    def loaded(source: Path | Literal["none"] | None) -> Located:
+        scene = load_scene(path, factor=factor, masks=source, tell=console.print)
+        if points and scene.sparse is None:
+            scene = triangulated(scene, console.print).scene
+        return locate(scene, corners)
+
     if masks not in ("auto", "trained"):
-        folder = None if masks is None else Path(masks)
-        return locate(load_scene(path, factor=factor, masks=folder, tell=console.print), corners)
+        return loaded("none" if masks == "none" else None if masks is None else Path(masks))
     if not made.is_dir():
-        bare = locate(load_scene(path, factor=factor, masks="none", tell=console.print), corners)
+        bare = loaded("none")
         views, found = _cut_masks(bare, console) if masks == "auto" else _learned(bare, console)
         _write_masks(views, found, made, console)
-    masked = load_scene(path, factor=factor, masks=made)
-    return locate(masked, corners)
+    return loaded(made)
 
 
 def corners_of(box: Sequence[float]) -> Tensor | None:

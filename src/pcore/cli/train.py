@@ -80,7 +80,8 @@ class TrainCommand:
 
     init: Annotated[str | None, optional("hull|grid|sparse|views|FILE")] = None
     """Where points start: hull (of the masks), grid (the original's; papr), sparse (points of the
-    reconstruction that posed the photos, and far ones; gaussians), views (where neighbouring
+    reconstruction that posed the photos, or triangulated now by their poses (COLMAP), and far ones;
+    gaussians), views (where neighbouring
     photos agree, and far away; gaussians), or a PLY or NPY file. Default: hull; for images without
     alpha grid (papr), or sparse where there are such points, else views (gaussians)."""
 
@@ -189,6 +190,7 @@ def opened(command: TrainCommand, console: Console) -> Scene:
         box=command.box,
         made=command.output / "masks",
         console=console,
+        points=command.init == "sparse",
     ).scene
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 import torch
 
+from pcore.capture.triangulation import WRONG, PoseAgreement
+
 if TYPE_CHECKING:
     from pcore.evaluation.scene_check import SceneCheck
 
@@ -72,6 +74,8 @@ def _of_poses(check: SceneCheck) -> list[Finding]:
     else:
         text = "no two photos are near enough to one another to check poses by their pictures"
         found.append(Finding(level="note", topic="poses", text=text))
+    if check.agreement is not None:
+        found.append(_of_agreement(check, check.agreement))
     error = check.reprojection
     if error is not None:
         bad = error.doubtful()
@@ -81,6 +85,23 @@ def _of_poses(check: SceneCheck) -> list[Finding]:
         action = "Leave those photos out (--fix), or run bundle adjustment again." if bad else ""
         found.append(Finding(level=level, topic="reprojection", text=text, action=action))
     return found
+
+
+def _of_agreement(check: SceneCheck, agreement: PoseAgreement) -> Finding:
+    bad = agreement.doubtful()
+    text = (
+        f"features that {agreement.pairs} pairs of photos share lie {agreement.median:.2f} pixels "
+        f"from the lines of their poses, {agreement.points:,} points are triangulated"
+    )
+    if agreement.median > WRONG:
+        action = "The poses are not those of these photos: look for another order of the photos, "
+        action += "other axes, intrinsics of another size, or a lens that is not undone."
+        return Finding(level="warning", topic="pose check", text=text, action=action)
+    if bad:
+        text += f"; {_some(check, bad)} off"
+        action = "Leave those photos out (--fix), or pose them again."
+        return Finding(level="warning", topic="pose check", text=text, action=action)
+    return Finding(level="good", topic="pose check", text=text)
 
 
 def _of_coverage(check: SceneCheck) -> list[Finding]:

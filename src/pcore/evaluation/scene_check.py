@@ -14,10 +14,10 @@ from torch import Tensor
 from pcore.capture.auto_masks import doubtful, find_masks, overlap
 from pcore.capture.coverage import Coverage, coverage
 from pcore.capture.photo_quality import PhotoQuality, photo_quality
-from pcore.capture.photos import natural_key
 from pcore.capture.pose_contradictions import Contradictions, find_contradictions
 from pcore.capture.reprojection import Reprojection, reprojection
-from pcore.capture.scene_masks import photos_of
+from pcore.capture.scene_masks import ordered_views, photos_of
+from pcore.capture.triangulation import PoseAgreement
 from pcore.capture.voted_hull import hull_silhouettes
 from pcore.data.scene import Scene, View
 from pcore.errors import DependencyError, InputError
@@ -65,6 +65,7 @@ class SceneCheck:
         quality: sharpness and exposure.
         coverage: of directions.
         reprojection: of sparse points; None without any.
+        agreement: of features with the poses, where points were triangulated by them.
         masks: None where there are none.
         no_masks: why there are none although they were asked for; empty otherwise.
         forecasts: of trainings.
@@ -78,6 +79,7 @@ class SceneCheck:
     quality: PhotoQuality
     coverage: Coverage
     reprojection: Reprojection | None
+    agreement: PoseAgreement | None
     masks: CheckedMasks | None
     no_masks: str
     forecasts: tuple[Forecast, ...]
@@ -94,6 +96,7 @@ def check_scene(
     *,
     box: Tensor | None = None,
     automatic: Literal["cut", "trained"] | None = None,
+    agreement: PoseAgreement | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> SceneCheck:
     """Measure a scene; nothing is written, and nothing is trained unless masks shall be.
@@ -104,6 +107,8 @@ def check_scene(
         box: (2, 3) corners that the user gives, world units.
         automatic: make masks where the scene has none: cut them out (not to be had without
             OpenCV), or learn the room first (`trained_masks`).
+        agreement: of the poses with photos, where that was measured (`triangulated`); the scene's
+            points are then of these poses, and their reprojection says nothing.
         progress: told what is done, how much of it, and of how much.
 
     Raises:
@@ -130,21 +135,14 @@ def check_scene(
         contradictions=near,
         quality=photo_quality(whole, near.pairs),
         coverage=coverage([view.camera for view in views], region.center),
-        reprojection=None if scene.sparse is None else reprojection(scene.sparse, whole),
+        reprojection=None
+        if scene.sparse is None or agreement is not None
+        else reprojection(scene.sparse, whole),
+        agreement=agreement,
         masks=masks,
         no_masks=why,
         forecasts=forecasts(located.scene),
     )
-
-
-def ordered_views(scene: Scene) -> tuple[View, ...]:
-    """Views of a capture by name; of scenes whose test views are true ones those of `train`.
-
-    Splits of a capture are every eighth photo of one walk around the object.
-    """
-    splits = ["train"] if scene.states or scene.layout == "NeRF-Synthetic" else scene.splits
-    views = [view for name in splits for view in scene.split(name)]
-    return tuple(sorted(views, key=lambda view: natural_key(view.name)))
 
 
 def _automatic(

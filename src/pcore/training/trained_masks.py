@@ -97,10 +97,9 @@ def _small(camera: Camera) -> Camera:
 
 
 def _mask(shape: GaussianShape, camera: Camera) -> Tensor:
-    """A mask in the size of its photo; an edge between pixels of the small picture is smooth."""
+    """A mask in the size of its photo, drawn small and enlarged."""
     mask = shape.mask(_small(camera))
     size = (camera.height, camera.width)
     if mask.shape == size:
         return mask
-    fine = F.interpolate(mask[None, None], size, mode="bicubic")[0, 0]
-    return ((fine - 0.5) * _reduction(camera) + 0.5).clamp(0, 1)
+    return F.interpolate(mask[None, None], size, mode="bicubic")[0, 0].clamp(0, 1)
