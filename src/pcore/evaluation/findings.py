@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import torch
 
+from pcore.capture.coverage import ONE_SIDE
 from pcore.capture.triangulation import WRONG, PoseAgreement
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 Level = Literal["warning", "note", "good"]
 
-_FEW_VIEWS, _GAP, _ONE_SIDE = 20, 60.0, 180.0
+_FEW_VIEWS, _GAP = 20, 60.0
 _PIXELS = 1.0
 _SHOWN = 6
 
@@ -122,9 +123,11 @@ def _of_coverage(check: SceneCheck) -> list[Finding]:
         f"elevations {low:.0f} to {high:.0f}; the largest gap around is {cover.gap:.0f} degrees"
     )
     if cover.gap > _GAP:
-        one_side = cover.gap > _ONE_SIDE
+        one_side = cover.gap > ONE_SIDE
         action = "What no photo shows stays empty or invented: edits that turn the object by more "
         action += "than the gap's edge show it. Take photos from there, or keep edits on this side."
+        if one_side:
+            action += " Orbits of pcore render swing in the part that is covered."
         found.append(
             Finding(
                 level="note" if one_side else "warning",
