@@ -7,7 +7,7 @@ never into the folder of the capture.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,8 @@ _MARGIN = 0.08
 """Room around the object in a crop, as a share of its size."""
 _LEAST = 16
 _TRACE = 0.05
+Part = tuple[int, int, int, int]
+"""Left, top, right, bottom, pixels."""
 
 
 def write_corrected(
@@ -63,19 +65,16 @@ def write_corrected(
     frames: list[dict[str, Any]] = []
     names: dict[str, list[str]] = {split: [] for split in scene.splits}
     taken: set[str] = set()
-    for number, (split, view) in enumerate(chosen):
-        rgba = view.rgba()
-        if masks is not None:
-            mask = masks[view.name][None, None]
-            size = (view.camera.height, view.camera.width)
-            rgba[..., 3] *= F.interpolate(mask, size, mode="bilinear", align_corners=False)[0, 0]
+    parts = _parts([view for _, view in chosen], masks)
+    for number, ((split, view), part) in enumerate(zip(chosen, parts, strict=True)):
+        rgba = _picture(view, masks)
         masked = masks is not None or view.has_alpha
         name = f"images/{view.name if view.name not in taken else f'{split}_{view.name}'}.png"
         taken.add(view.name)
-        left, top, right, bottom = _part(view, rgba, masked=masked)
+        left, top, right, bottom = part
         kept = rgba[top:bottom, left:right]
         write_photo(folder / name, kept, opaque=not masked)
-        frames.append(_frame(view.camera, (left, top, right, bottom), name))
+        frames.append(_frame(view.camera, part, name))
         names[split].append(name)
         if progress is not None:
             progress(number + 1, len(chosen))
@@ -107,7 +106,41 @@ def _check_folder(scene: Scene, folder: Path) -> None:
         raise InputError(f"{folder}: expected a new or empty folder for the corrected copy")
 
 
-def _part(view: View, rgba: Tensor, *, masked: bool) -> tuple[int, int, int, int]:
+def _picture(view: View, masks: Mapping[str, Tensor] | None) -> Tensor:
+    rgba = view.rgba()
+    if masks is not None:
+        size = (view.camera.height, view.camera.width)
+        mask = F.interpolate(masks[view.name][None, None], size, mode="bilinear")[0, 0]
+        rgba[..., 3] *= mask
+    return rgba
+
+
+def _parts(views: Sequence[View], masks: Mapping[str, Tensor] | None) -> list[Part]:
+    """What is kept of each picture; one size for pictures of one size, as other tools want it.
+
+    With masks it holds the largest object; without, it is what all pictures show.
+    """
+    kept: list[Part] = []
+    for view in views:
+        masked = masks is not None or view.has_alpha
+        kept.append(_part(view, _picture(view, masks), masked=masked))
+    found: list[Part] = []
+    for view, (left, top, right, bottom) in zip(views, kept, strict=True):
+        alike = [
+            part
+            for part, other in zip(kept, views, strict=True)
+            if (other.camera.width, other.camera.height) == (view.camera.width, view.camera.height)
+        ]
+        choose = max if masks is not None or view.has_alpha else min
+        width = choose(part[2] - part[0] for part in alike)
+        height = choose(part[3] - part[1] for part in alike)
+        x = min(max(0, (left + right - width) // 2), view.camera.width - width)
+        y = min(max(0, (top + bottom - height) // 2), view.camera.height - height)
+        found.append((x, y, x + width, y + height))
+    return found
+
+
+def _part(view: View, rgba: Tensor, *, masked: bool) -> Part:
     """Left, top, right, bottom of what is kept: the object with room, or all that is shown."""
     height, width = rgba.shape[:2]
     valid = view.valid()
@@ -129,7 +162,7 @@ def _part(view: View, rgba: Tensor, *, masked: bool) -> tuple[int, int, int, int
     )
 
 
-def _inner(valid: Tensor) -> tuple[int, int, int, int]:
+def _inner(valid: Tensor) -> Part:
     """The picture without the borders that straightening left empty, side by side cut away."""
     height, width = valid.shape
     left, top, right, bottom = 0, 0, width, height
@@ -147,7 +180,7 @@ def _inner(valid: Tensor) -> tuple[int, int, int, int]:
     return left, top, right, bottom
 
 
-def _frame(camera: Camera, part: tuple[int, int, int, int], name: str) -> dict[str, Any]:
+def _frame(camera: Camera, part: Part, name: str) -> dict[str, Any]:
     left, top, right, bottom = part
     return {
         "file_path": name,

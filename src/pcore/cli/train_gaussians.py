@@ -41,6 +41,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
     from pcore.cli.torchrun import refuse_ranks
+    from pcore.evaluation.findings import region_advice
     from pcore.files.run_folder import check_place
     from pcore.training.gaussian_start import chosen_start
 
@@ -68,6 +69,8 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     if config.steps >= EARLY:
         check_shows(asset, scene)
     show_result(console, asset)
+    if start in _WITHOUT_MASKS:
+        console.print(Text(region_advice(scene.lower, scene.upper)), soft_wrap=True)
 
 
 def _config(command: TrainCommand) -> GaussianConfig:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import torch
+from torch import Tensor
 
 from pcore.capture.coverage import ONE_SIDE
 from pcore.capture.triangulation import WRONG, PoseAgreement
@@ -226,15 +227,29 @@ _SOURCES = {
 
 def _of_region(check: SceneCheck) -> list[Finding]:
     region = check.region
-    lower, upper = (", ".join(f"{x:.4g}" for x in corner) for corner in region.bounds)
     text = (
-        f"the object lies in ({lower}) to ({upper}), world units, by {_SOURCES[check.source]}; "
+        f"the object lies in {_said(region.bounds)}, world units, by {_SOURCES[check.source]}; "
         f"cameras stand {check.coverage.distance.median():.4g} away"
     )
-    if check.source == "axes" and check.masks is None:
-        action = "Give --box X Y Z X Y Z if that is not the object."
+    if check.masks is None:
+        action = region_advice(*region.bounds)
+        if check.source == "axes":
+            action = f"Give --box X Y Z X Y Z if that is not the object. {action}"
         return [Finding(level="note", topic="region", text=text, action=action)]
+    if check.hull is not None:
+        text += f"; the hull of the masks in it reaches over {_said(check.hull)}"
     return [Finding(level="good", topic="region", text=text)]
+
+
+def _said(corners: Iterable[Tensor]) -> str:
+    return " to ".join(f"({', '.join(f'{x:.4g}' for x in corner)})" for corner in corners)
+
+
+def region_advice(lower: Tensor, upper: Tensor) -> str:
+    """What an edit of a scene with its background needs: a region, (3,) corners in world units."""
+    corners = (", ".join(f"{x:.4g}" for x in corner) for corner in (lower, upper))
+    box = '{{"shape": "box", "lower": [{}], "upper": [{}]}}'.format(*corners)
+    return f'The background is learned too, so edits need a region: "region": {box}.'
 
 
 def _some(check: SceneCheck, numbers: Sequence[int]) -> str:

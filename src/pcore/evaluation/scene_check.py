@@ -26,6 +26,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.object_region import Region
 from pcore.training.forecast import Forecast, forecasts
 from pcore.training.locate import Located, Source, locate
+from pcore.training.population import coarse_hull
 from pcore.training.trained_masks import trained_masks
 
 _VOTE, _VOXELS = 0.95, 64
@@ -61,6 +62,7 @@ class SceneCheck:
         views: of all splits of a capture, of `train` otherwise, in the order of their names.
         region: where the object is.
         source: what told so.
+        hull: (2, 3) corners of the masks' hull where viewing axes told the region; else None.
         contradictions: of near poses.
         quality: sharpness and exposure.
         coverage: of directions.
@@ -75,6 +77,7 @@ class SceneCheck:
     views: tuple[View, ...]
     region: Region
     source: Source
+    hull: Tensor | None
     contradictions: Contradictions
     quality: PhotoQuality
     coverage: Coverage
@@ -132,6 +135,7 @@ def check_scene(
         views=views,
         region=region,
         source=located.source,
+        hull=_hull(located) if masks is not None and located.source == "axes" else None,
         contradictions=near,
         quality=photo_quality(whole, near.pairs),
         coverage=coverage([view.camera for view in views], region.center),
@@ -143,6 +147,14 @@ def check_scene(
         no_masks=why,
         forecasts=forecasts(located.scene),
     )
+
+
+def _hull(located: Located) -> Tensor | None:
+    """Corners (2, 3) of the hull of the training masks in the region; None of an empty one."""
+    voxels, size = coarse_hull(located.scene.split("train"), *located.region.bounds)
+    if not len(voxels):
+        return None
+    return torch.stack([voxels.amin(dim=0) - 0.5 * size, voxels.amax(dim=0) + 0.5 * size])
 
 
 def _automatic(
