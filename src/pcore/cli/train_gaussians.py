@@ -25,7 +25,8 @@ from pcore.errors import InputError
 if TYPE_CHECKING:
     from pcore.training.gaussian_config import GaussianConfig
 
-_WITHOUT_MASKS = {
+_NO_HULL = "images without alpha have no visual hull"
+_STARTS = {
     "views": "before the cameras, where photos agree",
     "sparse": "at the points of the reconstruction and far away",
 }
@@ -62,14 +63,15 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     announce(console, scene, f"Gaussians, {plan} on {device}")
     if command.minutes is None:
         say_duration(console, scene, config, device)
-    if start in _WITHOUT_MASKS:
-        place = f"images without alpha have no visual hull: Gaussians start {_WITHOUT_MASKS[start]}"
-        console.print(Text(place), soft_wrap=True)
+    masked = all(view.has_alpha for view in scene.split("train"))
+    if start in _STARTS:
+        why = "photos from one side leave the hull open" if masked else _NO_HULL
+        console.print(Text(f"{why}: Gaussians start {_STARTS[start]}"), soft_wrap=True)
     asset = trained(command, scene, config, device, console)
     if config.steps >= EARLY:
         check_shows(asset, scene)
     show_result(console, asset)
-    if start in _WITHOUT_MASKS:
+    if not masked:
         console.print(Text(region_advice(scene.lower, scene.upper)), soft_wrap=True)
 
 
