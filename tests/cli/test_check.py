@@ -1,17 +1,20 @@
 """`pcore check`: what it says, what it writes, what it refuses."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
+from pcore.capture import triangulation
 from pcore.capture.load import load_scene
+from pcore.capture.triangulation import PoseAgreement, Triangulated
 from pcore.cli.main import main
 from pcore.data.pictures import write_mask
 from pcore.evaluation.check_page import check_page
 from pcore.evaluation.scene_check import SceneCheck, check_scene
-from room_scene import RADIUS, cameras, picture, write_room
+from room_scene import RADIUS, cameras, picture, sparse_points, write_room
 
 pytest.importorskip("cv2", reason="automatic masks need OpenCV")
 BOX = ["--box", "-0.9", "-0.9", "-0.9", "0.9", "0.9", "0.9"]
@@ -184,3 +187,29 @@ def test_pictures_of_a_corrected_copy_have_one_size(tmp_path: Path) -> None:
         there = before[view.name].camera.project(torch.zeros(1, 3))
         assert float(column - there[0]) == pytest.approx(round(float(column - there[0])), abs=1e-3)
         assert float(row - there[1]) == pytest.approx(round(float(row - there[1])), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("median", "words"), [(0.2, "ok pose check"), (3.0, "The poses are not those of these photos")]
+)
+def test_poses_are_held_against_features(
+    tmp_path: Path,
+    median: float,
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    found = PoseAgreement(median=median, of_views=(median,) * 9, pairs=20, points=600)
+    monkeypatch.setattr(
+        triangulation,
+        "triangulated",
+        lambda scene, _: Triangulated(
+            scene=replace(scene, sparse=sparse_points()), agreement=found
+        ),
+    )
+    room = write_room(tmp_path / "room", 9)
+    assert main(["check", str(room), "--masks", "none", "--triangulate"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert words in said
+    assert "the dense part of the sparse points" in said
+    assert "reprojection" not in said
