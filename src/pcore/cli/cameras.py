@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.text import Text
+
 from pcore.errors import InputError, SceneError
 
 if TYPE_CHECKING:
@@ -107,7 +109,8 @@ def orbit_of_scene(
         arc = math.radians(cover.gap_middle + 180), math.radians(width)
         if console is not None:
             said = f"the orbit swings through the {width:.0f} degrees that they cover"
-            console.print(f"photos were taken from one side: {said}")
+            text = f"photos were taken from one side: {said}"
+            console.print(Text(text), soft_wrap=True)
     cameras = orbit_like(
         taken,
         scene.center,
