@@ -67,23 +67,21 @@ def write_corrected(
     taken: set[str] = set()
     parts = _parts([view for _, view in chosen], masks)
     for number, ((split, view), part) in enumerate(zip(chosen, parts, strict=True)):
-        rgba = _picture(view, masks)
-        masked = masks is not None or view.has_alpha
         name = f"images/{view.name if view.name not in taken else f'{split}_{view.name}'}.png"
         taken.add(view.name)
         left, top, right, bottom = part
-        kept = rgba[top:bottom, left:right]
-        write_photo(folder / name, kept, opaque=not masked)
+        kept = _picture(view, masks)[top:bottom, left:right]
+        write_photo(folder / name, kept, opaque=masks is None and not view.has_alpha)
         frames.append(_frame(view.camera, part, name))
         names[split].append(name)
         if progress is not None:
             progress(number + 1, len(chosen))
-    region = scene.region
     content: dict[str, Any] = {
         "camera_model": "PINHOLE",
         "frames": frames,
         **{f"{split}_filenames": files for split, files in names.items() if files},
     }
+    region = scene.region
     if region is not None:
         content[REGION_KEY] = {"center": region.center.tolist(), "radius": region.radius}
     replace_file(folder / "transforms.json", json.dumps(content, indent=1).encode())
