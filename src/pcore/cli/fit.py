@@ -183,7 +183,7 @@ def photos_in(path: Path, factor: int) -> tuple[View, ...]:
     from pcore.capture.load import find_states, load_scene, load_state
 
     parent = path.parent
-    if path.is_dir() and parent.is_dir() and path.name in find_states(parent):
+    if parent.is_dir() and path.name in find_states(parent):
         scene = load_state(parent, path.name, factor=factor)
         return scene.split("train" if "train" in scene.splits else "test")
     return load_scene(path, factor=factor).split("train")

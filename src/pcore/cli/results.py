@@ -84,8 +84,8 @@ def show_results(
     """Print tables of every protocol and of the points, the gains, and why columns are missing."""
     for protocol in dict.fromkeys(one.protocol for one in means):
         chosen = [one for one in means if one.protocol == protocol]
-        # A state that an edit file makes has no true images.
-        scored = [one for one in chosen if one.kind != "edited"]
+        # A state that an edit file makes has true images only where it is scored against another.
+        scored = [one for one in chosen if one.scores.get("psnr") is not None]
         sheet = _sheet(f"protocol {protocol}", scored, _COLUMNS)
         print_lines(console, sheet_lines(sheet, room(console)))
         console.print(Text(_caption(protocol, chosen), "dim"), soft_wrap=True)

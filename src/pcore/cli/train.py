@@ -63,8 +63,8 @@ class TrainCommand:
     before the object, whatever camera renders); default: that of the preset."""
 
     patches: Count = None
-    """Patches of a step, whose loss is their mean; default: those of the preset. The processes
-    that `torchrun` starts share them (papr)."""
+    """Patches of a step (gaussians: whole photos), whose loss is their mean; default: those of the
+    preset. The processes that `torchrun` starts share them."""
 
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of every random draw."""
@@ -114,7 +114,7 @@ class TrainCommand:
         if self.model == "gaussians":
             from pcore.cli.train_gaussians import train_gaussians
 
-            train_gaussians(self, Console())
+            train_gaussians(self, Console(quiet=not is_first()))
         else:
             train(self, Console(quiet=not is_first()))
 
