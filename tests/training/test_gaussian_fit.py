@@ -193,7 +193,11 @@ def test_units_do_not_matter(tmp_path: Path) -> None:
     assert max(psnr) - min(psnr) < 1.0
 
 
-def test_photos_without_masks_start_before_the_cameras(scene: Scene) -> None:
+def test_photos_without_masks_start_before_the_cameras(tmp_path: Path) -> None:
+    root = write_scene(tmp_path / "box", states=False)
+    for path in (root / "train").glob("*.png"):
+        iio.imwrite(path, iio.imread(path)[..., :3])
+    scene = load_scene(root)
     views, settings = scene.split("train"), config(start="views", points=3000)
     start = start_gaussians(scene, views, settings, torch.Generator().manual_seed(0))
     seen = torch.zeros(len(start), dtype=torch.bool)

@@ -25,10 +25,9 @@ if TYPE_CHECKING:
 class CompareCommand:
     """Compare methods on one object: same field, same photos, same evaluation.
 
-    Give the runs that you have; `pcore compare RUN` trains all rivals on their scene (two trainings
-    of --seconds each and more: `--methods papr aware` trains none), draws every state with every
-    method, and writes tables. The same command goes on where an interrupted one stopped; a method
-    that fails is a row that says why.
+    Give the runs that you have: rivals are trained on their scene (`--methods papr aware` trains
+    none), every state is drawn with every method, and tables are written. The same command goes on
+    where an interrupted one stopped; a method that fails is a row that says why.
     """
 
     runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN", help_behavior_hint="")] = ()

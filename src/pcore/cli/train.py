@@ -75,13 +75,16 @@ class TrainCommand:
 
     init: Annotated[str | None, optional("hull|grid|sparse|views|FILE")] = None
     """Where points start: hull (of the masks), grid (the original's; papr), sparse (points of the
-    reconstruction that posed the photos, and far ones; gaussians), views (where neighbouring
+    reconstruction that posed the photos, or triangulated now by their poses (COLMAP), and far ones;
+    gaussians), views (where neighbouring
     photos agree, and far away; gaussians), or a PLY or NPY file. Default: hull; for images without
     alpha grid (papr), or sparse where there are such points, else views (gaussians)."""
 
-    masks: Annotated[str | None, optional("auto|none|FOLDER")] = None
-    """Where photos show the object: auto (cut out of them now, needs OpenCV), a folder of masks, or
-    none (learn the background too). Default: alpha, or masks that the scene brings."""
+    masks: Annotated[str | None, optional("auto|trained|none|FOLDER")] = None
+    """Where photos show the object: auto (cut out of them now, needs OpenCV; where that fails as
+    trained), trained (learn the whole room for one or two minutes and draw the object alone), a
+    folder of masks, or none (learn the background too). Default: alpha, or masks that the scene
+    brings."""
 
     box: Annotated[tuple[float, ...], arg(metavar="X Y Z X Y Z", help_behavior_hint="")] = ()
     """Lower and upper corner of the object in world units; default: found (`pcore check`)."""
@@ -182,6 +185,7 @@ def opened(command: TrainCommand, console: Console) -> Scene:
         box=command.box,
         made=command.output / "masks",
         console=console,
+        points=command.init == "sparse",
     ).scene
 
 
