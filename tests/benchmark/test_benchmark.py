@@ -17,6 +17,7 @@ import pcore
 from pcore.benchmark.look import Look, Material, Texture, corner_normals, smooth_patches
 from pcore.benchmark.model import read_model
 from pcore.benchmark.true_picture import Shape, take
+from pcore.capture.load import load_state
 from pcore.cli.main import main
 from pcore.data.gltf_animation import Track, value_at
 from pcore.errors import InputError
@@ -25,6 +26,7 @@ from pcore.evaluation.states import open_states
 from pcore.sample.sample_render import camera_poses, ray_caster_class
 
 SIZE, VIEWS = 40, 3
+STATE_VIEWS = ("--state-train-views", 2)
 
 
 def z_up(place: np.ndarray) -> np.ndarray:
@@ -49,7 +51,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     edit = folder / "leaning.json"
     edit.write_text('{"version": 2, "edits": [{"type": "twist", "axis": "z", "angle_deg": 90}]}')
     out = folder / "out"
-    assert make(save(figure(), folder), "-o", out, "--edits", edit) == 0
+    assert make(save(figure(), folder), "-o", out, "--edits", edit, *STATE_VIEWS) == 0
     return out
 
 
@@ -81,6 +83,12 @@ def test_analytic_states_are_their_formulas(made: Path) -> None:
             before, after = meshes["canonical"], meshes[name]
         assert np.abs(formula(torch.from_numpy(before)).numpy() - after).max() < 1e-9
     assert truth.analytic("bow") is None
+
+
+def test_states_have_the_training_photos_that_are_asked_for(made: Path) -> None:
+    state = load_state(made, "bow")
+    assert [len(state.split(name)) for name in ("train", "test")] == [2, VIEWS]
+    assert len(pcore.load_scene(made).split("train")) == 4
 
 
 def test_pictures_show_the_state_that_is_meant(made: Path) -> None:

@@ -10,12 +10,9 @@ from pathlib import Path
 import torch
 from PIL import Image
 
+from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset, Posed
-from pcore.asset.gaussian_content import GaussianContent
-from pcore.files.provenance import Provenance
-from pcore.files.run_record import RunRecord
 from pcore.gaussians.gaussians import Gaussians
-from pcore.gaussians.render import Footprint
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 
@@ -39,18 +36,7 @@ def rod(*, bands: float = 9.0, radius: float = 0.15, scale: float = 1.0) -> Asse
         opacities=torch.full((COUNT,), 0.95),
         sh=((colors - 0.5) / 0.28209479).unsqueeze(1),
     )
-    came = Provenance(
-        scene="none",
-        stage="pretrain",
-        step=1,
-        background=(1.0, 1.0, 1.0),
-        extent=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
-        pcore="0",
-    )
-    content = GaussianContent(
-        gaussians=gaussians, footprint=Footprint(), background=(1.0, 1.0, 1.0)
-    )
-    return Asset(content=content, provenance=came, record=RunRecord(stage="pretrain"))
+    return asset_of_gaussians(gaussians)
 
 
 def cameras(count: int, *, elevation: float = 0.3, scale: float = 1.0) -> list[Camera]:

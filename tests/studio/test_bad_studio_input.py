@@ -9,10 +9,9 @@ import pytest
 import torch
 from objects import demo
 
+from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
-from pcore.asset.gaussian_content import GaussianContent
 from pcore.errors import EditError, InputError, PcoreError
-from pcore.files.run_record import RunRecord
 from pcore.gaussians.gaussians import Gaussians
 from pcore.studio.drawing import OVERLAYS, Drawer
 from pcore.studio.editor import Editor
@@ -28,8 +27,6 @@ EYE = torch.tensor([3.0, 2.0, 1.0])
 
 def made(count: int, *, degree: int = 0, spread: float = 1.0) -> Asset:
     """So many Gaussians, without normals and without a light."""
-    content = demo().content
-    assert isinstance(content, GaussianContent)
     gaussians = Gaussians(
         means=torch.rand(count, 3) * spread,
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
@@ -37,10 +34,7 @@ def made(count: int, *, degree: int = 0, spread: float = 1.0) -> Asset:
         opacities=torch.full((count,), 0.9),
         sh=torch.rand(count, (degree + 1) ** 2, 3),
     )
-    bare = GaussianContent(
-        gaussians=gaussians, footprint=content.footprint, background=content.background
-    )
-    return Asset(content=bare, provenance=demo().provenance, record=RunRecord(stage="pretrain"))
+    return asset_of_gaussians(gaussians)
 
 
 def test_without_a_light_it_is_edited_and_drawn() -> None:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-_TRANSPARENT = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

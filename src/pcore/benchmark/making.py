@@ -90,6 +90,9 @@ def _write(
     for name, state in states.items():
         shape = Shape.of(state.vertices, model.faces, model.look)
         jobs += _views(folder / name, "test", test, state.angle_x, shape)
+        if plan.state_train_views:
+            learned = camera_poses(plan.state_train_views, radius=_RADIUS, highest=0.97, phase=0.0)
+            jobs += _views(folder / name, "train", learned, state.angle_x, shape)
         write_json(folder / name / "deformation.json", state.description)
     _take_all(jobs, renderer, progress)
     _write_meshes(folder / "meshes.npz", model, plan, canonical, states, train)

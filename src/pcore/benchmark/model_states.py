@@ -34,6 +34,7 @@ class BenchmarkPlan:
         resolution: pixels along each side.
         train_views: canonical training views.
         test_views: test views, canonical and of every state.
+        state_train_views: training views of every state, for methods that learn it from photos.
         light: "fixed": it stands still while the object moves; "baked": it sticks to the surface.
         renderer: who takes the pictures.
         analytic: make twist60, bend60, stretch and scale2x.
@@ -47,6 +48,7 @@ class BenchmarkPlan:
     resolution: int = 200
     train_views: int = 100
     test_views: int = 20
+    state_train_views: int = 0
     light: Light = "fixed"
     renderer: RendererName = "embedded"
     analytic: bool = True

@@ -183,7 +183,7 @@ def _frames(
     animation: Animation, asset: Asset, command: AnimateCommand, console: Console
 ) -> list[Posed]:
     """The object in every frame; equal times are computed once."""
-    from pcore.cli.diagnosing import note
+    from pcore.cli.diagnosing import note_edit
     from pcore.cli.results import counting
 
     known: dict[float, Posed] = {}
@@ -195,7 +195,8 @@ def _frames(
                     animation, time=time, rays=command.rays, light=command.light
                 )
             tell(number, len(times))
-    note(console, [line for posed in known.values() for line in posed.notes])
+    found = [line for posed in known.values() for line in posed.notes]
+    note_edit(console, found, command.run_or_file, command.edit)
     return [known[time] for time in times]
 
 

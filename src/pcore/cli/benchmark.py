@@ -37,6 +37,9 @@ class BenchmarkMakeCommand:
     test_views: Annotated[int, arg(metavar="N")] = 20
     """Test views, canonical and of every state."""
 
+    state_train_views: Annotated[int, arg(metavar="N")] = 0
+    """Training views of every state, from which PAPR-in-Motion learns (`pcore compare`)."""
+
     light: Literal["fixed", "baked"] = "fixed"
     """fixed: light stands still while the object moves; baked: it sticks to the surface."""
 
@@ -123,6 +126,7 @@ class BenchmarkMakeCommand:
             resolution=check_count("--size", self.size, minimum=8),
             train_views=check_count("--train-views", self.train_views, minimum=2),
             test_views=check_count("--test-views", self.test_views),
+            state_train_views=check_count("--state-train-views", self.state_train_views, minimum=0),
             light=self.light,
             renderer=self.renderer,
             analytic=not self.no_analytic,

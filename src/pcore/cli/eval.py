@@ -12,7 +12,15 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.light import LightChoice
-from pcore.cli.options import Count, Folder, Number, Output, Samples, check_given_samples
+from pcore.cli.options import (
+    Count,
+    Folder,
+    Number,
+    Output,
+    Samples,
+    check_given_samples,
+    optional,
+)
 from pcore.cli.runtime import DeviceName
 from pcore.cli.torchrun import is_first
 
@@ -48,6 +56,10 @@ class EvalCommand:
     edit: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]", help_behavior_hint="")] = ()
     """Edit files, each a further state without true images: strain, holes, handles, what no view
     saw, and pictures; no PSNR."""
+
+    against: Annotated[str | None, optional("STATE")] = None
+    """With --edit: score the edits on the true test images of this state, such as `end` of a
+    PAPR-in-Motion pair or a time stamp."""
 
     time: Number = None
     """For edit files with keyframes: the time to evaluate."""
@@ -180,6 +192,7 @@ def _about(
         "scene": relative(places.path, output),
         "factor": places.factor,
         "samples": {one.path.name: command.samples or one.content.samples for one in runs},
+        **({} if command.against is None else {"against": command.against}),
     }
 
 
@@ -197,13 +210,19 @@ def _edited(
         raise InputError(
             f"--edit: expected files of different names, got {', '.join(map(str, command.edit))}"
         )
+    if command.against is not None and not names:
+        raise InputError("--against: expected --edit FILE, which is to be scored, got none")
     subjects = [(one.points, one.rig) for one in runs]
-    shots = places.select([CANONICAL])[0].shots
     states: list[State] = []
     odd: list[str] = []
     for name, file in zip(names, command.edit, strict=True):
         shape = EditedShape(script_of(file, command.time), subjects)
-        states.append(shape.state(name, shots, places.scene.center))
+        if command.against is None:
+            shots = places.select([CANONICAL])[0].shots
+            states.append(shape.state(name, shots, places.scene.center))
+        else:
+            shots, size = places.true_shots(command.against), places.size_in(command.against)
+            states.append(shape.against(name, shots, size))
         odd += [f"{file}: {line}" for line in shape.notes]
     return states, odd
 

@@ -135,14 +135,14 @@ def render_run(command: RenderCommand, console: Console) -> None:
 
 def _render(command: RenderCommand, device: str, ranks: Ranks, console: Console) -> None:
     from pcore.asset.saving import load
-    from pcore.cli.diagnosing import note
+    from pcore.cli.diagnosing import note_edit
     from pcore.cli.draw import Wanted, draw
     from pcore.cli.output import pictures_folder
     from pcore.data.video import require_video
 
     asset = load(command.run_or_file, device=device)
     posed = asset.pose(command.edit, time=command.time, rays=command.rays, light=command.light)
-    note(console, posed.notes)
+    note_edit(console, posed.notes, command.run_or_file, command.edit)
     views = _views(command, asset, posed, console)
     if _films(command):
         require_video()

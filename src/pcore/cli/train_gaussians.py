@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.text import Text
 
-from pcore.cli.minutes import Promise, promised_gaussians, say_duration
+from pcore.cli.minutes import Promise, promised, say_duration
 from pcore.cli.torchrun import is_first
-from pcore.cli.train import (
-    EARLY,
-    TrainCommand,
-    announce,
-    check_shows,
-    opened,
-    warn_of_start,
-)
+from pcore.cli.train import TrainCommand, opened
+from pcore.cli.train_checks import EARLY, announce, check_shows, start_file, warn_of_start
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -41,7 +34,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
     from pcore.cli.torchrun import refuse_ranks, trained_together
-    from pcore.files.run_folder import check_place
+    from pcore.files.run_place import check_place
     from pcore.training.gaussian_start import chosen_start
 
     began = time.monotonic()
@@ -55,7 +48,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     if command.minutes is not None:
         refuse_ranks("--minutes")
         promise = Promise(minutes=command.minutes, began=began)
-        scene, config, plan = promised_gaussians(command, scene, config, device, promise)
+        scene, config, plan = promised(command, scene, config, device, promise)
     start = chosen_start(scene, config.start)
     if start != "sparse":
         warn_of_start(scene, start, console, otherwise="views")
@@ -99,10 +92,5 @@ def _config(command: TrainCommand) -> GaussianConfig:
     if command.init in ("hull", "sparse", "views"):
         changes["start"] = command.init
     elif command.init is not None:
-        if command.points is not None:
-            raise InputError(
-                f"--points {command.points}: expected no number where the points come from a file, "
-                f"got --init {command.init} as well; leave one of the options out"
-            )
-        changes["start"] = str(Path(command.init).resolve())
+        changes["start"] = start_file(command.init, command.points)
     return replace(gaussian_preset(command.preset), **changes)

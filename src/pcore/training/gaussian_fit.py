@@ -20,7 +20,8 @@ from pcore.training.exposure import ViewExposure
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from pcore.training.gaussian_density import changes
 from pcore.training.gaussian_start import camera_distance, start_gaussians
-from pcore.training.loop import Plan, run_loop
+from pcore.training.loop import run_loop
+from pcore.training.loop_plan import Plan
 from pcore.training.losses import Losses, mean_of
 from pcore.training.pace import Clock, Leg, Pace
 from pcore.training.ranks import Ranks, current_ranks
@@ -143,17 +144,7 @@ def fit_gaussians(
 
     return run_loop(
         work,
-        Plan(
-            steps=config.steps,
-            rates=config.rates.named(),
-            validate_every=config.validate_every,
-            save_every=config.save_every,
-            validation=validation,
-            background=config.background,
-            scene=scene.name,
-            pace=pace,
-            exposure=exposure,
-        ),
+        Plan.of(config, validation, scene.name, pace=pace, exposure=exposure),
         losses,
         after_step=after_step,
         folder=folder,
