@@ -50,6 +50,8 @@ def draw(
 ) -> list[Path]:
     """Render views of an object and write them into the folder `output`.
 
+    Processes that work together take turns; the first of them has all the files.
+
     Args:
         take: makes the picture of a camera and tells `progress`, as `Asset.render` does.
         points: (N, 3) of what is rendered, world units; their extent sets the shades of depth.
@@ -66,6 +68,7 @@ def draw(
         KeyboardInterrupt: Ctrl-C; its message says what is complete.
     """
     from pcore.data.pictures import depth_range
+    from pcore.training.ranks import current_ranks
 
     shades = depth_range(points, [camera for _, camera in views])
     files: list[Path] = []
@@ -74,8 +77,12 @@ def draw(
         with ExitStack() as stack:
             films = _Films(output, stack)
             tell = stack.enter_context(_bar(console, len(views)))
-            for index, (name, camera) in enumerate(views):
-                picture = take(camera, progress=partial(_told, tell, index)).cpu()
+
+            def picture_of(index: int) -> Image:
+                return take(views[index][1], progress=partial(_told, tell, index)).cpu()
+
+            pictures = current_ranks().in_turn(len(views), picture_of)
+            for (name, camera), picture in zip(views, pictures, strict=False):
                 if not bool((picture.alpha > _FAINT).any()):
                     empty.append(name)
                 layers = _layers(picture, camera, wanted, shades)

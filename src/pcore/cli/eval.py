@@ -22,12 +22,14 @@ from pcore.cli.options import (
     optional,
 )
 from pcore.cli.runtime import DeviceName
+from pcore.cli.torchrun import is_first
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
     from pcore.evaluation.protocol import Perceptual
     from pcore.evaluation.runner import ImageRow, Method, Taken
     from pcore.evaluation.states import SceneStates, State
+    from pcore.training.ranks import Ranks
 
 PICTURES = "pictures"
 
@@ -96,11 +98,13 @@ class EvalCommand:
 
     def run(self) -> None:
         """Evaluate; raises PcoreError subclasses for what the user can mend."""
-        evaluate_run(self, Console())
+        evaluate_run(self, Console(quiet=not is_first()))
 
 
 def evaluate_run(command: EvalCommand, console: Console) -> None:
     """Score the run, write the files and print the table.
+
+    The processes that torchrun started take turns at the pictures; the first of them has the table.
 
     Raises:
         CheckpointError: the run or its baseline cannot be read.
@@ -108,10 +112,20 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         EditError: an edit file is not valid or does not fit the points.
         InputError: an unknown state, a factor that does not fit, or an output folder in use.
     """
+    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.torchrun import joined_ranks
+
+    check_given_samples(command.samples)
+    prepare_torch(command.threads)
+    device = pick_device(command.device)
+    with joined_ranks(device, learns=False) as ranks:
+        _evaluate(command, device, ranks, console)
+
+
+def _evaluate(command: EvalCommand, device: str, ranks: Ranks, console: Console) -> None:
     from pcore.cli.diagnosing import note
     from pcore.cli.output import results_folder
     from pcore.cli.results import counting
-    from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.data.scene import check_images
     from pcore.evaluation.mended import mended_notes
     from pcore.evaluation.methods import baseline_of, methods_of, open_subject
@@ -119,9 +133,6 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states
 
-    check_given_samples(command.samples)
-    prepare_torch(command.threads)
-    device = pick_device(command.device)
     run = open_subject(command.run_folder, device=device)
     base = baseline_of(run, command.baseline, device=device)
     runs = [run] if base is None else [base, run]
@@ -134,7 +145,11 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     note(console, places.scene.notes)
     check_images(shot.view for state in states for shot in state.shots)
     output = command.output or command.run_folder / "eval"
-    results_folder(output, about=run.path)
+    points = {one.path.name: one.points for one in runs}
+    ranks.agree({**points, "states": [(one.name, len(one.shots)) for one in states]})
+    if ranks.rank == 0:
+        results_folder(output, about=run.path)
+    ranks.from_first(output)  # Nobody draws before the folder is there.
     methods = methods_of(
         runs,
         places.scene,
@@ -153,6 +168,8 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
             progress=tell,
             show=_sheet_writer(output / PICTURES, methods) if command.pictures else None,
         )
+    if ranks.rank > 0:
+        return
     counts = [one.content.samples for one in runs]
     if command.samples is None and len({*counts}) > 1:
         odd.append("the runs send another number of rays per pixel each; give --samples for one")

@@ -16,6 +16,7 @@ from pcore.cli.options import Count, optional
 from pcore.cli.runtime import DeviceName
 from pcore.cli.torchrun import is_first
 from pcore.cli.train_checks import EARLY, announce, check_shows, start_file, warn_of_start
+from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
@@ -41,6 +42,9 @@ class TrainCommand:
     model: Literal["gaussians", "papr"] = "gaussians"
     """gaussians: 3D Gaussians, minutes; papr: points and networks, the paper's object."""
 
+    flat: bool = False
+    """Flat Gaussians (2DGS): discs whose planes rays meet; on the CPU (gaussians)."""
+
     preset: Literal["tiny", "fast", "paper", "paper-lego"] = "tiny"
     """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours;
     paper-lego: the original as it was set for its scene lego."""
@@ -63,8 +67,8 @@ class TrainCommand:
     before the object, whatever camera renders); default: that of the preset."""
 
     patches: Count = None
-    """Patches of a step, whose loss is their mean; default: those of the preset. The processes
-    that `torchrun` starts share them (papr)."""
+    """Patches of a step (gaussians: whole photos), whose loss is their mean; default: those of the
+    preset. The processes that `torchrun` starts share them."""
 
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of every random draw."""
@@ -114,7 +118,7 @@ class TrainCommand:
         if self.model == "gaussians":
             from pcore.cli.train_gaussians import train_gaussians
 
-            train_gaussians(self, Console())
+            train_gaussians(self, Console(quiet=not is_first()))
         else:
             train(self, Console(quiet=not is_first()))
 
@@ -212,6 +216,11 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     """Return the preset with what the command changes."""
     from pcore.training.presets import preset
 
+    if command.flat:
+        raise InputError(
+            "--flat: expected an option of PAPR (--model papr), got one that only Gaussians have; "
+            "leave it out, or train with --model gaussians"
+        )
     changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
     for name in ("steps", "points", "background", "origin", "exposure"):
         if getattr(command, name) is not None:
