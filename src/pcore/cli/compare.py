@@ -42,8 +42,9 @@ class CompareCommand:
     """What to compare; all, none (with --pictures), or some of these. Given runs of points: papr
     (plain rays), aware (rays that know of the deformation), light (the light stands still too).
     Rules on Gaussians, given ones and ones that are trained now: 3dgs-fixed, 3dgs-rotation,
-    3dgs-affine, 3dgs-light, sc-gs. Trained now: mani-gs (Gaussians on a mesh), voxels (a field in a
-    cage), motion (PAPR in Motion, for states that have training photos)."""
+    3dgs-affine, 3dgs-light, sc-gs; on flat ones 2dgs-affine, 2dgs-light. Trained now: mani-gs
+    (Gaussians on a mesh), voxels (a field in a cage), motion (PAPR in Motion, for states that have
+    training photos)."""
 
     settings: Annotated[
         tuple[Literal["primitives", "time"], ...], arg(metavar="NAME [NAME ...]")

@@ -16,6 +16,7 @@ from pcore.cli.options import Count, optional
 from pcore.cli.runtime import DeviceName
 from pcore.cli.torchrun import is_first
 from pcore.cli.train_checks import EARLY, announce, check_shows, start_file, warn_of_start
+from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
@@ -40,6 +41,9 @@ class TrainCommand:
 
     model: Literal["gaussians", "papr"] = "gaussians"
     """gaussians: 3D Gaussians, minutes; papr: points and networks, the paper's object."""
+
+    flat: bool = False
+    """Flat Gaussians (2DGS): discs whose planes rays meet; on the CPU (gaussians)."""
 
     preset: Literal["tiny", "fast", "paper", "paper-lego"] = "tiny"
     """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours;
@@ -216,6 +220,11 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     """Return the preset with what the command changes."""
     from pcore.training.presets import preset
 
+    if command.flat:
+        raise InputError(
+            "--flat: expected an option of PAPR (--model papr), got one that only Gaussians have; "
+            "leave it out, or train with --model gaussians"
+        )
     changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
     for name in ("steps", "points", "background", "origin", "exposure"):
         if getattr(command, name) is not None:

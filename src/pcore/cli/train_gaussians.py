@@ -54,7 +54,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     start = chosen_start(scene, config.start)
     if start != "sparse":
         warn_of_start(scene, start, console, otherwise="views")
-    announce(console, scene, f"Gaussians, {plan} on {device}")
+    announce(console, scene, f"{'flat ' * command.flat}Gaussians, {plan} on {device}")
     if command.minutes is None:
         say_duration(console, scene, config, device)
     masked = all(view.has_alpha for view in scene.split("train"))
@@ -94,8 +94,11 @@ def _config(command: TrainCommand) -> GaussianConfig:
     for name in ("steps", "points", "background", "exposure"):
         if getattr(command, name) is not None:
             changes[name] = getattr(command, name)
+    preset = gaussian_preset(command.preset)
+    if command.flat:
+        changes["footprint"] = replace(preset.footprint, flat=True)
     if command.init in ("hull", "sparse", "views"):
         changes["start"] = command.init
     elif command.init is not None:
         changes["start"] = start_file(command.init, command.points)
-    return replace(gaussian_preset(command.preset), **changes)
+    return replace(preset, **changes)

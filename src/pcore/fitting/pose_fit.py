@@ -21,7 +21,7 @@ from pcore.fitting.anchor_motion import AnchorSpace
 from pcore.fitting.fit_config import FitConfig, FitStage
 from pcore.fitting.fit_photos import Photo, in_turns, photos_of
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, pose_of_edit
-from pcore.gaussians.carry import carried_covariances
+from pcore.gaussians.carry import carried_axes
 from pcore.gaussians.render import Footprint, PosedGaussians, render
 from pcore.geometry.local_maps import LocalMaps
 
@@ -158,8 +158,8 @@ class _Fitter:
     def drawn(self, moved: Skinned, look: PosedGaussians) -> PosedGaussians:
         """Gaussians with gradients to where they are; colours and light as they were last."""
         shape = replace(self._gaussians, means=moved.positions, sh=look.gaussians.sh)
-        covariances = carried_covariances(self._gaussians, moved.linear)
-        return PosedGaussians(gaussians=shape, covariances=covariances, gains=look.gains)
+        axes = carried_axes(self._gaussians, moved.linear)
+        return PosedGaussians(gaussians=shape, axes=axes, gains=look.gains)
 
     def through(
         self,

@@ -14,7 +14,7 @@ from torch.nn import functional as F
 from pcore.capture.coverage import ONE_SIDE, coverage
 from pcore.data.scene import Scene, View
 from pcore.errors import InputError
-from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.gaussians import THINNEST, Gaussians
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.photo_consistency import consistent_points
 from pcore.training.population import hull_points
@@ -57,7 +57,9 @@ def chosen_start(scene: Scene, start: str) -> str:
 def start_gaussians(
     scene: Scene, views: Sequence[View], config: GaussianConfig, generator: torch.Generator
 ) -> Gaussians:
-    """Round Gaussians of the distance to their neighbours, coloured as the photos show them.
+    """Gaussians of the distance to their neighbours, coloured as the photos show them.
+
+    They are round; flat ones face every direction.
 
     Args:
         scene: says where the object is.
@@ -95,12 +97,16 @@ def start_gaussians(
     count, coefficients = len(positions), (config.degree + 1) ** 2
     sh = torch.zeros(count, coefficients, 3)
     sh[:, 0] = (mean_colors(positions, views) - 0.5) / _CONSTANT
-    quats = torch.zeros(count, 4)
+    quats, scales = torch.zeros(count, 4), spacing[:, None].expand(-1, 3).clone()
     quats[:, 0] = 1.0
+    if config.footprint.flat:
+        # Every direction, as published: nobody knows the surface yet.
+        quats = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
+        scales[:, 2] *= THINNEST
     return Gaussians(
         means=positions,
         quats=quats,
-        scales=spacing[:, None].expand(-1, 3).clone(),
+        scales=scales,
         opacities=torch.full((count,), config.opacity_start),
         sh=sh,
     )
