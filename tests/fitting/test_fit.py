@@ -122,8 +122,8 @@ def test_an_arm_that_left_all_it_overlapped_is_found(tmp_path: Path) -> None:
     config = replace(
         QUICK,
         anchors=40,
-        search=SearchConfig(sweeps=2, pixels=32),
-        stages=(FitStage(pixels=32, steps=60, rate=0.05, stiffness=0.02, spread=1.0),),
+        search=SearchConfig(sweeps=3, pixels=16, points=400),
+        stages=(FitStage(pixels=32, steps=40, rate=0.05, stiffness=0.02, spread=1.0),),
     )
     arm = (raised.points - asset.points).norm(dim=1) > 0.8
     misses = []
@@ -133,8 +133,8 @@ def test_an_arm_that_left_all_it_overlapped_is_found(tmp_path: Path) -> None:
             fit = fit_pose(asset, views_of(photos), replace(config, search=search))
         moved = asset.pose(fit.edit).points
         misses.append(float((moved - raised.points)[arm].norm(dim=1).mean()))
-    assert misses[0] > 0.4
-    assert misses[1] < 0.1
+    assert misses[0] > 0.5
+    assert misses[1] < 0.25
 
 
 def test_a_moving_object_becomes_keyframes(asset: Asset, tmp_path: Path) -> None:

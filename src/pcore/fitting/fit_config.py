@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from pcore.errors import InputError
 from pcore.geometry.farthest_points import ANCHORS
@@ -59,11 +59,6 @@ class SearchConfig:
     def __post_init__(self) -> None:
         check_count("fit: sweeps", self.sweeps, minimum=0)
         check_count("fit: points", self.points)
-
-    @property
-    def finer(self) -> SearchConfig:
-        """In pictures twice as large, which show how round limbs are twisted."""
-        return replace(self, pixels=2 * self.pixels, points=2 * self.points)
 
 
 @dataclass(frozen=True, kw_only=True)

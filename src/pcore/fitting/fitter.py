@@ -14,7 +14,7 @@ from pcore.deform.skinning import AnchorPose, Skinned, SkinningWeights, skin
 from pcore.editing.anchors import AnchorRig
 from pcore.fitting.agreement import Agreement, agreement
 from pcore.fitting.anchor_motion import AnchorSpace
-from pcore.fitting.fit_config import FitConfig, FitStage, SearchConfig
+from pcore.fitting.fit_config import FitConfig, FitStage
 from pcore.fitting.fit_photos import Photo, in_turns
 from pcore.fitting.limb_search import LimbSearch
 from pcore.fitting.point_splatting import PointSplatting
@@ -78,19 +78,18 @@ class Fitter:
         self,
         start: Tensor,
         photos: Sequence[Photo],
-        search: SearchConfig,
         config: FitConfig,
         told: Callable[[], None],
     ) -> Tensor:
         """Numbers (M, 6) with limbs swung to where small pictures are best."""
-        small = [photo.at_most(search.pixels) for photo in photos]
+        small = [photo.at_most(config.search.pixels) for photo in photos]
         look, white = self.look(start), start.new_ones(3)
         splatting = PointSplatting.of(
             look,
             self._gaussians.means,
             self._weights,
             small,
-            count=search.points,
+            count=config.search.points,
             seed=config.seed,
             silhouettes=config.silhouettes,
         )
@@ -100,14 +99,14 @@ class Fitter:
             drawn = self.drawn(self.skinned(pose), look)
             return float(self._loss(drawn, small, white, config))
 
-        limbs = LimbSearch(
+        search = LimbSearch(
             graph=self.rig.graph,
             splatting=splatting,
             error=error,
-            sweeps=search.sweeps,
+            sweeps=config.search.sweeps,
             seed=config.seed,
         )
-        return self.space.numbers(limbs.found(self.space.pose(start), told))
+        return self.space.numbers(search.found(self.space.pose(start), told))
 
     def through(
         self,

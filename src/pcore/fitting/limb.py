@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
 from pcore.editing.anchors import AnchorGraph
 from pcore.fitting.anchor_motion import rotation_matrices
@@ -18,8 +17,6 @@ _STILL = (0.1, 0.4)
 """Shares of first guesses in which the outer and the inner place do not bend."""
 _SLIGHT = 0.25, 0.5
 """Share of first guesses that are small turns, and their size, radians."""
-_TWISTED = 0.25
-"""Share of first guesses that turn limbs about themselves: for round ones few others look alike."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,18 +27,11 @@ class Limb:
         inside: (K, M) bool, which anchors move; each place has more of them than the one before.
         joints: (K, 3) the places at rest, world units.
         holders: (K, M) weights, sum 1, of the anchors that hold the moving part.
-        axes: (K, 3) unit, from the place to the middle of what moves, at rest.
     """
 
     inside: Tensor
     joints: Tensor
     holders: Tensor
-    axes: Tensor
-
-    def axes_after(self, motions: Tensor) -> Tensor:
-        """Axes (K, 3) as motions (M, 3, 4) turn what they lie in."""
-        turns = torch.einsum("km,mij->kij", self.inside.float(), motions[..., :3])
-        return F.normalize((turns @ self.axes.unsqueeze(-1)).squeeze(-1), dim=-1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,7 +82,7 @@ def limbs_of(graph: AnchorGraph, count: int) -> list[Limb]:
 
 def _limb(graph: AnchorGraph, end: int, length: float) -> Limb | None:
     rest = graph.rest.double()
-    found: list[tuple[Tensor, Tensor, Tensor, Tensor]] = []
+    found: list[tuple[Tensor, Tensor, Tensor]] = []
     for reach in _REACHES:
         near = graph.between[end] <= reach * length
         across = near[graph.links[:, 0]] != near[graph.links[:, 1]]
@@ -103,31 +93,24 @@ def _limb(graph: AnchorGraph, end: int, length: float) -> Limb | None:
         weights = weights / weights.sum()
         outer = torch.where(near[pairs[:, 0]], pairs[:, 1], pairs[:, 0])
         holders = torch.zeros(len(rest), dtype=torch.float64).index_add(0, outer, weights)
-        joint = weights @ rest[pairs].mean(dim=1)
-        found.append((near, joint, holders, F.normalize(rest[near].mean(dim=0) - joint, dim=0)))
+        found.append((near, weights @ rest[pairs].mean(dim=1), holders))
     if not found:
         return None
-    inside, joints, holders, axes = (torch.stack(parts) for parts in zip(*found, strict=True))
-    return Limb(inside=inside, joints=joints.float(), holders=holders.float(), axes=axes.float())
+    inside, joints, holders = (torch.stack(parts) for parts in zip(*found, strict=True))
+    return Limb(inside=inside, joints=joints.float(), holders=holders.float())
 
 
-def first_bends(limb: Limb, motions: Tensor, count: int, draw: torch.Generator) -> Bends:
-    """Random bends from motions (M, 3, 4): any turn at any place, small ones, and twists."""
+def first_bends(limb: Limb, count: int, draw: torch.Generator) -> Bends:
+    """Random bends: any turn at any place."""
     places = torch.randint(len(limb.joints), (count, 2), generator=draw)
-    places = places.sort(dim=1, descending=True).values
     turns = rotations(torch.randn(count, 2, 4, generator=draw))
-    angles = 2 * torch.pi * torch.rand(count, 2, 1, generator=draw)
-    twists = rotation_matrices((angles * limb.axes_after(motions)[places]).reshape(-1, 3))
-    kind = torch.rand(count, 1, 1, 1, generator=draw)
-    turns = torch.where(kind < _SLIGHT[0], turned_by(_SLIGHT[1], (count, 2), draw), turns)
-    twisted = kind > 1 - _TWISTED
-    turns = torch.where(twisted, twists.unflatten(0, (count, 2)), turns)
+    slight = torch.rand(count, 1, generator=draw) < _SLIGHT[0]
+    turns = torch.where(slight[..., None, None], turned_by(_SLIGHT[1], (count, 2), draw), turns)
     still = torch.rand(count, 2, generator=draw) < torch.tensor(_STILL)
-    straight = (torch.rand(count, generator=draw) < 0.5) & ~twisted[:, 0, 0, 0]
     return Bends(
-        places=places,
+        places=places.sort(dim=1, descending=True).values,
         turns=torch.where(still[..., None, None], torch.eye(3), turns),
-        straight=straight,
+        straight=torch.rand(count, generator=draw) < 0.5,
     )
 
 

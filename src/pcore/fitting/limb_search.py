@@ -94,7 +94,7 @@ class LimbSearch:
 
     def _swung(self, limb: Limb, motions: Tensor, draw: torch.Generator) -> Tensor:
         """Motions (M, 3, 4) with a limb bent as the points fit best."""
-        bends = first_bends(limb, motions, _FIRST, draw)
+        bends = first_bends(limb, _FIRST, draw)
         errors = self.splatting.errors(bent(limb, bends, motions))
         for angle in _ANGLES:
             best = errors.argsort(stable=True)[:_KEPT]

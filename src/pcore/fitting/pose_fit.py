@@ -15,7 +15,7 @@ from pcore.data.scene import View
 from pcore.editing.script import EditScript
 from pcore.errors import InputError
 from pcore.fitting.agreement import Agreement, check_same_object
-from pcore.fitting.fit_config import SEARCHED, FitConfig, SearchConfig
+from pcore.fitting.fit_config import SEARCHED, FitConfig
 from pcore.fitting.fit_photos import Photo, photos_of
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, pose_of_edit
 from pcore.fitting.fitter import Fitter
@@ -106,21 +106,21 @@ def _coarse(
     """Numbers (M, 6) of the pose whose pictures are best after the coarse stages.
 
     One try follows gradients from the smallest pictures on, one begins with a search; the limbs of
-    the better one are searched again in larger pictures.
+    the better one are searched again.
     """
     stages = config.stages[: config.coarse]
     small = [photo.at_most(stages[-1].pixels) for photo in photos]
 
-    def searched(begin: Tensor, search: SearchConfig, left: int) -> Tensor:
-        moved = fitter.searched(begin, photos, search, config, told)
+    def searched(begin: Tensor, left: int) -> Tensor:
+        moved = fitter.searched(begin, photos, config, told)
         return fitter.through(stages[-left:], moved, photos, config, told)
 
     def error(numbers: Tensor) -> float:
         return fitter.error(numbers, small, config)
 
-    by_gradients = fitter.through(stages, start, photos, config, told)
-    best = min(by_gradients, searched(start, config.search, SEARCHED), key=error)
-    return min(best, searched(best, config.search.finer, 1), key=error)
+    tries = [fitter.through(stages, start, photos, config, told), searched(start, SEARCHED)]
+    best = min(tries, key=error)
+    return min(best, searched(best, 1), key=error)
 
 
 def gaussian_content(asset: Asset) -> GaussianContent:
