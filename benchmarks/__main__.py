@@ -1,4 +1,4 @@
-"""`python -m benchmarks speed [--out FILE] [--gate]` and `python -m benchmarks gpu DATA`.
+"""`python -m benchmarks speed [--out FILE] [--gate]`, `... scaling` and `... gpu DATA`.
 
 `gpu` takes only packages that an image with PyTorch for a GPU has, and pydantic: see
 docs/research/speed.md for how to bring that along.
@@ -11,7 +11,7 @@ import sys
 from importlib import import_module
 from importlib.util import find_spec
 
-COMMANDS = ("speed", "gpu")
+COMMANDS = ("speed", "scaling", "gpu")
 NEEDED = {
     "torch": "torch",
     "numpy": "numpy",
@@ -36,7 +36,10 @@ def main() -> int:
         return 2
     name = sys.argv[1] if len(sys.argv) > 1 else ""
     if name not in COMMANDS:
-        print(f"benchmarks: expected {' or '.join(COMMANDS)}, got {name!r}", file=sys.stderr)
+        print(
+            f"benchmarks: expected {', '.join(COMMANDS[:-1])} or {COMMANDS[-1]}, got {name!r}",
+            file=sys.stderr,
+        )
         return 2
     # Only what the command needs: `speed` looks at editing, too, which takes more packages.
     command = import_module(f"benchmarks.{name}")

@@ -1,204 +1,241 @@
-"""The paper's tables and figures, one command each; its own figures stand below ours, as quoted.
+"""The paper's six tables and its ablation, one command each, on the data at hand.
 
-    python -m benchmarks.paper main RUNS NAME ...        # editing: means over the analytic states
-    python -m benchmarks.paper realistic RUNS NAME ...   # realistic motions: skeletal states
-    python -m benchmarks.paper motion RUNS NAME ...      # beside PAPR-in-Motion: skeletal states
-    python -m benchmarks.paper nvs RUNS NAME ...         # novel views before any editing
-    python -m benchmarks.paper ablation RUNS NAME        # the figure, by `pcore ablate`
-    python -m benchmarks.paper nbs RUNS --data DATA      # skinning weights, by benchmarks.skinning
+    python -m benchmarks.paper main DATA RUNS        # zero-shot editing: means over states
+    python -m benchmarks.paper realistic DATA RUNS   # realistic motions: skeletal states
+    python -m benchmarks.paper motion DATA RUNS      # beside PAPR-in-Motion, states with photos
+    python -m benchmarks.paper nvs DATA RUNS         # novel views before any editing
+    python -m benchmarks.paper nbs DATA RUNS         # skinning weights
+    python -m benchmarks.paper ablation DATA RUNS    # the figure and its numbers, by `pcore ablate`
+    python -m benchmarks.paper study DATA RUNS       # answers of people, by `pcore study read`
 
-RUNS holds a run NAME for each object and, where they are there, NAME-pcore and NAME-gaussians. The
-first four compare them (`pcore compare`, results in RUNS/NAME/compare; what is done is not done
-again) and print means over objects and states. Further options of `pcore compare` may follow `--`.
-Objects, resolutions and trainings are not the paper's: quoted figures are no baseline of ours.
+DATA holds data sets (docs/guide/published-sets.md says in which folders); what is not there is left
+out, with the reason. What has to be trained is trained into RUNS, once; the same command goes on
+where an interrupted one stopped. A table is means over scenes and states, for each data set, with
+the paper's figures below them, marked as quoted: they are no baseline of ours, as objects,
+resolutions and trainings differ. Written are RUNS/paper/TABLE.md, TABLE.csv and TABLE-images.csv
+with a line for every picture.
+
+--dry-run says what would be done. Options of `pcore compare` (or `pcore ablate`, or
+benchmarks.skinning) may follow `--`.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import json
-import statistics
+import shlex
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.paper_figures import TABLES, Row
+from benchmarks.paper_jobs import MODELS, SKINNED, Job, Wish, plan, show
+from benchmarks.paper_rows import nbs_parts, ours, table_csv, text_of
+from benchmarks.paper_scenes import AT_HAND, Skipped
 from pcore.evaluation.contest_tables import COMPARE_FILE
+from pcore.evaluation.tables import IMAGES_FILE, SUMMARY_FILE
+from pcore.files.atomic import write_atomically
 
-Row = tuple[str, tuple[float | str | None, ...]]
-COLUMNS = ("psnr", "ssim", "lpips_alex")
-_BESIDE = ("", "-pcore", "-gaussians")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """One table of the paper.
-
-    Attributes:
-        title: what it shows.
-        kinds: of the states whose mean is taken.
-        quoted: data set -> rows of the paper: method, PSNR, SSIM, LPIPS, and primitives if given.
-    """
-
-    title: str
-    kinds: tuple[str, ...]
-    quoted: Mapping[str, Sequence[Row]]
+OTHERS = ("ablation", "nbs", "study")
 
 
-TABLES = {
-    "main": Table(
-        title="zero-shot editing",
-        kinds=("analytic",),
-        quoted={
-            "Neural Editor": (
-                ("Deforming-NeRF", (14.71, 0.722, 0.197, None)),
-                ("Neural Editor", (25.62, 0.939, 0.078, "1M")),
-                ("SC-GS", (18.55, 0.832, 0.123, "236K")),
-                ("Mani-GS", (20.59, 0.875, 0.116, "1.2M")),
-                ("PAPR", (24.22, 0.930, 0.066, "30K")),
-                ("P-CORE", (25.31, 0.942, 0.054, "30K")),
-            ),
-            "Objaverse": (
-                ("Deforming-NeRF", (15.89, 0.773, 0.180, None)),
-                ("Neural Editor", (28.02, 0.956, 0.048, "1M")),
-                ("SC-GS", (25.29, 0.929, 0.057, "228K")),
-                ("Mani-GS", (26.04, 0.946, 0.069, "362K")),
-                ("PAPR", (23.15, 0.940, 0.058, "30K")),
-                ("P-CORE", (28.30, 0.965, 0.039, "30K")),
-            ),
-        },
-    ),
-    "realistic": Table(
-        title="realistic motions",
-        kinds=("skeletal",),
-        quoted={
-            "Objaverse hand": (
-                ("PAPR", (28.55, 0.964, 0.040)),
-                ("P-CORE", (29.66, 0.972, 0.028)),
-            ),
-            "Mixamo running": (
-                ("PAPR", (24.40, 0.956, 0.046)),
-                ("P-CORE", (29.95, 0.979, 0.021)),
-            ),
-        },
-    ),
-    "motion": Table(
-        title="beside PAPR-in-Motion, which is trained on the end state",
-        kinds=("skeletal",),
-        quoted={
-            "Objaverse": (
-                ("PAPR-in-Motion (geometry)", (26.31, 0.946, 0.044)),
-                ("PAPR-in-Motion (geometry + appearance)", (33.46, 0.986, 0.021)),
-                ("P-CORE", (28.84, 0.968, 0.030)),
-            )
-        },
-    ),
-    "nvs": Table(
-        title="novel views before any editing",
-        kinds=("canonical",),
-        quoted={
-            "DTU": (
-                ("3DGS", (33.77, 0.965, 0.044)),
-                ("2DGS", (33.89, 0.966, 0.048)),
-                ("Mani-GS", (31.50, 0.943, 0.088)),
-                ("P-CORE", (33.48, 0.973, 0.023)),
-            ),
-            "Mip-NeRF 360": (
-                ("3DGS", (26.54, 0.776, 0.266)),
-                ("2DGS", (27.03, 0.805, 0.223)),
-                ("P-CORE, half resolution", (28.04, 0.808, 0.183)),
-            ),
-        },
-    ),
-}
-
-
-def ours(records: Sequence[Mapping[str, Any]], kinds: Sequence[str]) -> list[Row]:
-    """Means of every method over objects and states of some kinds; None where one is missing."""
-    found: dict[str, list[tuple[list[float | None], int | None]]] = {}
-    for record in records:
-        states = [s for s, kind in record["about"]["kinds"].items() if kind in kinds]
-        for line in record["methods"]:
-            name = f"{line['name']} ({line['setting']})"
-            for state in states:
-                cells = line["cells"].get(state, {})
-                figures = [cells.get(one, {}).get("value") for one in COLUMNS]
-                found.setdefault(name, []).append((figures, line["cost"]["primitives"]))
-    rows: list[Row] = []
-    for name, values in found.items():
-        columns = list(zip(*(figures for figures, _ in values), strict=True))
-        counts = [count for _, count in values if count is not None]
-        size = f"{statistics.mean(counts):,.0f}" if counts else None
-        rows.append((name, (*map(_mean, columns), size)))
-    return rows
-
-
-def text_of(table: Table, rows: Sequence[Row], objects: Sequence[str]) -> str:
-    """The table for documents; rows of the paper are marked."""
-    lines = [
-        f"**{table.title}**: {', '.join(objects)}; whole images, protocol standard",
-        "",
-        "| method | PSNR | SSIM | LPIPS (AlexNet) | primitives |",
-        "|---|---|---|---|---|",
-        *(_line(name, values) for name, values in rows),
-    ]
-    for data, quoted in table.quoted.items():
-        lines += [_line(f"{name} - QUOTED, {data}", values) for name, values in quoted]
-    return "\n".join(lines)
-
-
-def _line(name: str, values: Sequence[float | str | None]) -> str:
-    digits = (2, 3, 3)
-    texts = [f"{v:.{d}f}" if isinstance(v, float) else "-" for v, d in zip(values, digits)]  # noqa: B905
-    size = values[3] if len(values) > 3 and values[3] is not None else "-"
-    return f"| {' | '.join([name, *texts, str(size)])} |"
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    known = [float(value) for value in values if value is not None]
-    return statistics.mean(known) if known and len(known) == len(values) else None
-
-
-def _compared(runs: Path, name: str, options: Sequence[str]) -> Mapping[str, Any]:
-    beside = [runs / f"{name}{end}" for end in _BESIDE]
-    words = [str(path) for path in beside if path.is_dir()]
-    if _pcore("compare", *words, *options) != 0:
-        raise SystemExit(f"{name}: the comparison failed; see above")
-    return json.loads((beside[0] / "compare" / COMPARE_FILE).read_text(encoding="utf-8"))
+def work(wish: Wish, jobs: Sequence[Job]) -> list[Job]:
+    """Do it; a scene that fails is left out, and stops no other."""
+    good: list[Job] = []
+    for job in jobs:
+        for step in job.steps:
+            if not step.done and _pcore(*step.words) != 0:
+                reason = f"pcore {step.words[0]} failed; see above"
+                wish.skipped.append(Skipped(name=job.scene.run, reason=reason))
+                break
+        else:
+            good.append(job)
+    return good
 
 
 def _pcore(*words: str) -> int:
+    print(f"$ pcore {shlex.join(words)}", flush=True)
     return subprocess.run([sys.executable, "-m", "pcore.cli.main", *words], check=False).returncode
 
 
-def main() -> None:
-    """Print one table, or draw one figure."""
-    words, _, options = " ".join(sys.argv[1:]).partition(" -- ")
+def gather(jobs: Sequence[Job], file: str) -> Mapping[str, list[Any]]:
+    """Records of the scored scenes, by data set."""
+    found: dict[str, list[Any]] = {}
+    for job in jobs:
+        record = json.loads((job.folder / file).read_text(encoding="utf-8"))
+        found.setdefault(job.scene.data.name, []).append(record)
+    return found
+
+
+def images_csv(jobs: Sequence[Job]) -> bytes:
+    """The lines of all scenes for every picture, with data set and scene before them."""
+    rows: list[dict[str, str]] = []
+    for job in jobs:
+        where = {"data": job.scene.data.name, "scene": job.scene.name}
+        with (job.folder / IMAGES_FILE).open(newline="", encoding="utf-8") as file:
+            rows += [{**where, **row} for row in csv.DictReader(file)]
+    return _csv(rows)
+
+
+def _csv(rows: Sequence[Mapping[str, Any]]) -> bytes:
+    text = io.StringIO(newline="")
+    heads = list(dict.fromkeys(name for row in rows for name in row))
+    writer = csv.DictWriter(text, heads, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue().encode()
+
+
+def finish(wish: Wish, jobs: Sequence[Job]) -> None:
+    """Print the table and write its files."""
+    notes = [job.scene.note for job in jobs if job.scene.note]
+    notes += [f"left out: {one.name}: {one.reason}" for one in wish.skipped]
+    scenes = [job.scene.run for job in jobs]
+    wish.out.mkdir(parents=True, exist_ok=True)
+    if wish.table in TABLES:
+        table, rows = TABLES[wish.table], _rows(wish.table, jobs)
+        notes += _failures(jobs)
+        text, lines = text_of(table, rows, scenes), table_csv(table, rows)
+        images = images_csv(jobs)
+    elif wish.table == "ablation":
+        text, lines = _ablation(gather(jobs, SUMMARY_FILE), scenes)
+        images = images_csv(jobs)
+    else:
+        record = json.loads((wish.out / "nbs.json").read_text(encoding="utf-8"))
+        text, lines, pictures = nbs_parts(record)
+        images = _csv(pictures)
+    text += "".join(f"\n- {one}" for one in notes) + "\n"
+    write_atomically(wish.out / f"{wish.table}.md", text.encode())
+    write_atomically(wish.out / f"{wish.table}.csv", lines)
+    write_atomically(wish.out / f"{wish.table}-images.csv", images)
+    print(f"\n{text}\nwritten to {wish.out}")
+
+
+def _rows(name: str, jobs: Sequence[Job]) -> dict[str, list[Row]]:
+    """Our rows by data set; of a published set all deformed states count."""
+    kinds = TABLES[name].kinds
+    every = kinds if name == "nvs" else ("analytic", "skeletal")
+    found = gather(jobs, COMPARE_FILE)
+    return {data: ours(own, kinds if data == AT_HAND else every) for data, own in found.items()}
+
+
+def _failures(jobs: Sequence[Job]) -> list[str]:
+    """Methods that failed in a state of a scene, and why."""
+    found: list[str] = []
+    for job in jobs:
+        record = json.loads((job.folder / COMPARE_FILE).read_text(encoding="utf-8"))
+        found += [
+            f"{job.scene.run}: {line['name']}, {state}: {why}"
+            for line in record["methods"]
+            for state, why in line["failed"].items()
+        ]
+    return found
+
+
+def _ablation(records: Mapping[str, list[Any]], scenes: Sequence[str]) -> tuple[str, bytes]:
+    """What the paper shows as pictures, in numbers; it prints none."""
+    names = ("foreground_psnr", "psnr", "ssim", "hole_rate", "see_through_rate")
+    rows = [
+        {"data": data, "method": one["method"], "state": one["state"], **_picked(one, names)}
+        for data, own in records.items()
+        for record in own
+        for one in record["means"]
+        if one["protocol"] == "standard"
+    ]
+    heads = ("data", "method", "state", *names)
+    lines = [
+        f"**ablation**: {', '.join(scenes)}; protocol standard; the paper shows pictures of Lego, "
+        "twice as large, and prints no figures",
+        "",
+        f"| {' | '.join(heads)} |",
+        "|---" * len(heads) + "|",
+        *(f"| {' | '.join(_shown(row[head]) for head in heads)} |" for row in rows),
+    ]
+    return "\n".join(lines), _csv(rows)
+
+
+def _picked(mean: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    return {name: mean["scores"].get(name) for name in names}
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
+
+
+def _study(wish: Wish) -> int:
+    """The table of the user study: what people answered, and the paper's own."""
+    folder = wish.runs / "study"
+    answers = sorted(folder.glob("answers*.json"))
+    if not answers or not (folder / "key.json").is_file():
+        print(
+            f"left out: the user study: expected {folder}/key.json and answers*.json of people, "
+            f"got {len(answers)} answers; `pcore study make` writes the page (docs/guide/study.md)"
+        )
+        return 0
+    return _pcore("study", "read", str(folder / "key.json"), *map(str, answers))
+
+
+def _skinning(wish: Wish, jobs: Sequence[Job]) -> bool:
+    """Score skinning weights; both objects have to be there."""
+    gone = [name for name in SKINNED if name not in {job.scene.name for job in jobs}]
+    if gone:
+        print(f"left out: nbs: expected {wish.data}/deformed/ of {', '.join(gone)}; not there")
+        return False
+    wish.out.mkdir(parents=True, exist_ok=True)
+    words = [str(wish.data), str(wish.runs), "--json", str(wish.out / "nbs.json"), *wish.options]
+    print(f"$ python -m benchmarks.skinning {shlex.join(words)}", flush=True)
+    command = [sys.executable, "-m", "benchmarks.skinning", *words]
+    return subprocess.run(command, check=False).returncode == 0
+
+
+def read_wish(words: Sequence[str]) -> tuple[Wish, bool]:
+    """What the command line asks for, and whether it is only to be said."""
+    own = [*words]
+    options: list[str] = []
+    if "--" in own:
+        own, options = own[: own.index("--")], own[own.index("--") + 1 :]
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("table", choices=[*TABLES, "ablation", "nbs"])
-    parser.add_argument("runs", type=Path)
-    parser.add_argument("names", nargs="*")
-    parser.add_argument("--data", type=Path, help="folder with deformed/, for nbs")
-    wish = parser.parse_args(words.split())
-    if wish.table == "ablation":
-        raise SystemExit(_pcore("ablate", str(wish.runs / wish.names[0]), *options.split()))
-    if wish.table == "nbs":
-        from benchmarks import skinning
+    parser.add_argument("table", choices=[*TABLES, *OTHERS])
+    parser.add_argument("data", type=Path, help="folder of data sets")
+    parser.add_argument("runs", type=Path, help="folder of runs and results")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="these scenes")
+    parser.add_argument("--factor", type=int, help="down-scaling; default: the paper's size")
+    parser.add_argument("--preset", default="tiny", help="of trainings (default: tiny)")
+    parser.add_argument("--models", nargs="+", choices=MODELS, default=MODELS)
+    parser.add_argument("--training", default="", help="more options of trainings, one string")
+    parser.add_argument("--dry-run", action="store_true", help="only say what would be done")
+    wish = vars(parser.parse_args(own))
+    dry = wish.pop("dry_run")
+    wish["training"] = shlex.split(wish["training"])
+    return Wish(**wish, options=options), dry
 
-        sys.argv = ["skinning", str(wish.data), str(wish.runs), *options.split()]
-        skinning.main()
-        print("QUOTED, six Objaverse scenes: RBF 25.32 dB, 0.945, 0.054; NBS 26.46, 0.952, 0.050")
-        print("  (PSNR, SSIM, LPIPS); CD 0.077, 0.077; EMD 0.307, 0.303; F0.01 0.409, 0.438; F0.02")
-        print("  0.626, 0.640")
-        return
-    records = [_compared(wish.runs, name, options.split()) for name in wish.names]
-    table = TABLES[wish.table]
-    print(text_of(table, ours(records, table.kinds), wish.names))
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Make one table."""
+    wish, dry = read_wish(sys.argv[1:] if words is None else words)
+    if not wish.data.is_dir():
+        print(f"{wish.data}: expected a folder of data sets, got none", file=sys.stderr)
+        return 2
+    if wish.table == "study":
+        return _study(wish)
+    jobs = plan(wish)
+    if dry:
+        show(jobs, wish.skipped)
+        return 0
+    good = work(wish, jobs)
+    if wish.table == "nbs" and not _skinning(wish, good):
+        return 1
+    finish(wish, good)
+    return 0 if good else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -74,6 +74,8 @@ class Row:
     state: str
     method: str
     scores: Mapping[str, float]
+    images: Mapping[str, Mapping[str, float | None]]
+    """Of every picture, by the name of its view."""
 
 
 def weighers(distance: PathDistance, points: Tensor, steps: int) -> dict[str, Weigher]:
@@ -116,17 +118,23 @@ def picture_scores(
     state: State,
     views: int,
     perceptual: Perceptual | None,
-) -> dict[str, float]:
-    """Mean image scores of an object over evenly chosen test views, its light baked in."""
+) -> dict[str, dict[str, float | None]]:
+    """Image scores of an object in evenly chosen test views, its light baked in."""
     rays = "plain" if moved.local_maps is None else "aware"
     posed = asset.pose(moved, rays=rays, light="baked")
     chosen = np.unique(np.linspace(0, len(state.shots) - 1, views).round().astype(int))
-    rows = []
+    rows: dict[str, dict[str, float | None]] = {}
     for index in chosen:
         shot = state.shots[index]
         picture = asset.render(posed, shot.camera)
-        rows.append(measure(STANDARD, picture.rgb, shot.view.rgba(), perceptual).row())
-    return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+        rows[shot.view.name] = measure(STANDARD, picture.rgb, shot.view.rgba(), perceptual).row()
+    return rows
+
+
+def means(images: Mapping[str, Mapping[str, float | None]]) -> dict[str, float]:
+    """Means over pictures of what all of them have."""
+    columns = {name: [row[name] for row in images.values()] for name in next(iter(images.values()))}
+    return {k: float(np.mean([*map(float, v)])) for k, v in columns.items() if None not in v}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,9 +221,17 @@ def score_object(
                     continue
                 called = show.methods[method]
                 pictures = picture_scores(show.asset, drawn, state, views, perceptual)
-                scores = pictures | geometry
-                rows.append(Row(run=show.run, state=state.name, method=called, scores=scores))
-                print(f"  {show.run} {state.name} {called}: {pictures['foreground_psnr']:.2f} dB")
+                scores = means(pictures) | geometry
+                rows.append(
+                    Row(
+                        run=show.run,
+                        state=state.name,
+                        method=called,
+                        scores=scores,
+                        images=pictures,
+                    )
+                )
+                print(f"  {show.run} {state.name} {called}: {scores['foreground_psnr']:.2f} dB")
     return rows
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pcore.asset.asset import Asset
 from pcore.asset.posed_asset import Posed
-from pcore.evaluation.ground_truth import mesh_depth
+from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder
 from pcore.geometry.camera import Camera
@@ -98,12 +98,12 @@ def write_scene(
 ) -> Path:
     """Write the scene: 6 training and 2 test views, and those of `STATES` that are named."""
     cameras = orbit(8)
-    _write_split(root, "train", CORNERS, cameras[:6])
-    _write_split(root, "test", CORNERS, cameras[6:])
+    write_split(root, "train", CORNERS, cameras[:6])
+    write_split(root, "test", CORNERS, cameras[6:])
     moved = {name: move(CORNERS) for name, (move, _) in STATES.items()} if states else {}
     moved = {name: moved[name] for name in moved if name in names}
     for name, vertices in moved.items():
-        _write_split(root / name, "test", vertices, cameras[6:])
+        write_split(root / name, "test", vertices, cameras[6:])
         (root / name / "deformation.json").write_text(json.dumps(STATES[name][1]))
     if meshes:
         np.savez(root / "meshes.npz", canonical=CORNERS, faces=FACES, **moved)
@@ -145,7 +145,7 @@ def write_run(
     return path
 
 
-def _write_split(root: Path, split: str, vertices: np.ndarray, cameras: list[Camera]) -> None:
+def write_split(root: Path, split: str, vertices: np.ndarray, cameras: list[Camera]) -> None:
     (root / split).mkdir(parents=True)
     frames = []
     for i, camera in enumerate(cameras):

@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     from pcore.asset.asset import Asset
     from pcore.asset.content import MovedPoints
     from pcore.asset.importing import import_papr
+    from pcore.asset.lighting import estimate_light
     from pcore.asset.posed_asset import Posed
     from pcore.asset.run_options import RunOptions
     from pcore.asset.saving import asset_of, load
-    from pcore.asset.training import estimate_light, finetune, train
+    from pcore.asset.training import finetune, train
     from pcore.capture.load import load_cameras, load_scene
     from pcore.data.scene import Scene
     from pcore.deform.base import Deformation
@@ -93,7 +94,7 @@ _HOMES = {
     "Scene": "pcore.data.scene",
     "asset_of": "pcore.asset.saving",
     "diagnose": "pcore.editing.diagnosis",
-    "estimate_light": "pcore.asset.training",
+    "estimate_light": "pcore.asset.lighting",
     "finetune": "pcore.asset.training",
     "finetune_preset": "pcore.training.presets",
     "import_papr": "pcore.asset.importing",

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import pcore
+from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.saving import load
@@ -17,11 +18,8 @@ from pcore.asset.training import RunOptions, train
 from pcore.capture.load import load_scene
 from pcore.deform.simple import uniform_scale
 from pcore.errors import InputError
-from pcore.files.provenance import Provenance
-from pcore.files.run_record import RunRecord
 from pcore.gaussians.carry import carried
 from pcore.gaussians.gaussians import Gaussians
-from pcore.gaussians.render import Footprint
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.pixel_samples import grid_places
@@ -42,18 +40,7 @@ def an_asset(count: int = 60, degree: int = 1) -> Asset:
         opacities=0.2 + 0.7 * torch.rand(count, generator=draw),
         sh=0.3 * torch.randn(count, (degree + 1) ** 2, 3, generator=draw),
     )
-    came = Provenance(
-        scene="none",
-        stage="pretrain",
-        step=1,
-        background=(1.0, 1.0, 1.0),
-        extent=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
-        pcore="0",
-    )
-    content = GaussianContent(
-        gaussians=gaussians, footprint=Footprint(), background=(1.0, 1.0, 1.0)
-    )
-    return Asset(content=content, provenance=came, record=RunRecord(stage="pretrain"))
+    return asset_of_gaussians(gaussians)
 
 
 def camera(distance: float = 4.0) -> Camera:

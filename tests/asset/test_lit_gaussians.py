@@ -16,15 +16,13 @@ from safetensors.torch import load_file, save_file
 from tests.render.test_gaussian_surfels import COUNT, a_ball, photos
 
 import pcore
+from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
 from pcore.asset.content import MovedPoints
 from pcore.asset.gaussian_content import GaussianContent
 from pcore.cli.main import main
 from pcore.errors import CheckpointError, InputError
 from pcore.files.gaussian_file import GAUSSIANS_FILE
-from pcore.files.provenance import Provenance
-from pcore.files.run_record import RunRecord
-from pcore.gaussians.render import Footprint
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.surfels import Surfels
 from pcore.relight.description import describe_light
@@ -40,16 +38,7 @@ TURN: dict[str, Any] = {
 
 
 def dark_asset() -> Asset:
-    came = Provenance(
-        scene="ball",
-        stage="pretrain",
-        step=1,
-        background=(1.0, 1.0, 1.0),
-        extent=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
-        pcore="0",
-    )
-    content = GaussianContent(gaussians=a_ball(), footprint=Footprint(), background=(1.0, 1.0, 1.0))
-    return Asset(content=content, provenance=came, record=RunRecord(stage="pretrain"))
+    return asset_of_gaussians(a_ball())
 
 
 def lit_asset() -> Asset:

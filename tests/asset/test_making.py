@@ -74,7 +74,7 @@ def ball_light(observed: Observed, positions: Tensor) -> Relighting:
 def test_training_and_tuning_make_what_the_commands_make(
     scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pcore.asset.training.fit_light", ball_light)
+    monkeypatch.setattr("pcore.asset.lighting.fit_light", ball_light)
     words = ["--device", "cpu", "--threads", "1", "--no-tensorboard"]
     steps = ["--steps", str(STEPS), "--points", str(POINTS)]
     run, tuned = tmp_path / "run", tmp_path / "run-pcore"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,15 @@ import trimesh
 from truth_asset import paint, truth_asset
 
 from pcore.asset.mesh_finish import finished
-from pcore.asset.meshing import Meshing, box_of, looking_at_box, map_of, mesh_of, moved_mesh
+from pcore.asset.meshing import (
+    Meshing,
+    box_of,
+    looking_at_box,
+    map_of,
+    mesh_of,
+    moved_mesh,
+    resolution_for,
+)
 from pcore.errors import EditError, InputError
 from pcore.geometry.orbit import orbit_around
 from pcore.geometry.surface_search import SurfaceSearch
@@ -54,6 +63,19 @@ def distances(mesh, vertices: np.ndarray, faces: np.ndarray) -> tuple[float, flo
     home = SurfaceSearch(mesh.vertices.numpy(), mesh.faces.numpy()).closest(back).distance
     size = size_of(vertices)
     return float(forth.mean()) / size, float(home.mean()) / size
+
+
+def test_voxels_are_as_fine_as_photos_are() -> None:
+    corners = 0.5 * torch.tensor([[-1.0, -1, -1], [1, 1, 1]])
+    cameras = [replace(one, fx=one.fx / 3, fy=one.fy / 3) for one in orbit_around(corners, 4)]
+    wide = float(cameras[0].pixel_width(torch.zeros(3)))
+    assert 8 < math.ceil(2 / wide) < 200
+    assert resolution_for(cameras, *corners) == math.ceil(2 / wide)
+    fine = [replace(one, fx=50 * one.fx, fy=50 * one.fy) for one in cameras]
+    assert resolution_for(fine, *corners) == 200
+    coarse = [replace(one, fx=one.fx / 100, fy=one.fy / 100) for one in cameras]
+    assert resolution_for(coarse, *corners) == 8
+    assert resolution_for(None, *corners) == 200
 
 
 def test_the_mesh_lies_on_the_truth_and_faces_outwards(meshed, capsule):

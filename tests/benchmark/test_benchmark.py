@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from figure_model import TURN, bar, bowed, figure
+from figure_model import TURN, bar, bowed, figure, picture
 from gltf_files import Builder
 from PIL import Image
 
@@ -17,6 +17,7 @@ import pcore
 from pcore.benchmark.look import Look, Material, Texture, corner_normals, smooth_patches
 from pcore.benchmark.model import read_model
 from pcore.benchmark.true_picture import Shape, take
+from pcore.capture.load import load_state
 from pcore.cli.main import main
 from pcore.data.gltf_animation import Track, value_at
 from pcore.errors import InputError
@@ -25,6 +26,7 @@ from pcore.evaluation.states import open_states
 from pcore.sample.sample_render import camera_poses, ray_caster_class
 
 SIZE, VIEWS = 40, 3
+STATE_VIEWS = ("--state-train-views", 2)
 
 
 def z_up(place: np.ndarray) -> np.ndarray:
@@ -49,7 +51,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     edit = folder / "leaning.json"
     edit.write_text('{"version": 2, "edits": [{"type": "twist", "axis": "z", "angle_deg": 90}]}')
     out = folder / "out"
-    assert make(save(figure(), folder), "-o", out, "--edits", edit) == 0
+    assert make(save(figure(), folder), "-o", out, "--edits", edit, *STATE_VIEWS) == 0
     return out
 
 
@@ -81,6 +83,12 @@ def test_analytic_states_are_their_formulas(made: Path) -> None:
             before, after = meshes["canonical"], meshes[name]
         assert np.abs(formula(torch.from_numpy(before)).numpy() - after).max() < 1e-9
     assert truth.analytic("bow") is None
+
+
+def test_states_have_the_training_photos_that_are_asked_for(made: Path) -> None:
+    state = load_state(made, "bow")
+    assert [len(state.split(name)) for name in ("train", "test")] == [2, VIEWS]
+    assert len(pcore.load_scene(made).split("train")) == 4
 
 
 def test_pictures_show_the_state_that_is_meant(made: Path) -> None:
@@ -251,6 +259,79 @@ def test_other_files_have_their_paint(tmp_path: Path) -> None:
     model = read_model(tmp_path / "b.ply")
     assert model.look.rgba(model.faces, np.array([0]), place)[0, :3] == pytest.approx([1, 0, 0])
     assert model.vertices[2] == pytest.approx([0, 1, 0])
+    # A triangle and a square: trimesh gives such files up.
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 5\nproperty float x\n"
+    head += "property float y\nproperty float z\nelement face 2\n"
+    head += "property list uchar uint vertex_indices\nend_header\n"
+    corners = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (2, 0, 0)], "<f4").tobytes()
+    square = b"\4" + np.array([0, 1, 2, 3], "<u4").tobytes()
+    third = b"\3" + np.array([1, 4, 2], "<u4").tobytes()
+    (tmp_path / "c.ply").write_bytes(head.encode() + corners + square + third)
+    assert len(read_model(tmp_path / "c.ply").faces) == 3
+
+
+def in_files(made: Builder, folder: Path) -> Path:
+    """The model as a .gltf with its numbers and its texture in files beside it."""
+    folder.mkdir()
+    tree = made.tree
+    (folder / "my numbers.bin").write_bytes(made.binary)
+    tree["buffers"] = [{"byteLength": len(made.binary), "uri": "my%20numbers.bin"}]
+    (folder / "skin.png").write_bytes(picture())
+    tree["images"] = [{"uri": "skin.png"}]
+    path = folder / "figure.gltf"
+    path.write_text(json.dumps(tree))
+    return path
+
+
+def test_a_model_in_several_files_is_the_same(tmp_path: Path) -> None:
+    one = read_model(save(figure(), tmp_path))
+    path = in_files(figure(), tmp_path / "parts")
+    other = read_model(path)
+    assert np.array_equal(one.vertices, other.vertices)
+    assert np.array_equal(one.at(one.clips[0], 1.3), other.at(other.clips[0], 1.3))
+    face, middle = np.arange(20), np.full((20, 3), 1 / 3)
+    assert np.array_equal(
+        one.look.rgba(one.faces, face, middle), other.look.rgba(other.faces, face, middle)
+    )
+    (path.parent / "skin.png").unlink()
+    with pytest.raises(InputError, match=r"expected the file 'skin.png' beside it"):
+        read_model(path)
+    path.write_text(path.read_text().replace("skin.png", "../figure.glb"))
+    with pytest.raises(InputError, match="outside its folder"):
+        read_model(path)
+
+
+def test_paint_of_an_older_kind_of_material(tmp_path: Path) -> None:
+    made = figure()
+    diffuse = {"diffuseFactor": [0.5, 0.25, 1, 1]}
+    old = {"KHR_materials_pbrSpecularGlossiness": diffuse}
+    made.tree["materials"] = [{"extensions": old}]
+    model = read_model(save(made, tmp_path))
+    rgba = model.look.rgba(model.faces, np.array([0]), np.full((1, 3), 1 / 3))
+    assert rgba[0] == pytest.approx([0.5, 0.25, 1, 1])
+
+
+def test_two_skeletons_move_each_their_own_mesh(tmp_path: Path) -> None:
+    """A second figure on bones of its own, moved aside and bent by half of the angle."""
+    made = figure()
+    tree = made.tree
+    aside = np.array([3.0, 0.0, 0.0])
+    tree["skins"].append({**tree["skins"][0], "joints": [4, 5]})
+    tree["nodes"] += [
+        {"mesh": 0, "skin": 1},
+        {"children": [5], "translation": aside.tolist()},
+        {"translation": [0, 1, 0]},
+    ]
+    tree["scenes"] = [{"nodes": [0, 1, 3, 4]}]
+    half = TURN / 4
+    keys = made.array(np.array([[0, 0, 0, 1], [0, 0, np.sin(half), np.cos(half)]]))
+    clip = tree["animations"][0]
+    clip["samplers"].append({"input": clip["samplers"][0]["input"], "output": keys})
+    clip["channels"].append({"sampler": 1, "target": {"node": 5, "path": "rotation"}})
+    model = read_model(save(made, tmp_path))
+    place, *_ = bar()
+    expected = np.concatenate([bowed(place, TURN), bowed(place, TURN / 2) + aside])
+    assert np.abs(model.at(model.clips[0], 2.0) - z_up(expected)).max() < 1e-6
 
 
 def no_keys(made: Builder) -> None:
@@ -348,3 +429,50 @@ def test_it_is_a_scene(made: Path) -> None:
     assert [len(scene.split(name)) for name in ("train", "test")] == [4, VIEWS]
     assert scene.split("train")[0].has_alpha
     assert len(camera_poses(3, radius=1, highest=0.9, phase=0)) == 3
+
+
+RECIPE = """
+version: 1
+options: {size: 24, train_views: 3, test_views: 1, no_analytic: true}
+models:
+  one: {file: figure.glb}
+  two: {file: figure.glb, options: {size: 16, clips: [Bow@0.5]}}
+"""
+
+
+def test_a_recipe_makes_all_its_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("embreex", reason="benchmarks are ray cast with embreex")
+    save(figure(), tmp_path)
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(RECIPE)
+    words = ["benchmark", "make", "--recipe", str(recipe), "-o", str(tmp_path / "out")]
+    assert main(words) == 0
+    records = [
+        json.loads((tmp_path / "out" / n / "scene.json").read_text()) for n in ("one", "two")
+    ]
+    assert [one["resolution"] for one in records] == [24, 16]
+    assert [one["states"]["bow"]["time"] for one in records] == [2.0, 0.5]
+    capsys.readouterr()
+    for text, message in (
+        (RECIPE, "expected a new or empty folder"),
+        (RECIPE.replace("one: {file: figure.glb}", "one: {file: a.glb, source: b}"), "a.glb (b)"),
+        (RECIPE.replace("size: 16", "sise: 16"), "recipe.yaml: two: "),
+        (RECIPE.replace("size: 16", "output: x"), "got one that the recipe gives to each"),
+        (RECIPE.replace("version", "versions"), "'version' is missing"),
+        ("[", "expected YAML"),
+    ):
+        recipe.write_text(text)
+        assert main(words) == 2
+        assert message in capsys.readouterr().err
+    assert main([*words, "--size", "9"]) == 2
+    assert "expected no models or options besides -o, got size" in capsys.readouterr().err
+
+
+def test_the_recipe_of_the_papers_says_what_is_missing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    recipe = Path(__file__).parents[2] / "examples" / "recipes" / "paper_scenes.yaml"
+    assert main(["benchmark", "make", "--recipe", str(recipe), "-o", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "missing: butterfly.glb (Objaverse, by name)" in said
+    assert "motion_two.glb" in said

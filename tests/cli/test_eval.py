@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+import published_sets
 import tiny_scene
 from pcore.cli.main import main
 from pcore.deform.jacobian import estimated_maps
@@ -80,6 +81,39 @@ def test_a_tuned_run_is_compared_with_its_base(
     assert pictures == [
         f"{state}-r_{view}.png" for state in ("canonical", "grown", "walk") for view in (0, 1)
     ]
+
+
+def test_an_edit_is_scored_against_true_images_of_a_state(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pair = published_sets.pair(tmp_path / "pair")
+    run = tiny_scene.write_run(tmp_path / "run", pair)
+    grow = edit_file(tmp_path, "grow", {"type": "scale", "factor": 1.5})
+    assert main(["eval", str(run), "--edit", str(grow), "--against", "end", "--rays", "both"]) == 0
+    assert "aware against PAPR, mean of the edited states (edit:grow)" in capsys.readouterr().out
+    rows = rows_of(run / "eval")
+    assert [row["kind"] for row in rows[-8:]] == ["edited"] * 8
+    assert all(row["psnr"] for row in rows)
+    record = json.loads((run / "eval" / "summary.json").read_text())
+    assert record["about"]["against"] == "end"
+    assert main(["eval", str(run), "--edit", str(grow), "--against", "ende"]) == 2
+    assert "no state 'ende' with true images; it has end" in capsys.readouterr().err
+    assert main(["eval", str(run), "--against", "end"]) == 2
+    assert "--against: expected --edit FILE" in capsys.readouterr().err
+
+
+def test_a_time_stamp_is_a_state_to_score_against(tmp_path: Path, scene: Path) -> None:
+    sequence = published_sets.time_sequence(tmp_path / "sequence")
+    run = tiny_scene.write_run(tmp_path / "run", sequence)
+    grow = edit_file(tmp_path, "grow", {"type": "scale", "factor": 1.125})
+    words = ["--edit", str(grow), "--against", "t0.25", "--protocol", "standard"]
+    assert main(["eval", str(run), *words]) == 0
+    assert {row["state"] for row in rows_of(run / "eval")} == {"canonical", "edit:grow"}
+    # Where the state's mesh is known, depth is scored, too.
+    run = tiny_scene.write_run(tmp_path / "meshed", scene)
+    assert main(["eval", str(run), "--edit", str(grow), "--against", "grown"]) == 0
+    edited = [row for row in rows_of(run / "eval") if row["kind"] == "edited"]
+    assert all(row["hole_rate"] for row in edited)
 
 
 def edit_file(folder: Path, name: str, *edits: dict) -> Path:

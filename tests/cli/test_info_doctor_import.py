@@ -12,6 +12,7 @@ from pcore.files.model_file import load_model
 from pcore.files.official import to_official_state
 from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder
+from pcore.files.training_state import TrainingState
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
@@ -65,6 +66,51 @@ def test_info_of_a_run_that_has_just_begun(
     RunFolder.create(tmp_path, stage="pretrain", scene="lego", config={}).close()
     assert main(["info", str(tmp_path)]) == 0
     assert "none saved yet" in capsys.readouterr().out
+
+
+def test_info_of_a_run_whose_process_lives_or_was_killed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def status() -> str:
+        assert main(["info", str(tmp_path)]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        return next(line for line in lines if line.startswith("status")).split(maxsplit=1)[1]
+
+    with RunFolder.create(tmp_path, stage="pretrain", scene="lego", config={}) as run:
+        assert status() == "running"
+        run.save_state(tiny_state(7))
+        assert status() == "running; step 7 is saved"
+    # Nobody wrote down that it ended.
+    assert run.notes["status"] == "running"
+    assert status() == "stopped; go on from step 7 with the same command and --resume"
+    (tmp_path / "state.pt").unlink()
+    assert status() == "stopped before anything was saved; give the same command again"
+
+
+def tiny_state(step: int) -> TrainingState:
+    return TrainingState(
+        stage="pretrain", step=step, papr={}, cloud={}, optimisers={}, generators={}
+    )
+
+
+def test_info_of_an_edit_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "edit.json"
+    path.write_text('{"version": 2, "edits": [{"type": "scale", "factor": 2}]}')
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert "edit file" in shown
+    assert "1. scale:" in shown
+    assert "pcore render RUN --edit" in shown
+    assert "--picture" in shown
+    path.write_text(
+        '{"version": 2, "edits": [{"type": "scale", "factor": {"keyframes": [[0, 1], [2, 3]]}}]}'
+    )
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert "from time 0 to 2" in shown
+    assert "pcore animate RUN --edit" in shown
+    path.write_text("[]")
+    assert main(["info", str(path)]) == 2
 
 
 def test_info_of_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -115,13 +115,26 @@ def test_every_verb_documents_all_its_options(
     ("args", "message"),
     [
         (["docter"], "unknown command 'docter': expected one of"),
+        (["edit", "aply"], "expected one of edit apply, edit list, edit validate; did you mean"),
         (["docter"], "did you mean `pcore doctor`?"),
-        (["import"], "did you mean `pcore import papr` or `pcore import gaussians`?"),
+        (["import", "gausians"], "did you mean `pcore import gaussians`?"),
     ],
 )
 def test_a_mistyped_verb(args: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(args) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("more", [[], ["--help"], ["-h"]])
+def test_a_group_shows_its_verbs(more: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["edit", *more]) == 0
+    shown = capsys.readouterr().out
+    assert "usage: pcore edit VERB" in shown
+    assert [line.split()[1] for line in shown.splitlines() if line.startswith("  edit")] == [
+        "apply",
+        "list",
+        "validate",
+    ]
 
 
 @pytest.mark.usefixtures("_fail")

@@ -29,7 +29,7 @@ from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.posed import PosedCloud
 from pcore.model.papr import Papr
-from pcore.render.image import normals
+from pcore.render.image import whole_normals
 from pcore.render.picture import FAST_THRESHOLD, render
 
 Made = tuple[Path, Papr, PointCloud]
@@ -107,7 +107,7 @@ def test_raw_files_hold_what_the_library_renders(made: Made, tmp_path: Path) -> 
         for name in ("rgb", "alpha", "depth", "surface"):
             assert raw[name].dtype == np.float32
             np.testing.assert_allclose(raw[name], getattr(picture, name), atol=1e-5)
-        np.testing.assert_allclose(raw["normals"], normals(picture, camera), atol=1e-3)
+        np.testing.assert_allclose(raw["normals"], whole_normals(picture, camera), atol=1e-3)
         assert raw["rgb"].shape == (12, 20, 3)
 
 

@@ -11,6 +11,8 @@ import pytest
 from toys import write_scene
 
 from pcore.cli.main import main
+from pcore.sweep.sweep_storage import fetch
+from pcore.sweep.sweep_tables import TABLES
 
 PLAN = """
 version: 1
@@ -163,3 +165,37 @@ def test_a_folder_of_somebody_else_is_left_alone(
     assert "expected at most" in capsys.readouterr().err
     assert sweep(plan, "--workers", "1", "--address", "nowhere:1") == 2
     assert "no number with --address" in capsys.readouterr().err
+
+
+def test_a_storage_brings_trials_to_another_machine(
+    plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A second machine, whose folder is empty, repeats nothing and has the same tables."""
+    url = f"memory://{plan.parent}/sweep"
+    assert sweep(plan, "--storage", url) == 0
+    out, other = plan.parent / "out", plan.parent / "other"
+    first = main(["sweep", str(plan), "-o", str(other), "--storage", url])
+    assert first == 0
+    assert "4 of 4 trials are finished already" in capsys.readouterr().out
+    for name in TABLES:
+        assert (other / name).read_bytes() == (out / name).read_bytes()
+    trial = Path("trials/ball/papr/seed-1")
+    assert not (other / trial / "run" / "model.safetensors").exists()
+    fetch(f"{url}/{trial}", other / trial)
+    weights = trial / "run" / "model.safetensors"
+    assert (other / weights).read_bytes() == (out / weights).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("nothing://here", "expected a place that can be written, got: Protocol not known"),
+        ("file:///proc/nowhere", "expected a place that can be written"),
+    ],
+)
+def test_a_storage_that_cannot_be_used_is_said_first(
+    plan: Path, capsys: pytest.CaptureFixture[str], url: str, said: str
+) -> None:
+    assert sweep(plan, "--storage", url) == 2
+    assert said in capsys.readouterr().err
+    assert not (plan.parent / "out").exists()

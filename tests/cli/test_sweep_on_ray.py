@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -17,7 +19,7 @@ from toys import write_scene
 pytest.importorskip("ray", reason="the extra `cluster` is not installed")
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.timeout(1200),
+    pytest.mark.timeout(5400),
     pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's /proc"),
 ]
 
@@ -46,9 +48,16 @@ def plan(tmp_path: Path) -> Path:
     return path
 
 
-def started(plan: Path, out: Path, *words: str) -> subprocess.Popen[bytes]:
+@contextmanager
+def started(plan: Path, out: Path, *words: str) -> Generator[subprocess.Popen[bytes]]:
+    """A sweep in a process of its own, which does not outlive a test that fails."""
     command = [sys.executable, "-m", "pcore.cli.main", "sweep", str(plan), "-o", str(out), *words]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
 
 
 def descendants(root: int) -> dict[int, str]:
@@ -112,16 +121,17 @@ def contents(out: Path) -> dict[str, bytes]:
 
 def test_killed_workers_change_no_bit(plan: Path) -> None:
     quiet, killed = plan.parent / "quiet", plan.parent / "killed"
-    assert started(plan, quiet).wait() == 0
+    with started(plan, quiet) as process:
+        assert process.wait() == 0
     rng, kills, seen = random.Random(0), 0, dict[int, str]()
-    process = started(plan, killed, "--workers", "2")
-    while process.poll() is None:
-        time.sleep(rng.uniform(0.1, 2.0))
-        seen |= descendants(process.pid)
-        workers = at_work(process.pid)
-        if workers and kills < KILLS and in_the_middle(killed):
-            os.kill(rng.choice(workers), signal.SIGKILL)
-            kills += 1
+    with started(plan, killed, "--workers", "2") as process:
+        while process.poll() is None:
+            time.sleep(rng.uniform(0.1, 2.0))
+            seen |= descendants(process.pid)
+            workers = at_work(process.pid)
+            if workers and kills < KILLS and in_the_middle(killed):
+                os.kill(rng.choice(workers), signal.SIGKILL)
+                kills += 1
     assert process.returncode == 0
     assert kills == KILLS
     told = "".join(path.read_text() for path in killed.glob("trials/**/output.txt"))
@@ -135,12 +145,10 @@ def test_killed_workers_change_no_bit(plan: Path) -> None:
 
 
 def test_nothing_outlives_a_sweep_that_is_killed(plan: Path) -> None:
-    process = started(plan, plan.parent / "out", "--workers", "2")
-    end = time.monotonic() + 120
-    while not at_work(process.pid) and time.monotonic() < end:
-        time.sleep(0.5)
-    seen = descendants(process.pid)
+    with started(plan, plan.parent / "out", "--workers", "2") as process:
+        end = time.monotonic() + 300
+        while not at_work(process.pid) and time.monotonic() < end:
+            time.sleep(0.5)
+        seen = descendants(process.pid)
     assert any(name.startswith("ray::attempt") for name in seen.values())
-    process.kill()
-    process.wait()
     assert not wait_until_gone(seen)

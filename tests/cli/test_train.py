@@ -177,6 +177,22 @@ def ctrl_c_at(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     return arm
 
 
+def test_ctrl_c_before_the_first_step_leaves_nothing(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pcore.asset import training
+
+    def stop(*args: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    path = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "pretrain", stop)
+        assert call(scene, path, steps=1) == 130
+    assert not path.exists()
+    assert call(scene, path, steps=1) == 0
+
+
 def test_a_resumed_run_equals_one_that_was_never_interrupted(
     scene: Path,
     tmp_path: Path,

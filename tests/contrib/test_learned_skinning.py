@@ -123,7 +123,7 @@ def test_it_comes_back_with_the_same_weights(tmp_path: Path) -> None:
     [
         ({"header": {"version": "2"}}, "of version 1, got 'pcore-skinning' of version '2'"),
         ({"header": {"format": "pcore-model"}}, "expected the format 'pcore-skinning'"),
-        ({"header": {"config": "{"}}, "expected JSON under 'config'"),
+        ({"header": {"config": "{"}}, "expected a JSON object under 'config'"),
         ({"header": {"config": json.dumps({"width": 8})}}, "missing key"),
         ({"tensors": {"network.center": torch.full((3,), torch.nan)}}, "infinity in network"),
         ({"tensors": {"network.center": torch.zeros(4)}}, "not those of its configuration"),

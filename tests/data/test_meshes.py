@@ -466,8 +466,8 @@ def test_what_is_not_read_of_an_obj_is_named(tmp_path: Path, text: str, said: st
     ("name", "said"),
     [
         ("a.stl", "an STL repeats its corners in every triangle: export another of these"),
-        ("a.gltf", "export glTF Binary (.glb), which is one file"),
-        ("a.fbx", "expected a mesh that ends in .ply, .obj or .glb, got '.fbx'"),
+        ("a.gltf", "its JSON does not parse"),
+        ("a.fbx", "expected a mesh that ends in .ply, .obj, .glb or .gltf, got '.fbx'"),
         ("a", "got 'no ending'"),
     ],
 )

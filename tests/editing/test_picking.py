@@ -94,6 +94,33 @@ def test_a_brush_takes_what_its_stroke_passes():
     assert int(chooser.brush(points, one, stroke[:1], 5.0).sum()) < int(chosen.sum())
 
 
+def test_a_lasso_takes_what_lies_within_its_outline():
+    chooser, points, one = Selector(rest=ball()), ball(), camera()
+    left, right, top, bottom = 40.0, 80.0, 30.0, 70.0
+    square = torch.tensor([[left, top], [right, top], [right, bottom], [left, bottom]])
+    box = chooser.box(points, one, (left, top, right, bottom))
+    assert torch.equal(chooser.lasso(points, one, square), box)
+    assert torch.equal(chooser.lasso(points, one, square.flip(0)), box)
+    notched = torch.cat([square, torch.tensor([[60.0, 50.0]])])
+    column, row, _ = one.project(points)
+    inside = chooser.lasso(points, one, notched)
+    assert not inside[(column < 50) & ((row - 50).abs() < 5)].any()
+    assert torch.equal(inside | box, box)
+    assert not chooser.lasso(points, one, square[:2], through=True).any()
+
+
+def test_a_rim_lies_where_paths_have_its_length():
+    chooser, points = Selector(rest=ball()), ball()
+    rim = chooser.rim(torch.tensor([0]), 0.5).at(points)
+    away = (rim - points[0]).norm(dim=1)
+    assert len(rim) > 20
+    assert float(away.max()) <= 0.5
+    assert float(away.min()) > 0.4
+    moved = chooser.rim(torch.tensor([0]), 0.5).at(points + torch.tensor([1.0, 0, 0]))
+    assert torch.allclose(moved, rim + torch.tensor([1.0, 0, 0]), atol=1e-6)
+    assert not len(chooser.rim(torch.tensor([0]), 50.0).at(points))
+
+
 def test_growing_and_shrinking_go_along_the_surface():
     chooser, points = Selector(rest=ball()), ball()
     weight = chooser.geodesic(0, 0.3, 0.2)

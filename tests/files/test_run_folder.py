@@ -14,7 +14,9 @@ import torch
 
 from pcore.errors import CheckpointError, InputError, TrainingError
 from pcore.files import run_folder as output
-from pcore.files.run_folder import RunFolder, bytes_needed
+from pcore.files.lock import held
+from pcore.files.run_folder import RunFolder
+from pcore.files.run_place import bytes_needed
 from pcore.files.training_state import TrainingState
 
 CONFIG = {"steps": 100, "papr": {"neighbours": 8, "size": (1, 2)}}
@@ -103,7 +105,8 @@ def test_resuming_continues_the_same_run(tmp_path: Path) -> None:
 
 
 def test_resuming_with_other_settings_names_the_keys(tmp_path: Path) -> None:
-    create(tmp_path).close()
+    with create(tmp_path) as run:
+        run.save_state(state(4))
     changed = {"steps": 200, "papr": {"neighbours": 8, "size": [1, 3]}}
     with pytest.raises(InputError) as caught:
         create(tmp_path, resume=True, config=changed)
@@ -116,10 +119,35 @@ def test_resuming_with_other_settings_names_the_keys(tmp_path: Path) -> None:
 def test_settings_that_came_later_and_are_not_used_do_not_keep_a_run_from_going_on(
     tmp_path: Path,
 ) -> None:
-    create(tmp_path, config={"steps": 100}).close()
+    with create(tmp_path, config={"steps": 100}) as run:
+        run.save_state(state(4))
     create(tmp_path, resume=True, config={"steps": 100, "skinning": None}).close()
     with pytest.raises(InputError, match=r"skinning: \(absent\) -> 3"):
         create(tmp_path, resume=True, config={"steps": 100, "skinning": 3})
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_run_that_saved_nothing_begins_anew_with_any_settings(
+    tmp_path: Path, resume: bool
+) -> None:
+    create(tmp_path).close()
+    (tmp_path / "log.jsonl").write_text("of the other\n")
+    with create(tmp_path, resume=resume, config={"steps": 7}) as run:
+        assert run.config == {"steps": 7}
+        assert not run.log.exists()
+        run.save_state(state(4))
+    with pytest.raises(InputError, match="holds a run already"):
+        create(tmp_path, config={"steps": 8})
+
+
+def test_a_lock_is_held_while_its_process_lives(tmp_path: Path) -> None:
+    assert not held(tmp_path)
+    with create(tmp_path):
+        assert held(tmp_path)
+        assert held(tmp_path)
+    assert not held(tmp_path)
+    with create(tmp_path):  # Looking takes nothing away.
+        pass
 
 
 def test_nothing_to_resume(tmp_path: Path) -> None:
@@ -141,7 +169,6 @@ def test_too_little_space_is_found_before_anything_is_made(
 
 def test_space_grows_with_the_model() -> None:
     assert bytes_needed(2_000_000) - bytes_needed(1_000_000) == 48_000_000
-    assert bytes_needed(0, renders=5) - bytes_needed(0) == 5
 
 
 def test_an_unwritable_folder_is_found_before_training(

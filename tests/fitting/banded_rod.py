@@ -11,13 +11,10 @@ import torch
 from PIL import Image
 from torch import Tensor
 
+from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset, Posed
-from pcore.asset.gaussian_content import GaussianContent
-from pcore.files.provenance import Provenance
-from pcore.files.run_record import RunRecord
 from pcore.fitting.anchor_motion import rotation_matrices
 from pcore.gaussians.gaussians import Gaussians
-from pcore.gaussians.render import Footprint
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 
@@ -66,18 +63,7 @@ def _asset(means: Tensor, colors: Tensor, width: float) -> Asset:
         opacities=torch.full((COUNT,), 0.95),
         sh=((colors - 0.5) / 0.28209479).unsqueeze(1),
     )
-    came = Provenance(
-        scene="none",
-        stage="pretrain",
-        step=1,
-        background=(1.0, 1.0, 1.0),
-        extent=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
-        pcore="0",
-    )
-    content = GaussianContent(
-        gaussians=gaussians, footprint=Footprint(), background=(1.0, 1.0, 1.0)
-    )
-    return Asset(content=content, provenance=came, record=RunRecord(stage="pretrain"))
+    return asset_of_gaussians(gaussians)
 
 
 def cameras(count: int, *, elevation: float = 0.3, scale: float = 1.0) -> list[Camera]:

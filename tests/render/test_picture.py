@@ -20,7 +20,7 @@ from pcore.model.papr import Papr
 from pcore.model.papr_config import MlpConfig, Octaves, PaprConfig
 from pcore.render import picture as picture_module
 from pcore.render import tiles as tiles_module
-from pcore.render.image import Image, normals
+from pcore.render.image import Image, normals, whole_normals
 from pcore.render.picture import (
     FAST_THRESHOLD,
     RenderCancelledError,
@@ -493,7 +493,27 @@ def test_no_normals_across_jumps_and_beside_holes() -> None:
     assert holes == [(3, 6), (4, 5), (4, 6), (4, 7), (5, 6)]
 
 
+def test_normals_for_pictures_have_no_gaps() -> None:
+    cam = camera(12, 9)
+    jump = plane(cam, torch.tensor([0.0, 0.0, 1.0]))
+    jump[:, 6:] *= 2.0
+    jump[:, 6:, 2] = -2.5
+    alpha = torch.ones(9, 12)
+    alpha[4, 6] = 0.4
+    image = picture_of(jump, cam, alpha)
+    got, strict = whole_normals(image, cam), normals(image, cam)
+    known = ~strict.isnan()
+    assert torch.equal(got[known], strict[known])
+    assert torch.equal(got.isnan().all(dim=-1), alpha < 0.5)
+    # Each side of the jump is a plane of its own.
+    solid = got[alpha > 0.5]
+    torch.testing.assert_close(
+        solid, torch.tensor([0.0, 0.0, 1.0]).expand_as(solid), atol=1e-3, rtol=0
+    )
+
+
 def test_no_normals_in_a_picture_of_two_columns() -> None:
     cam = camera(2, 5)
     surface = plane(cam, torch.tensor([0.0, 0.0, 1.0]))
     assert bool(normals(picture_of(surface, cam), cam).isnan().all())
+    assert not bool(whole_normals(picture_of(surface, cam), cam).isnan().any())

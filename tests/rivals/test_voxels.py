@@ -16,7 +16,8 @@ from pcore.deform.cage import Cage
 from pcore.errors import InputError
 from pcore.evaluation.protocol import STANDARD, measure
 from pcore.geometry.orbit import orbit_cameras
-from pcore.rivals.depth_mesh import coarse_cage, fuse, mesh_of
+from pcore.render.fusion import depth_view, fused_distances
+from pcore.rivals.cage_mesh import coarse_cage, largest_piece
 from pcore.rivals.voxel_fit import VoxelConfig, fit_voxels, hull_grid
 from pcore.rivals.voxels import VoxelField, VoxelGrid, cage_warp
 
@@ -90,8 +91,9 @@ def test_depth_becomes_a_closed_mesh_and_a_cage_around_it() -> None:
         torch.zeros(3), 4.0, 10, elevation=0.6, width=40, height=40, angle_x=0.6
     ) + orbit_cameras(torch.zeros(3), 4.0, 10, elevation=-0.6, width=40, height=40, angle_x=0.6)
     corner = torch.full((3,), 0.7)
-    fused = fuse(field.draw, cameras, -corner, corner, cells=20)
-    vertices, faces = mesh_of(fused)
+    views = [depth_view(field.draw(camera), camera) for camera in cameras]
+    fused = fused_distances(views, -corner, corner, 1.4 / 20, smooth=0.0, closed=True)
+    vertices, faces = largest_piece(fused)
     Cage(vertices=vertices, faces=faces)  # Closed, or it says why not.
     reach = vertices.abs().amax(dim=1)
     assert 0.45 < float(reach.median()) < 0.7

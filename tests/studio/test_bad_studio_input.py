@@ -9,17 +9,19 @@ import pytest
 import torch
 from objects import demo
 
+from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
-from pcore.asset.gaussian_content import GaussianContent
 from pcore.errors import EditError, InputError, PcoreError
-from pcore.files.run_record import RunRecord
 from pcore.gaussians.gaussians import Gaussians
+from pcore.geometry.orbit import orbit_around
 from pcore.studio.drawing import OVERLAYS, Drawer
 from pcore.studio.editor import Editor
-from pcore.studio.handle_edit import HandlePose
+from pcore.studio.handle_pose import HandlePose
+from pcore.studio.named_selections import NamedSelections
 from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import PageFrame
 from pcore.studio.recording import record
+from pcore.studio.stroke import Stroke
 from pcore.studio.tabs import Tabs
 from pcore.studio.viewer_page import viewer_page
 
@@ -28,8 +30,6 @@ EYE = torch.tensor([3.0, 2.0, 1.0])
 
 def made(count: int, *, degree: int = 0, spread: float = 1.0) -> Asset:
     """So many Gaussians, without normals and without a light."""
-    content = demo().content
-    assert isinstance(content, GaussianContent)
     gaussians = Gaussians(
         means=torch.rand(count, 3) * spread,
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
@@ -37,10 +37,7 @@ def made(count: int, *, degree: int = 0, spread: float = 1.0) -> Asset:
         opacities=torch.full((count,), 0.9),
         sh=torch.rand(count, (degree + 1) ** 2, 3),
     )
-    bare = GaussianContent(
-        gaussians=gaussians, footprint=content.footprint, background=content.background
-    )
-    return Asset(content=bare, provenance=demo().provenance, record=RunRecord(stage="pretrain"))
+    return asset_of_gaussians(gaussians)
 
 
 def test_without_a_light_it_is_edited_and_drawn() -> None:
@@ -74,6 +71,24 @@ def test_many_points_make_a_page_that_fits() -> None:
     page = viewer_page(record(asset, [asset.pose()]), title="many", limit=300_000)
     assert len(page.content) <= 300_000
     assert "splats that show most" in page.notes[-1]
+
+
+@pytest.mark.slow
+def test_300_000_points_are_edited_selected_and_sent() -> None:
+    asset = made(300_000)
+    editor, drawer = Editor(asset), Drawer(asset)
+    editor.add("twist")
+    editor.set(0, "angle_deg", 20.0)
+    frame = PageFrame.around(asset.points)
+    buffer = frame.buffer(drawer.splats(editor.state, EYE))
+    assert buffer.nbytes == 300_000 * 32
+    editor.shown = replace(editor.shown, tool="brush")
+    camera = orbit_around(asset.points, size=(200, 150))[0]
+    stroke = Stroke(editor, camera, how="replace", through=False)
+    stroke.add((0.5, 0.5))
+    stroke.apply()
+    assert 0 < len(editor.shown.chosen) < 30_000
+    assert len(drawer.dots(editor.state, "none", editor.shown.chosen).points)
 
 
 @pytest.mark.parametrize("spread", [1e-5, 1e5])
@@ -146,6 +161,12 @@ def test_a_full_disk_at_save_loses_nothing(tmp_path: Path, monkeypatch: pytest.M
     editor.add("bend")
     with pytest.raises(EditError, match="No space left"):
         out.keep(editor.session, [])
+    with pytest.raises(EditError, match="No space left"):
+        editor.session.save(tmp_path / "studio" / "edit.json")
+    named = NamedSelections(folder=tmp_path / "studio", count=len(editor.asset.points))
+    with pytest.raises(EditError, match="No space left"):
+        named.keep("all", ~editor.mask)
+    assert named.names == []
     assert out.autosave.read_bytes() == before
     assert len(editor.session.stack.edits) == 2
 
@@ -162,6 +183,8 @@ class Alone(Tabs):
     def _refresh(self) -> None: ...
 
     def _show_drag(self) -> None: ...
+
+    def _show_working(self) -> None: ...
 
     def _let_go(self) -> None:
         self.editor.cancel()

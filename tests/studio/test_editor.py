@@ -13,7 +13,7 @@ from pcore.editing.stack import raw_edit
 from pcore.errors import EditError
 from pcore.studio.edit_forms import CHOICES, NEW, SLIDERS, value_at
 from pcore.studio.editor import Editor
-from pcore.studio.handle_edit import HandlePose
+from pcore.studio.handle_pose import HandlePose
 
 
 @pytest.fixture
@@ -183,7 +183,7 @@ def test_the_stack_is_moved_doubled_and_emptied(editor: Editor) -> None:
 
 def test_a_selection_is_frozen_and_let_go(editor: Editor) -> None:
     low = editor.asset.points[:, 2] < editor.asset.points[:, 2].median()
-    with pytest.raises(EditError, match="drag a box"):
+    with pytest.raises(EditError, match="with Shift held"):
         editor.freeze()
     editor.choose(low)
     editor.freeze()

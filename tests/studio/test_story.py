@@ -1,18 +1,12 @@
 """The whole story in Chromium: handle, drag, undo, slider, freeze, key, film, save, recover."""
 
-import json
-import shutil
 import signal
-import subprocess
-import sys
-import time
-from collections.abc import Callable
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from page import Page, kept, until
 
 import pcore
 from pcore.cli.main import main
@@ -20,83 +14,6 @@ from pcore.cli.main import main
 pytest.importorskip("viser", reason="the extra studio is not installed")
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
-
-
-class Page:
-    """A running `pcore studio` and a tab that shows it."""
-
-    def __init__(self, browser: Any, run: Path, port: int) -> None:
-        command = [sys.executable, "-m", "pcore.cli.main", "studio", str(run), "--port", str(port)]
-        self.server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self.server.stdout is not None
-        self.url = self.server.stdout.readline().strip()
-        self.tab = browser.new_page(viewport={"width": 1000, "height": 640})
-        self.problems: list[str] = []
-        self.tab.on("pageerror", lambda error: self.problems.append(str(error)))
-        self.tab.goto(self.url)
-        self.says("points")
-        self.tab.wait_for_timeout(2500)  # The first picture: pointers are ignored before it.
-
-    def says(self, text: str) -> None:
-        self.tab.get_by_text(text).first.wait_for(timeout=30_000)
-
-    def press(self, name: str) -> None:
-        self.tab.get_by_role("button", name=name, exact=True).click()
-
-    def go_to(self, name: str) -> None:
-        self.tab.get_by_role("tab", name=name, exact=True).click()
-
-    def fill(self, label: str, value: str) -> None:
-        """Type into the number beside a label."""
-        row = self.tab.get_by_text(label, exact=True).locator("xpath=../../..")
-        field = row.locator("input:visible").last
-        field.fill(value)
-        field.press("Enter")
-        self.tab.wait_for_timeout(400)
-
-    def drag(self, start: tuple[int, int], end: tuple[int, int], key: str | None = None) -> None:
-        mouse, keyboard = self.tab.mouse, self.tab.keyboard
-        if key:
-            keyboard.down(key)
-        mouse.move(*start)
-        mouse.down()
-        for step in range(1, 7):
-            share = step / 6
-            mouse.move(*(round(a + (b - a) * share) for a, b in zip(start, end, strict=True)))
-            self.tab.wait_for_timeout(80)
-        mouse.up()
-        if key:
-            keyboard.up(key)
-        self.tab.wait_for_timeout(600)
-
-    def end(self, how: signal.Signals) -> int:
-        """End the server and the tab; return its exit code."""
-        self.server.send_signal(how)
-        assert self.server.stdout is not None
-        with self.server.stdout:
-            code = self.server.wait(20)
-        self.tab.close()
-        return code
-
-
-def until(holds: Callable[[], Any], seconds: float = 30.0) -> None:
-    """Wait for something that another process does."""
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end, "it did not happen in time"
-        time.sleep(0.1)
-
-
-@pytest.fixture
-def run(tmp_path: Path) -> Path:
-    with as_file(files("pcore.studio").joinpath("demo_run")) as source:
-        return Path(shutil.copytree(source, tmp_path / "run"))
-
-
-def kept(run: Path) -> dict[str, Any]:
-    content = json.loads((run / "studio" / "autosave.json").read_text())
-    label, number, _ = content["commands"][content["now"]]
-    return {"label": label, **content["edits"][number]}
 
 
 def test_the_whole_story(browser: Any, run: Path, free_port: int) -> None:

@@ -17,7 +17,8 @@ from pcore.training import trainable
 from pcore.training.budget import Budget
 from pcore.training.config import Rates
 from pcore.training.events import Saved, StepReport, Stopped, ValidationReport
-from pcore.training.loop import Plan, run_loop
+from pcore.training.loop import run_loop
+from pcore.training.loop_plan import Plan
 from pcore.training.losses import Losses
 from pcore.training.schedule import Schedule
 from pcore.training.trainable import Trainable

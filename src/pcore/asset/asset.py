@@ -148,12 +148,12 @@ class Asset:
             InputError: of another object.
         """
         state = posed.state if isinstance(posed, EditSession) else posed
-        if isinstance(state, EditState):
-            return self.splats_at_rest.moved(state.points, state.bound.linear, eye, gains)
         if state is None:
             return self.splats_at_rest.moved(self.points, None, eye, gains)
-        gains = self.gains_of(state) if gains is None else gains
-        return self.splats_at_rest.moved(state.points, state.linear, eye, gains)
+        if isinstance(state, Posed) and gains is None:
+            gains = self.gains_of(state)
+        linear = state.linear if isinstance(state, Posed) else state.bound.linear
+        return self.splats_at_rest.moved(state.points, linear, eye, gains)
 
     def lit(self, posed: Posed, gains: Tensor | None = None) -> Posed:
         """Light what was posed with `light="baked"` and aware rays: the second stage of a picture.
@@ -270,19 +270,14 @@ class Asset:
             InputError: none is given and that on record is not here.
             SceneError: the scene is damaged.
         """
-        record = self.record
+        record, masks = self.record, self.record.masks if folder is None else None
         chosen = record.factor if factor is None else factor
-        masks = record.masks if folder is None else None
         scene = load_scene(record.scene_or(folder), factor=chosen, masks=masks)
         return scene if record.region is None else replace(scene, region=record.region)
 
     @property
     def path(self) -> Path:
-        """Folder of its run.
-
-        Raises:
-            InputError: it has none; `save` makes one.
-        """
+        """Folder of its run; raises InputError where it has none, `save` makes one."""
         if self.record.path is None:
             raise InputError(
                 "asset: expected one with a folder, got one that was never saved or a bare model "

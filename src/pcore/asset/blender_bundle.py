@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from pcore.asset.painted_points import painted_points
 from pcore.data.camera_output import save_transforms
 from pcore.data.mesh_output import save_mesh
 from pcore.data.painted_ply import save_painted
-from pcore.data.whole_file import write_whole
+from pcore.data.whole_file import save_json
 from pcore.deform.cage import Cage
 from pcore.editing.autosave import fingerprint
 from pcore.errors import InputError
@@ -80,9 +79,9 @@ def save_bundle(
         folder / CAGE_FILE, SurfaceMesh(vertices=cage.vertices, faces=cage.faces, colors=grey)
     )
     anchors = points[farthest_points(points, min(ANCHORS, len(points)))]
-    _write_json(folder / ANCHORS_FILE, {"near": anchors.tolist()})
+    save_json(folder / ANCHORS_FILE, {"near": anchors.tolist()}, "bundle")
     save_transforms(folder / CAMERAS_FILE, views)
-    _write_json(folder / BUNDLE_FILE, _about(folder, asset, points, fps))
+    save_json(folder / BUNDLE_FILE, _about(folder, asset, points, fps), "bundle")
 
 
 def cage_around(points: Tensor) -> Cage:
@@ -170,7 +169,3 @@ def _about(folder: Path, asset: Asset, points: Tensor, fps: int) -> dict[str, An
             "cameras": CAMERAS_FILE,
         },
     }
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    write_whole(path, (json.dumps(content, indent=1) + "\n").encode(), "bundle")

@@ -171,3 +171,27 @@ class Content(Protocol[P]):
             OSError: a file cannot be written.
         """
         ...
+
+
+def wanted_light(
+    read: Callable[[], Relighting] | None, rays: RaysName, light: LightName | None
+) -> Relighting | None:
+    """The light that stands still in pictures with these rays; None where it is baked in.
+
+    Args:
+        read: reads the light of the photos; None where nobody has estimated it.
+        rays: of the pictures.
+        light: what is asked for; None: still where there is one and rays are aware.
+
+    Raises:
+        InputError: a light that stands still is asked for, and there is none.
+        CheckpointError: its file is damaged or belongs to other points.
+    """
+    if light == "baked" or (light is None and rays == "plain"):
+        return None
+    if light == "still" and read is None:
+        raise InputError(
+            "light: expected a light.safetensors in the folder of the run, found none; estimate it "
+            "with `pcore light RUN`, or let it be baked in (--light baked)"
+        )
+    return None if read is None else read()

@@ -10,10 +10,17 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from pcore.asset.content import Color, LightName, Motion, MovedPoints, RaysName, Sampling
+from pcore.asset.content import (
+    Color,
+    LightName,
+    Motion,
+    MovedPoints,
+    RaysName,
+    Sampling,
+    wanted_light,
+)
 from pcore.data.scene import View
 from pcore.deform.jacobian import analytic_maps
-from pcore.errors import InputError
 from pcore.files.gaussian_file import (
     GAUSSIANS_FILE,
     SavedGaussians,
@@ -109,7 +116,7 @@ class GaussianContent:
 
         The light stands still where there is one and shapes are carried along.
         """
-        relighting = self._relighting(rays, light)
+        relighting = wanted_light(self.read_light, rays, light)
         if motion is None:
             return MovedGaussians(drawn=PosedGaussians(gaussians=self.gaussians))
         if isinstance(motion, MovedPoints):
@@ -144,16 +151,6 @@ class GaussianContent:
             return posed if self.light is None else self._relit(posed, self.light)
         factors = gains.to(posed.drawn.gaussians.means).unsqueeze(1)
         return replace(posed, drawn=replace(posed.drawn, gains=factors))
-
-    def _relighting(self, rays: RaysName, light: LightName | None) -> Relighting | None:
-        if light == "baked" or (light is None and rays == "plain"):
-            return None
-        if light == "still" and self.read_light is None:
-            raise InputError(
-                f"light: expected a {LIGHT_FILE} in the folder of the run, found none; estimate it "
-                "with `pcore light RUN`, or let it be baked in (--light baked)"
-            )
-        return self.light
 
     def points_of(self, posed: MovedGaussians) -> Tensor:
         """See `Content.points_of`."""

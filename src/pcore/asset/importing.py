@@ -13,7 +13,8 @@ from pcore.files.gaussian_file import SavedGaussians, save_gaussians
 from pcore.files.official import load_official
 from pcore.files.provenance import Provenance, pcore_version, provenance_of
 from pcore.files.records import to_dict
-from pcore.files.run_folder import RunFolder, bytes_needed, write_guard
+from pcore.files.run_folder import RunFolder, write_guard
+from pcore.files.run_place import bytes_needed
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint
 from pcore.model.papr_config import ReferenceOrigin

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from statistics import median
 
 import numpy as np
 import torch
@@ -26,6 +27,9 @@ from pcore.render.mesh_colors import surface_colors
 from pcore.validation import check_count
 
 _VIEWS = 60
+_COARSEST, _FINEST = 8, 200
+_VOXELS_PER_PIXEL = 2.0
+"""Views from all around tell a little more than one; beyond that a mesh only has more triangles."""
 _STRAY = 0.001
 """Share of the points, on either side of every axis, that do not count for the box."""
 _MARGIN = 0.06
@@ -43,14 +47,15 @@ class Meshing:
     """How a mesh is made.
 
     Attributes:
-        resolution: voxels along the longest side of the box.
+        resolution: voxels along the longest side of the box; None: two for every pixel that the
+            photos show it with, at most 200.
         closed: close the surface where no camera has looked, so that it can be printed.
         box: lower and upper corner (3,) of what is meshed, world units; None: the object's points.
         smooth: see `fuse`, voxels.
         crumbs: keep parts that are smaller than a hundredth of all.
     """
 
-    resolution: int = 200
+    resolution: int | None = None
     smooth: float = 1.0
     closed: bool = False
     box: tuple[Tensor, Tensor] | None = None
@@ -97,11 +102,14 @@ def mesh_of(
         DependencyError: scikit-image is not installed.
     """
     how = how or Meshing()
-    check_count("mesh: resolution", how.resolution, minimum=8)
-    if not 0 <= how.smooth < how.resolution:
-        raise InputError(f"mesh: expected a smoothing of 0 voxels or more, got {how.smooth}")
     lower, upper = box_of(asset.points) if how.box is None else how.box
-    voxel = float((upper - lower).max()) / how.resolution
+    resolution = how.resolution
+    if resolution is None:
+        resolution = resolution_for(cameras, lower, upper)
+    check_count("mesh: resolution", resolution, minimum=_COARSEST)
+    if not 0 <= how.smooth < resolution:
+        raise InputError(f"mesh: expected a smoothing of 0 voxels or more, got {how.smooth}")
+    voxel = float((upper - lower).max()) / resolution
     views = pictures_of(asset, cameras, (lower, upper), voxel, progress=progress)
     vertices, faces = fuse(views, lower, upper, voxel, smooth=how.smooth, closed=how.closed)
     crumbs = 0
@@ -110,6 +118,22 @@ def mesh_of(
     colors = surface_colors(vertices, vertex_normals(vertices, faces), views, voxel)
     mesh = SurfaceMesh(vertices=vertices, faces=faces, colors=colors)
     return Meshed(mesh=mesh, views=views, voxel=voxel, crumbs=crumbs)
+
+
+def resolution_for(cameras: Sequence[Camera] | None, lower: Tensor, upper: Tensor) -> int:
+    """Voxels along a box that photos can tell apart: two for every pixel, at most 200.
+
+    Args:
+        cameras: of the photos; None: not known.
+        lower: (3,) corner of the box, world units.
+        upper: (3,) the other corner.
+    """
+    middle = ((lower + upper) / 2).float()
+    widths = [width for one in cameras or () if (width := one.pixel_width(middle)) > 0]
+    if not widths:
+        return _FINEST
+    side = float((upper - lower).max())
+    return min(max(math.ceil(_VOXELS_PER_PIXEL * side / median(widths)), _COARSEST), _FINEST)
 
 
 def pictures_of(

@@ -10,7 +10,15 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from pcore.asset.content import Color, LightName, Motion, MovedPoints, RaysName, Sampling
+from pcore.asset.content import (
+    Color,
+    LightName,
+    Motion,
+    MovedPoints,
+    RaysName,
+    Sampling,
+    wanted_light,
+)
 from pcore.deform.pose import pose
 from pcore.errors import InputError
 from pcore.files.model_file import MODEL_FILE, load_model, networks, save_model
@@ -162,19 +170,13 @@ class NeuralPoints:
         save_model(folder / MODEL_FILE, state, self.cloud, config, provenance, self.surfels)
 
     def _relighting(self, rays: RaysName, light: LightName | None) -> Relighting | None:
-        if light == "baked" or (light is None and rays == "plain"):
-            return None
-        if light == "still" and self.read_light is None:
-            raise InputError(
-                f"light: expected a {LIGHT_FILE} in the folder of the run, found none; estimate it "
-                "with `pcore light RUN`, or let it be baked in (--light baked)"
-            )
-        if self.surfels is None and self.read_light is not None:
+        found = wanted_light(self.read_light, rays, light)
+        if self.surfels is None and found is not None:
             raise InputError(
                 f"light: expected the surface over the points in {MODEL_FILE}, which light falls "
                 "on, found none; estimate both with `pcore light RUN`"
             )
-        return self.light
+        return found
 
 
 def read_neural_points(path: Path, device: str) -> tuple[NeuralPoints, Provenance]:

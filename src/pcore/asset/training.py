@@ -1,39 +1,33 @@
-"""Make assets: train one on photos, fine-tune it, estimate its light; what the commands do."""
+"""Make assets: train one on photos, fine-tune it; what the commands do."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
-from pcore.asset.gaussian_training import (
-    gaussian_plan,
-    keep_light,
-    train_gaussians,
-    tune_gaussians,
-)
+from pcore.asset.job import Job, Result, gaussian_space
+from pcore.asset.lighting import lit
 from pcore.asset.run_options import RunOptions
-from pcore.asset.saving import asset_of, load, neural_points_of
-from pcore.data.scene import Scene, check_images
-from pcore.errors import InputError
+from pcore.asset.saving import neural_points_of
+from pcore.data.scene import Scene
 from pcore.files.records import to_dict
 from pcore.files.run_folder import RunFolder
 from pcore.files.run_record import RunRecord, of_scene, relative
-from pcore.relight.estimate import fit_light
-from pcore.relight.light_file import LIGHT_FILE, save_light
-from pcore.render.surfel_fit import Observed, observe
 from pcore.training import presets
 from pcore.training.config import FinetuneConfig, PresetName, PretrainConfig
 from pcore.training.events import Listener, silent
 from pcore.training.finetune import finetune as run_finetuning
 from pcore.training.gaussian_config import GaussianConfig, GaussianFinetuneConfig
-from pcore.training.in_folder import FolderPlan, disk_space, train_in_folder
+from pcore.training.gaussian_finetune import finetune_gaussians
+from pcore.training.gaussian_fit import fit_gaussians
+from pcore.training.in_folder import disk_space
 from pcore.training.locate import locate
 from pcore.training.presets import PretrainName
 from pcore.training.pretrain import pretrain
+from pcore.training.trainable_gaussians import TrainedGaussians
 from pcore.training.trained import Trained
 
 FinetuneSettings = FinetuneConfig | GaussianFinetuneConfig
@@ -69,44 +63,33 @@ def train(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     chosen = options or RunOptions()
+    path = None if folder is None else Path(folder)
     scene = scene if scene.region is not None else locate(scene).scene
     if settings == "gaussians":
         settings = presets.gaussian_preset("tiny")
     if isinstance(settings, GaussianConfig):
-        plan = gaussian_plan(
-            scene,
-            settings,
-            folder,
-            preset=chosen.preset,
-            resume=chosen.resume,
-            tensorboard=chosen.tensorboard,
-            note=chosen.note,
-        )
-        asset, learned = train_gaussians(
-            scene, settings, plan, listener, device, keep=folder is not None
-        )
-        # Whoever was killed after the last save and before the light was has none yet.
-        return _lit(asset, scene, chosen) if learned or asset.light is None else asset
+        job = _gaussian_training(scene, settings, path, device, chosen)
+        return _made(job, scene, listener, device, chosen)
     config = presets.preset(settings) if isinstance(settings, str) else settings
     name = settings if isinstance(settings, str) else presets.preset_of(config)
     limit = config.grow.limit if config.grow else config.points
-    record = RunRecord(
-        path=None if folder is None else Path(folder),
-        stage="pretrain",
-        config={
-            "preset": chosen.preset or name,
-            **of_scene(scene, None if folder is None else Path(folder)),
-            "pretrain": to_dict(config),
-        },
-    )
+    about = {
+        "preset": chosen.preset or name,
+        **of_scene(scene, path),
+        "pretrain": to_dict(config),
+    }
 
-    def run(out: RunFolder | None, tell: Listener) -> Trained:
+    def learn(out: RunFolder | None, tell: Listener) -> Trained:
         return pretrain(
             scene, config, folder=out, listener=tell, device=device, compiled=chosen.compiled
         )
 
-    needed = disk_space(config.model, max(limit, config.points))
-    return _made(scene, record, run, listener, device, needed, chosen)
+    job = Job(
+        record=RunRecord(path=path, stage="pretrain", config=about),
+        learn=learn,
+        needed=disk_space(config.model, max(limit, config.points)),
+    )
+    return _made(job, scene, listener, device, chosen)
 
 
 def finetune(
@@ -140,32 +123,34 @@ def finetune(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     chosen = options or RunOptions()
+    path = None if folder is None else Path(folder)
     known = settings if isinstance(settings, str) else None
     name, config = finetune_settings(asset, known)
     if settings is not None and not isinstance(settings, str):
         config = settings
-    path = None if folder is None else Path(folder)
     about = {
         **_base_of(asset, path),
         "preset": chosen.preset or name,
         **of_scene(scene, path),
+        "finetune": to_dict(config),
     }
     if isinstance(config, GaussianFinetuneConfig):
-        tuned, learned = tune_gaussians(
-            asset, scene, config, path, listener, device, about=about, options=chosen
-        )
-        return _lit(tuned, scene, chosen) if learned else tuned
+        job = _gaussian_tuning(asset, scene, config, path, device, about)
+        return _made(job, scene, listener, device, chosen)
     content = neural_points_of(asset, "finetune")
-    record = RunRecord(path=path, stage="finetune", config={**about, "finetune": to_dict(config)})
     base = Trained(papr=content.papr, cloud=content.cloud, step=asset.provenance.step)
 
-    def run(out: RunFolder | None, tell: Listener) -> Trained:
+    def learn(out: RunFolder | None, tell: Listener) -> Trained:
         return run_finetuning(
             scene, base, config, folder=out, listener=tell, device=device, compiled=chosen.compiled
         )
 
-    needed = disk_space(content.papr.config, len(content.cloud))
-    return _made(scene, record, run, listener, device, needed, chosen)
+    job = Job(
+        record=RunRecord(path=path, stage="finetune", config=about),
+        learn=learn,
+        needed=disk_space(content.papr.config, len(content.cloud)),
+    )
+    return _made(job, scene, listener, device, chosen)
 
 
 def finetune_settings(
@@ -191,60 +176,51 @@ def finetune_settings(
     )
 
 
-def estimate_light(
+def _gaussian_training(
+    scene: Scene, config: GaussianConfig, path: Path | None, device: str, options: RunOptions
+) -> Job[TrainedGaussians]:
+    about = {
+        "model": "gaussians",
+        "preset": options.preset,
+        **of_scene(scene, path),
+        "gaussians": to_dict(config),
+    }
+
+    def learn(out: RunFolder | None, tell: Listener) -> TrainedGaussians:
+        return fit_gaussians(scene, config, folder=out, listener=tell, device=device)
+
+    return Job(
+        record=RunRecord(path=path, stage="pretrain", config=about),
+        learn=learn,
+        needed=gaussian_space(max(config.points, config.density.limit), config.degree),
+    )
+
+
+def _gaussian_tuning(
     asset: Asset,
     scene: Scene,
-    *,
-    observed: Observed | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Asset:
-    """Estimate the light of an object's photos; written beside it where it has a folder.
+    config: GaussianFinetuneConfig,
+    path: Path | None,
+    device: str,
+    about: dict[str, Any],
+) -> Job[TrainedGaussians]:
+    content = asset.content
+    assert isinstance(content, GaussianContent), "the caller tells objects apart"
+    base = TrainedGaussians(
+        gaussians=content.gaussians,
+        footprint=content.footprint,
+        background=content.background,
+        step=asset.provenance.step,
+    )
 
-    Where nobody has estimated the surface over its points, as in an imported run, that is done as
-    well, and kept in the model file. The normals of Gaussians are estimated with it, every time.
+    def learn(out: RunFolder | None, tell: Listener) -> TrainedGaussians:
+        return finetune_gaussians(scene, base, config, folder=out, listener=tell, device=device)
 
-        asset = estimate_light(asset, asset.scene())
-
-    Args:
-        asset: the object; its device does the work.
-        scene: the one it was trained on; only training views are used.
-        observed: what the views say about the points, where that is known (`Trained.observed`).
-        progress: told (views seen, views in all).
-
-    Raises:
-        InputError: too few points have a normal that the views agree on.
-        SceneError: an image is damaged.
-        OSError: the file cannot be written.
-    """
-    views = scene.split("train")
-    check_images(views)
-    if isinstance(asset.content, GaussianContent):
-        return keep_light(asset, asset.content.with_light(views, progress=progress))
-    content = neural_points_of(asset, "light")
-    if observed is None:
-        observed = observe(content.papr, content.cloud, views, progress=progress)
-    if content.surfels is None:
-        content = replace(content, surfels=observed.surfels(content.cloud))
-        asset = replace(asset, content=content)
-        if asset.record.path is not None:
-            # Before the light, which may fail: too few points may have a normal for it.
-            content.save_model(asset.path, asset.provenance)
-    light = fit_light(observed, content.cloud.positions)
-    if asset.record.path is not None:
-        save_light(asset.path / LIGHT_FILE, light)
-    return replace(asset, content=replace(content, read_light=lambda: light))
-
-
-def _lit(
-    asset: Asset, scene: Scene, options: RunOptions, observed: Observed | None = None
-) -> Asset:
-    """Estimate the light where that is wished and possible; else the note says why it is not."""
-    if options.light:
-        try:
-            return estimate_light(asset, scene, observed=observed)
-        except (InputError, OSError) as error:
-            options.note(f"note: {error}")
-    return asset
+    return Job(
+        record=RunRecord(path=path, stage="finetune", config={"model": "gaussians", **about}),
+        learn=learn,
+        needed=gaussian_space(len(base.gaussians), base.gaussians.degree),
+    )
 
 
 def _base_of(asset: Asset, folder: Path | None) -> dict[str, str]:
@@ -256,47 +232,12 @@ def _base_of(asset: Asset, folder: Path | None) -> dict[str, str]:
 
 
 def _made(
-    scene: Scene,
-    record: RunRecord,
-    run: Callable[[RunFolder | None, Listener], Trained],
-    listener: Listener,
-    device: str,
-    needed: int,
-    options: RunOptions,
+    job: Job[Result], scene: Scene, listener: Listener, device: str, options: RunOptions
 ) -> Asset:
-    """Train as `record` says and hand over the asset; a finished run is left as it is."""
-    place = scene.name if scene.folder is None else scene.folder.resolve()
-    if record.path is None:
-        trained = run(None, listener)
-        asset = _in_memory(trained, scene, record, str(place))
-    else:
-        plan = FolderPlan(
-            path=record.path,
-            stage=record.stage,
-            scene=place,
-            config=record.config,
-            resume=options.resume,
-            tensorboard=options.tensorboard,
-            needed=needed,
-            note=options.note,
-        )
-        trained = train_in_folder(plan, run, listener)
-        asset = load(record.path, device=device)
-        if trained is None:
-            # Whoever was killed after the last save and before the light was has none yet.
-            return _lit(asset, scene, options) if asset.light is None else asset
-    return _lit(asset, scene, options, trained.observed)
-
-
-def _in_memory(trained: Trained, scene: Scene, record: RunRecord, place: str) -> Asset:
-    """The same asset as one that is read from a folder."""
-    asset = asset_of(
-        trained.papr,
-        trained.cloud,
-        scene=scene.name,
-        stage=record.stage,
-        step=trained.step,
-        surfels=trained.surfels,
-        skinning=trained.skinning,
-    )
-    return replace(asset, record=replace(record, scene=place))
+    """Train, and estimate the light; a finished run is left as it is."""
+    asset, learned = job.done(scene, listener, device, options)
+    if learned is None and asset.light is not None:
+        return asset
+    # Whoever was killed after the last save and before the light was has none yet.
+    observed = learned.observed if isinstance(learned, Trained) else None
+    return lit(asset, scene, options, observed)

@@ -1,6 +1,7 @@
 """The paint of a glTF file: base colours, textures, vertex colours, normals; metal and gloss not.
 
-Khronos, "glTF 2.0 Specification", 3.9 Materials; extension KHR_texture_transform.
+Khronos, "glTF 2.0 Specification", 3.9 Materials; extensions KHR_texture_transform and
+KHR_materials_pbrSpecularGlossiness.
 """
 
 from __future__ import annotations
@@ -46,8 +47,18 @@ class _Pbr(_Part):
     baseColorTexture: _TextureInfo | None = None  # noqa: N815
 
 
+class _SpecularGlossiness(_Part):
+    diffuseFactor: tuple[Number, Number, Number, Number] = (1.0, 1.0, 1.0, 1.0)  # noqa: N815
+    diffuseTexture: _TextureInfo | None = None  # noqa: N815
+
+
+class _MaterialExtensions(_Part):
+    KHR_materials_pbrSpecularGlossiness: _SpecularGlossiness | None = None
+
+
 class _Material(_Part):
     pbrMetallicRoughness: _Pbr = _Pbr()  # noqa: N815
+    extensions: _MaterialExtensions = _MaterialExtensions()
     alphaMode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"  # noqa: N815
     alphaCutoff: Number = 0.5  # noqa: N815
 
@@ -145,9 +156,13 @@ def _colors(glb: Glb, index: int | None, count: int) -> FloatArray:
 def _material(glb: Glb, paint: _Paint, material: _Material) -> Material:
     pbr = material.pbrMetallicRoughness
     cutoffs = {"OPAQUE": 0.0, "MASK": material.alphaCutoff, "BLEND": _BLEND_CUTOFF}
-    info = pbr.baseColorTexture
+    color, info = pbr.baseColorFactor, pbr.baseColorTexture
+    # Converters of older files give this in the place of base colours, or beside paler ones.
+    other = material.extensions.KHR_materials_pbrSpecularGlossiness
+    if other is not None:
+        color, info = other.diffuseFactor, other.diffuseTexture
     return Material(
-        color=pbr.baseColorFactor,
+        color=color,
         texture=None if info is None else _texture(glb, paint, info),
         cutoff=cutoffs[material.alphaMode],
     )

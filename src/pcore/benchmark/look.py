@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-_TRANSPARENT = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,8 +30,8 @@ class Texture:
     scale: tuple[float, float] = (1.0, 1.0)
     rotation: float = 0.0
 
-    def at(self, uv: FloatArray) -> FloatArray:
-        """Linear RGBA (M, 4) at texture coordinates (M, 2), bilinear."""
+    def moved(self, uv: FloatArray) -> FloatArray:
+        """Places in the picture (M, 2), v downwards, of texture coordinates (M, 2)."""
         cosine, sine = np.cos(self.rotation), np.sin(self.rotation)
         scaled = uv * self.scale
         # KHR_texture_transform turns counter-clockwise in a frame whose v points down.
@@ -43,7 +42,11 @@ class Texture:
             ],
             axis=1,
         )
-        place = turned + self.offset
+        return turned + self.offset
+
+    def at(self, uv: FloatArray) -> FloatArray:
+        """Linear RGBA (M, 4) at texture coordinates (M, 2), bilinear."""
+        place = self.moved(uv)
         height, width = self.pixels.shape[:2]
         x, y = place[:, 0] * width - 0.5, place[:, 1] * height - 0.5
         left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)

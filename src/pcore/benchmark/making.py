@@ -7,12 +7,9 @@ folder for each state, `deformation.json` in it, and all meshes in one vertex or
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from pcore.benchmark.blender_renderer import blender
 from pcore.benchmark.look import FloatArray
 from pcore.benchmark.model import Model
 from pcore.benchmark.model_states import BenchmarkPlan, State, canonical_shape, plan_states
-from pcore.benchmark.true_picture import Shape, take
+from pcore.benchmark.renderers import Job, Renderer, embedded
+from pcore.benchmark.true_picture import Shape
 from pcore.errors import InputError
 from pcore.sample.sample import write_json, write_views
 from pcore.sample.sample_render import camera_poses, sample_surface, seen_samples
@@ -49,7 +48,7 @@ def make_benchmark(
         What was left out, in sentences.
 
     Raises:
-        DependencyError: the extra `sample` (embreex) is not installed.
+        DependencyError: the extra `sample` (embreex) is not installed, or no Blender.
         EditError: an edit that does not fit or folds space.
         InputError: a clip that is not there or does not move, a shape without extent, no states.
         OSError: the folder cannot be written.
@@ -73,16 +72,6 @@ def make_benchmark(
     return tuple(notes)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Job:
-    """One picture: where it goes, of which shape, from where."""
-
-    path: Path
-    shape: Shape
-    pose: FloatArray
-    angle_x: float
-
-
 def _write(
     folder: Path,
     model: Model,
@@ -94,51 +83,49 @@ def _write(
     train = camera_poses(plan.train_views, radius=_RADIUS, highest=0.97, phase=0.0)
     test = camera_poses(plan.test_views, radius=_RADIUS, highest=0.93, phase=1.234)
     canonical = Shape.of(vertices, model.faces, model.look)
-    jobs: list[_Job] = []
+    renderer = _renderer(model, plan, canonical)
+    jobs: list[Job] = []
     for split, poses in (("train", train), ("test", test)):
         jobs += _views(folder, split, poses, ANGLE_X, canonical)
     for name, state in states.items():
         shape = Shape.of(state.vertices, model.faces, model.look)
         jobs += _views(folder / name, "test", test, state.angle_x, shape)
+        if plan.state_train_views:
+            learned = camera_poses(plan.state_train_views, radius=_RADIUS, highest=0.97, phase=0.0)
+            jobs += _views(folder / name, "train", learned, state.angle_x, shape)
         write_json(folder / name / "deformation.json", state.description)
-    _take_all(jobs, model, plan, canonical, progress)
+    _take_all(jobs, renderer, progress)
     _write_meshes(folder / "meshes.npz", model, plan, canonical, states, train)
 
 
-def _take_all(
-    jobs: Sequence[_Job],
-    model: Model,
-    plan: BenchmarkPlan,
-    canonical: Shape,
-    progress: Progress | None,
-) -> None:
-    def one(job: _Job) -> None:
-        lit = canonical if plan.light == "baked" else job.shape
-        shot = take(
-            job.shape,
-            model.look,
-            lit,
-            job.pose,
-            angle_x=job.angle_x,
-            resolution=plan.resolution,
-        )
-        Image.fromarray(shot.rgba).save(job.path)
-        geometry = job.path.parent.with_name(f"{job.path.parent.name}_geometry")
-        np.savez_compressed(geometry / f"{job.path.stem}.npz", depth=shot.depth, normal=shot.normal)
-
+def _take_all(jobs: Sequence[Job], renderer: Renderer, progress: Progress | None) -> None:
     for folder in dict.fromkeys(job.path.parent for job in jobs):
         folder.mkdir(parents=True, exist_ok=True)
         folder.with_name(f"{folder.name}_geometry").mkdir(exist_ok=True)
-    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-        for done, _ in enumerate(pool.map(one, jobs), start=1):
-            if progress is not None:
-                progress(done, len(jobs))
+    for done, (job, shot) in enumerate(zip(jobs, renderer(jobs), strict=True), start=1):
+        Image.fromarray(shot.rgba).save(job.path)
+        geometry = job.path.parent.with_name(f"{job.path.parent.name}_geometry")
+        np.savez_compressed(geometry / f"{job.path.stem}.npz", depth=shot.depth, normal=shot.normal)
+        if progress is not None:
+            progress(done, len(jobs))
 
 
-def _views(folder: Path, split: str, poses: FloatArray, angle_x: float, shape: Shape) -> list[_Job]:
+def _renderer(model: Model, plan: BenchmarkPlan, canonical: Shape) -> Renderer:
+    baked = plan.light == "baked"
+    if plan.renderer == "embedded":
+        return embedded(model.look, resolution=plan.resolution, lit=canonical if baked else None)
+    if baked:
+        raise InputError(
+            "--renderer blender: expected --light fixed, got baked, which only the embedded "
+            "renderer has; leave out one of them"
+        )
+    return blender(model.look, resolution=plan.resolution)
+
+
+def _views(folder: Path, split: str, poses: FloatArray, angle_x: float, shape: Shape) -> list[Job]:
     write_views(folder, split, poses, angle_x)
     return [
-        _Job(path=folder / split / f"r_{i}.png", shape=shape, pose=pose, angle_x=angle_x)
+        Job(path=folder / split / f"r_{i}.png", shape=shape, pose=pose, angle_x=angle_x)
         for i, pose in enumerate(poses)
     ]
 
@@ -180,6 +167,7 @@ def _write_manifest(
         "triangles": len(model.faces),
         "resolution": plan.resolution,
         "light": plan.light,
+        "renderer": plan.renderer,
         "normalisation": {
             "centre": frame[0].tolist(),
             "scale": frame[1],

@@ -19,10 +19,11 @@ from pcore.benchmark.look import (
     linear_rgba,
     smooth_patches,
 )
-from pcore.data.gltf import Glb, read_glb
+from pcore.data.gltf import Glb, read_glb, read_gltf
 from pcore.data.gltf_animation import Clip, at_time, read_clips
 from pcore.data.gltf_mesh import read_shape
 from pcore.data.meshes import read_mesh
+from pcore.data.point_ply import read_point_ply
 from pcore.errors import InputError
 
 Up = Literal["y", "z"]
@@ -73,18 +74,28 @@ def read_model(path: Path, *, up: Up | None = None) -> Model:
     """Read a model with its paint and clips.
 
     Args:
-        path: a .glb (textures, skins, morph targets, clips), .obj (with its .mtl) or .ply (colours
-            of vertices).
+        path: a .glb or .gltf (textures, skins, morph targets, clips), .obj (with its .mtl) or .ply
+            (colours of vertices).
         up: the axis that points up in the file; None: y, but z for .ply.
 
     Raises:
         InputError: missing, damaged, without triangles, NaN, or something that is not read.
     """
     shape = read_mesh(path)  # All that can be wrong with the shape is said there.
-    if path.suffix.lower() != ".glb":
-        return _static(path, up or ("z" if path.suffix.lower() == ".ply" else "y"))
+    suffix, content = path.suffix.lower(), path.read_bytes()
+    if suffix == ".ply":
+        faces, colors = shape.faces.numpy(), read_point_ply(content, str(path)).colors()[0]
+        return _static(
+            path, shape.vertices.numpy(), faces, _vertex_paint(colors, len(faces)), up or "z"
+        )
+    if suffix == ".obj":
+        return _obj(path, up or "y")
     axis = up or "y"
-    glb = read_glb(path.read_bytes(), str(path))
+    glb = (
+        read_glb(content, str(path))
+        if suffix == ".glb"
+        else read_gltf(content, str(path), path.parent)
+    )
     vertices = shape.vertices.numpy()
     return Model(
         name=path.stem,
@@ -103,15 +114,20 @@ def _z_up(vertices: FloatArray, up: Up) -> FloatArray:
     return np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
 
 
-def _static(path: Path, up: Up) -> Model:
-    """An OBJ or PLY through trimesh, which reads their paint."""
+def _obj(path: Path, up: Up) -> Model:
+    """An OBJ through trimesh, which reads its paint."""
     try:
         mesh: Any = trimesh.load(path, process=False, force="mesh", maintain_order=True)
     except Exception as error:
         raise InputError(f"{path}: expected a mesh with its paint, got: {error}") from None
     faces = np.asarray(mesh.faces, dtype=np.int64)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    look = _painted(mesh, len(faces))
+    return _static(path, vertices, faces, _painted(mesh, len(faces)), up)
+
+
+def _static(
+    path: Path, vertices: FloatArray, faces: NDArray[np.int64], look: Look, up: Up
+) -> Model:
     return Model(
         name=path.stem,
         vertices=_z_up(vertices, up),
@@ -119,6 +135,17 @@ def _static(path: Path, up: Up) -> Model:
         look=replace(look, smooth=smooth_patches(vertices, None)),
         up=up,
     )
+
+
+def _vertex_paint(colors: NDArray[np.uint8] | None, faces: int) -> Look:
+    """Bytes of sRGB (V, 3) or (V, 4) on the vertices; grey without."""
+    one = np.zeros(faces, dtype=np.int64)
+    if colors is None:
+        return Look(materials=(Material(),), material_of_face=one)
+    solid = np.full((len(colors), 1), 255, dtype=np.uint8)
+    rgba = np.hstack([colors[:, :3], colors[:, 3:] if colors.shape[1] > 3 else solid])
+    white = Material(color=(1.0, 1.0, 1.0, 1.0))
+    return Look(materials=(white,), material_of_face=one, colors=linear_rgba(rgba))
 
 
 def _painted(mesh: Any, faces: int) -> Look:
@@ -132,9 +159,7 @@ def _painted(mesh: Any, faces: int) -> Look:
         material = Material(color=(1.0, 1.0, 1.0, 1.0), texture=Texture(pixels=pixels))
         return Look(materials=(material,), material_of_face=one, uv=(uv,))
     if visual.kind == "vertex":
-        colors = linear_rgba(np.asarray(visual.vertex_colors, dtype=np.uint8))
-        white = Material(color=(1.0, 1.0, 1.0, 1.0))
-        return Look(materials=(white,), material_of_face=one, colors=colors)
+        return _vertex_paint(np.asarray(visual.vertex_colors, dtype=np.uint8), faces)
     plain = getattr(getattr(visual, "material", None), "main_color", None)
     if plain is not None:
         red, green, blue, alpha = linear_rgba(np.asarray(plain, dtype=np.uint8)[None])[0]

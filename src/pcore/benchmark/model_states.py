@@ -13,6 +13,7 @@ import torch
 
 from pcore.benchmark.look import FloatArray
 from pcore.benchmark.model import Model
+from pcore.benchmark.renderers import RendererName
 from pcore.editing.script import EditScript
 from pcore.errors import InputError
 from pcore.sample.sample_states import ANGLE_X, deformed_states, describe_state
@@ -33,7 +34,9 @@ class BenchmarkPlan:
         resolution: pixels along each side.
         train_views: canonical training views.
         test_views: test views, canonical and of every state.
+        state_train_views: training views of every state, for methods that learn it from photos.
         light: "fixed": it stands still while the object moves; "baked": it sticks to the surface.
+        renderer: who takes the pictures.
         analytic: make twist60, bend60, stretch and scale2x.
         edits: name -> edit file, each a state.
         clips: (clip, time) of states; a time of None is that which differs most.
@@ -45,7 +48,9 @@ class BenchmarkPlan:
     resolution: int = 200
     train_views: int = 100
     test_views: int = 20
+    state_train_views: int = 0
     light: Light = "fixed"
+    renderer: RendererName = "embedded"
     analytic: bool = True
     edits: tuple[tuple[str, EditScript], ...] = ()
     clips: tuple[tuple[str, float | None], ...] = ()

@@ -21,9 +21,9 @@ _LAYERS = 8
 """Cut-out surfaces that a ray passes at most."""
 _OFF = 2e-4
 """How far over the surface shadow rays begin, in units of an object of radius 1."""
-_SKY, _GROUND = 0.42, 0.18
+SKY, GROUND = 0.42, 0.18
 """Brightness from straight above and from below."""
-_LAMPS = (
+LAMPS = (
     ((0.5, -0.6, 0.75), 0.5, 0.10),
     ((-0.8, 0.1, 0.35), 0.15, 0.18),
 )
@@ -92,13 +92,13 @@ def take(
     fine = resolution * _SUBSAMPLES
     ray, directions = _rays(shape, pose, angle_x, fine)
     hit, face, weights, paint = _cast(shape, look, pose[:3, 3], directions)
-    light = _light(lit, face, weights, facing=_facing(shape, face, directions[hit]))
+    light = light_on(lit, face, weights, facing=_facing(shape, face, directions[hit]))
     color = display(paint[:, :3] * light[:, None])
     pixel = (ray[hit] // fine // _SUBSAMPLES) * resolution + (ray[hit] % fine) // _SUBSAMPLES
     count = np.bincount(pixel, minlength=resolution**2)
     total = [np.bincount(pixel, color[:, k], minlength=resolution**2) for k in range(3)]
     rgba = np.stack([*(one / count.clip(1) for one in total), count / _SUBSAMPLES**2], axis=1)
-    depth, normal = _geometry(shape, look, pose, angle_x, resolution)
+    depth, normal = geometry_of(shape, look, pose, angle_x, resolution)
     return Shot(
         rgba=np.rint(255.0 * rgba).astype(np.uint8).reshape(resolution, resolution, 4),
         depth=depth,
@@ -168,16 +168,16 @@ def _facing(shape: Shape, face: NDArray[np.int64], directions: FloatArray) -> Fl
     return np.where(np.einsum("mc,mc->m", shape.normals[face], directions) > 0, -1.0, 1.0)
 
 
-def _light(
+def light_on(
     lit: Shape, face: NDArray[np.int64], weights: FloatArray, *, facing: FloatArray
 ) -> FloatArray:
     """Brightness (M,) of the side of the surface that is seen."""
     normal = lit.normals_at(face, weights) * facing[:, None]
     # Over the face itself: a shading normal may lean so far that the face would shade itself.
     place = _places(lit, face, weights) + _OFF * lit.normals[face] * facing[:, None]
-    brightness = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + normal[:, 2])
+    brightness = GROUND + (SKY - GROUND) * 0.5 * (1.0 + normal[:, 2])
     random = np.random.default_rng(0)
-    for direction, strength, radius in _LAMPS:
+    for direction, strength, radius in LAMPS:
         towards = np.array(direction) / np.linalg.norm(direction)
         # Every ray asks for another place of the lamp: the mean of a pixel's rays is a soft shadow.
         spread = random.normal(size=(len(face), 3)) * radius
@@ -190,9 +190,10 @@ def _light(
     return brightness
 
 
-def _geometry(
+def geometry_of(
     shape: Shape, look: Look, pose: FloatArray, angle_x: float, resolution: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Depth (H, W) and normals (H, W, 3) of a `Shot`; arguments are those of `take`."""
     ray, directions = _rays(shape, pose, angle_x, resolution)
     hit, face, weights, _ = _cast(shape, look, pose[:3, 3], directions)
     depth = np.full(resolution**2, np.inf, dtype=np.float32)

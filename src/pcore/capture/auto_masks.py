@@ -115,20 +115,9 @@ def find_masks(
             done += 1
             if progress is not None:
                 progress(done, total)
-        voters, votes = masks[: len(small)], (_JUDGED,) if last else (_LOOSE, _SURE)
-        seeds, *more = hull_silhouettes(
-            [one.camera for one in small],
-            voters,
-            region,
-            votes=votes,
-            into=[one.camera for one in everyone],
-        )
-        cores = more[0] if more else None
-        if not any(one.any() for one in seeds):
-            raise InputError(
-                "automatic masks: the cuts of the photos have no common object inside of the "
-                "region; give a tighter --box, or masks of your own (--masks FOLDER)"
-            )
+        voters = [(one.camera, mask) for one, mask in zip(small, masks, strict=False)]
+        votes = (_JUDGED,) if last else (_LOOSE, _SURE)
+        seeds, cores = _voted(voters, region, votes, [one.camera for one in everyone])
     sized = (
         _resized(mask, one.camera) for mask, one in zip(masks, [*photos, *judged], strict=True)
     )
@@ -136,6 +125,27 @@ def find_masks(
         masks=tuple(sized),
         agreement=tuple(overlap(a, b) for a, b in zip(masks, seeds, strict=True)),
     )
+
+
+def _voted(
+    voters: Sequence[tuple[Camera, Bits]],
+    region: Region,
+    votes: Sequence[float],
+    into: Sequence[Camera],
+) -> tuple[list[Bits], list[Bits] | None]:
+    """Silhouettes of the hull that masks vote for: its outline, and its core where that is asked.
+
+    Raises:
+        InputError: the masks have nothing in common.
+    """
+    cameras, masks = [camera for camera, _ in voters], [mask for _, mask in voters]
+    seeds, *more = hull_silhouettes(cameras, masks, region, votes=votes, into=into)
+    if not any(one.any() for one in seeds):
+        raise InputError(
+            "automatic masks: the cuts of the photos have no common object inside of the region; "
+            "give a tighter --box, or masks of your own (--masks FOLDER)"
+        )
+    return seeds, more[0] if more else None
 
 
 def doubtful(agreement: Sequence[float]) -> tuple[int, ...]:

@@ -64,31 +64,36 @@ def write_corrected(
     names: dict[str, list[str]] = {split: [] for split in scene.splits}
     taken: set[str] = set()
     for number, (split, view) in enumerate(chosen):
-        rgba = view.rgba()
-        if masks is not None:
-            mask = masks[view.name][None, None]
-            size = (view.camera.height, view.camera.width)
-            rgba[..., 3] *= F.interpolate(mask, size, mode="bilinear", align_corners=False)[0, 0]
-        masked = masks is not None or view.has_alpha
         name = f"images/{view.name if view.name not in taken else f'{split}_{view.name}'}.png"
         taken.add(view.name)
-        left, top, right, bottom = _part(view, rgba, masked=masked)
-        kept = rgba[top:bottom, left:right]
-        write_photo(folder / name, kept, opaque=not masked)
-        frames.append(_frame(view.camera, (left, top, right, bottom), name))
+        mask = None if masks is None else masks[view.name]
+        frames.append(_write_view(folder, name, view, mask))
         names[split].append(name)
         if progress is not None:
             progress(number + 1, len(chosen))
-    region = scene.region
     content: dict[str, Any] = {
         "camera_model": "PINHOLE",
         "frames": frames,
         **{f"{split}_filenames": files for split, files in names.items() if files},
     }
+    region = scene.region
     if region is not None:
         content[REGION_KEY] = {"center": region.center.tolist(), "radius": region.radius}
     replace_file(folder / "transforms.json", json.dumps(content, indent=1).encode())
     return len(chosen)
+
+
+def _write_view(folder: Path, name: str, view: View, mask: Tensor | None) -> dict[str, Any]:
+    """Write the picture of a view, cut to the object; its frame of the transforms file."""
+    rgba = view.rgba()
+    if mask is not None:
+        size = (view.camera.height, view.camera.width)
+        wide = F.interpolate(mask[None, None], size, mode="bilinear", align_corners=False)
+        rgba[..., 3] *= wide[0, 0]
+    masked = mask is not None or view.has_alpha
+    left, top, right, bottom = _part(view, rgba, masked=masked)
+    write_photo(folder / name, rgba[top:bottom, left:right], opaque=not masked)
+    return _frame(view.camera, (left, top, right, bottom), name)
 
 
 def check_outside(scene: Scene, folder: Path) -> None:

@@ -10,16 +10,15 @@ from pcore.capture.assemble import scene_of
 from pcore.capture.layouts import PHOTOS, RENDERED, VIDEO, layout_of, read_layout
 from pcore.capture.mask_folder import scene_with_masks
 from pcore.capture.photo_folders import with_masks
+from pcore.capture.state_folders import files_of, is_pair, state_files
 from pcore.capture.structure import Tell, with_poses
-from pcore.data.blender import load_splits, transforms_path
+from pcore.data.blender import load_splits
 from pcore.data.images import DEFAULT_MEMORY_BUDGET, ImageCache
 from pcore.data.scene import Scene
 from pcore.data.transforms import read_transforms
 from pcore.errors import InputError, SceneError
 from pcore.geometry.camera import Camera
 from pcore.validation import check_count
-
-START, END = "start", "end"
 
 
 def load_scene(
@@ -33,11 +32,12 @@ def load_scene(
     """Load a scene or capture of any layout that pcore knows; the layout is found by itself.
 
     Rendered scenes: NeRF-Synthetic (`transforms_train.json`; sub-folders with a
-    `transforms_test.json` are deformed states) and PAPR in Motion (folders `start` and `end`, each
-    NeRF-Synthetic). Captures: COLMAP, `transforms.json` of nerfstudio and instant-ngp, IDR and
-    NeuS, LLFF, NSVF, `cameras.json` of 3D Gaussian splatting; photos of bent lenses are
-    straightened. Photos alone and videos get their poses from COLMAP (extra `colmap`), once; they
-    are kept in the user's cache. Nothing is ever written into the folder.
+    `transforms_test.json` are deformed states, and so are time stamps: `capture.state_folders`)
+    and PAPR in Motion (folders `start` and `end`, each NeRF-Synthetic). Captures: COLMAP,
+    `transforms.json` of nerfstudio and instant-ngp, IDR and NeuS, LLFF, NSVF, `cameras.json` of 3D
+    Gaussian splatting; photos of bent lenses are straightened. Photos alone and videos get their
+    poses from COLMAP (extra `colmap`), once; they are kept in the user's cache. Nothing is ever
+    written into the folder.
 
     Args:
         path: the scene's folder; of one with several layouts, the file or model that is meant.
@@ -62,11 +62,11 @@ def load_scene(
 def _open(path: str | Path, factor: int, cache: ImageCache, bare: bool, tell: Tell) -> Scene:
     given = _path(path)
     check_count("down-scaling factor", factor)
-    if given.is_dir() and _is_pair(given):
-        return _rendered(given, given / START, factor, cache)
+    if given.is_dir() and is_pair(given):
+        return _rendered(given, factor, cache)
     layout = layout_of(given)
     if layout.name == RENDERED:
-        return _rendered(layout.root, layout.root, factor, cache)
+        return _rendered(layout.root, factor, cache)
     if layout.name in (PHOTOS, VIDEO):
         layout = with_poses(layout, tell)
     capture = read_layout(layout, factor)
@@ -84,13 +84,13 @@ def _silent(line: str) -> None:
     del line
 
 
-def _rendered(folder: Path, root: Path, factor: int, cache: ImageCache) -> Scene:
-    views = load_splits(root, factor=factor, cache=cache)
+def _rendered(folder: Path, factor: int, cache: ImageCache) -> Scene:
+    files = files_of(folder)
     scene = Scene(
         name=folder.name,
-        root=root,
-        views=views,
-        states=find_states(folder),
+        root=files.root,
+        views=load_splits(files.splits, factor=factor, cache=cache, note=files.note),
+        states=tuple(files.states),
         folder=folder,
         factor=factor,
     )
@@ -99,17 +99,8 @@ def _rendered(folder: Path, root: Path, factor: int, cache: ImageCache) -> Scene
 
 
 def find_states(path: str | Path) -> tuple[str, ...]:
-    """Names of the deformed states in a scene's folder, sorted."""
-    folder = _folder(path)
-    if _is_pair(folder):
-        return (END,)
-    return tuple(
-        sorted(
-            child.name
-            for child in folder.iterdir()
-            if child.is_dir() and transforms_path(child, "test").is_file()
-        )
-    )
+    """Names of the deformed states in a scene's folder: sub-folders by name, then times."""
+    return tuple(state_files(_folder(path)))
 
 
 def load_state(
@@ -128,13 +119,13 @@ def load_state(
         memory_budget: as for `load_scene`.
     """
     folder = _folder(path)
-    states = find_states(folder)
+    states = state_files(folder)
     if name not in states:
         raise SceneError(
             f"scene {folder}: no state {name!r}; it has {', '.join(states) or 'no states'}"
         )
     check_count("down-scaling factor", factor)
-    views = load_splits(folder / name, factor=factor, cache=ImageCache(memory_budget))
+    views = load_splits(states[name], factor=factor, cache=ImageCache(memory_budget))
     state = Scene(name=f"{folder.name}/{name}", root=folder / name, views=views)
     state.split("test" if "test" in state.splits else "train")  # Read now: what a state is for.
     return state
@@ -193,7 +184,3 @@ def _path(path: str | Path) -> Path:
 def _folder(path: str | Path) -> Path:
     given = _path(path)
     return given if given.is_dir() else given.parent
-
-
-def _is_pair(folder: Path) -> bool:
-    return all(transforms_path(folder / side, "train").is_file() for side in (START, END))

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pcore.evaluation.ablation import AblationFigure, Variant
     from pcore.evaluation.asset_method import AssetMethod
     from pcore.evaluation.states import SceneStates
+    from pcore.files.run_record import RunRecord
 
 FIGURE_FILE = "ablation.png"
 
@@ -78,14 +79,11 @@ def ablate(command: AblateCommand, console: Console) -> None:
         WeightsError: the preset asks for LPIPS and its weights are missing.
     """
     from pcore.asset.saving import load
-    from pcore.cli.diagnosing import note
     from pcore.cli.losses import check_weights
     from pcore.cli.output import results_folder
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.data.scene import check_images
     from pcore.errors import InputError
     from pcore.evaluation.ablation import AblationFigure, variants_for
-    from pcore.evaluation.states import open_states
     from pcore.training.config import FinetuneConfig
 
     prepare_torch(command.threads)
@@ -97,6 +95,33 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"{asset.path} is fine-tuned already: expected a pre-trained run, whose variants are "
             f"compared with it; ablate the run that it was tuned from, {record.base}"
         )
+    places, first = _places(command, console, record)
+    output = command.output or command.run_folder / "ablation"
+    full = _full_config(asset, command)
+    if isinstance(full, FinetuneConfig):
+        check_weights(full.lpips_weight, full.lpips_trunk)
+    results_folder(output, about=asset.path)
+    variants = variants_for(full)
+    for variant in variants:
+        path, config = output / variant.folder, variant.config(full)
+        _train(console, (asset, places), path, config, device)
+    methods = _methods(asset, output, places, variants, device)
+    figure = AblationFigure(first, command.view)
+    _score(command, console, (asset, places), methods, figure)
+
+
+def _places(command: AblateCommand, console: Console, record: RunRecord) -> tuple[SceneStates, str]:
+    """The scene with its states, and the name of the first deformed one.
+
+    Raises:
+        SceneError: the scene cannot be read or scored.
+        InputError: an unknown state or view.
+    """
+    from pcore.cli.diagnosing import note
+    from pcore.data.scene import check_images
+    from pcore.errors import InputError
+    from pcore.evaluation.states import open_states
+
     factor = record.factor if command.factor is None else command.factor
     masks = record.masks if command.scene is None else None
     places = open_states(record.scene_or(command.scene), factor=factor, masks=masks)
@@ -110,18 +135,7 @@ def ablate(command: AblateCommand, console: Console) -> None:
             f"--view: expected a number from 0 to {len(states[1].shots) - 1}, the test views of "
             f"{states[1].name}, got {command.view}"
         )
-    output = command.output or command.run_folder / "ablation"
-    full = _full_config(asset, command)
-    if isinstance(full, FinetuneConfig):
-        check_weights(full.lpips_weight, full.lpips_trunk)
-    results_folder(output, about=asset.path)
-    variants = variants_for(full)
-    for variant in variants:
-        path, config = output / variant.folder, variant.config(full)
-        _train(console, (asset, places), path, config, device)
-    methods = _methods(asset, output, places, variants, device)
-    figure = AblationFigure(states[1].name, command.view)
-    _score(command, console, (asset, places), methods, figure)
+    return places, states[1].name
 
 
 def _full_config(asset: Asset, command: AblateCommand) -> FinetuneSettings:

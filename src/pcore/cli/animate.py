@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from tyro.conf import Positional, arg
 from pcore.cli.light import LightChoice
 from pcore.cli.options import Count, Folder, Number, Samples, check_given_samples, optional
 from pcore.cli.runtime import DeviceName
+from pcore.cli.torchrun import is_first
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from pcore.editing.animation import Animation
     from pcore.geometry.camera import Camera
     from pcore.render.image import Image
+    from pcore.training.ranks import Ranks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,13 +97,14 @@ class AnimateCommand:
 
     def run(self) -> None:
         """Do it; raises PcoreError subclasses for what the user can mend."""
-        animate(self, Console())
+        animate(self, Console(quiet=not is_first()))
 
 
 def animate(command: AnimateCommand, console: Console) -> None:
     """Move the points through all frames, film them, write them.
 
-    Every frame is bound before the first is rendered, so that a bad one costs no waiting.
+    Every frame is bound before the first is rendered, so that a bad one costs no waiting. The
+    processes that torchrun started take turns at the frames; the first of them writes.
 
     Raises:
         CheckpointError: no model there, or it is damaged.
@@ -108,31 +112,50 @@ def animate(command: AnimateCommand, console: Console) -> None:
         InputError: contradicting options, or an output folder in use.
         DependencyError: a video is asked for and its package is missing.
     """
-    from pcore.asset.saving import load
-    from pcore.cli.output import pictures_folder
     from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.torchrun import joined_ranks
     from pcore.data.video import require_video
-    from pcore.editing.animation import load_animation
 
     _check(command)
     if command.output is not None:
         require_video()
     prepare_torch(command.threads)
     device = pick_device(command.device)
+    with joined_ranks(device, learns=False) as ranks:
+        _animate(command, device, ranks, console)
+
+
+def _animate(command: AnimateCommand, device: str, ranks: Ranks, console: Console) -> None:
+    import torch
+
+    from pcore.asset.saving import load
+    from pcore.cli.output import pictures_folder
+    from pcore.editing.animation import load_animation
+
     asset = load(command.run_or_file, device=device)
     moved = _frames(load_animation(command.edit), asset, command, console)
-    if command.points is not None:
+    if command.points is not None and ranks.rank == 0:
         pictures_folder(command.points, overwrite=command.overwrite)
         _write_points(command.points, moved, command.points_format)
         console.print(Text(f"{len(moved)} files of points in {command.points}"), soft_wrap=True)
     if command.output is None and command.frames_dir is None:
         return
-    if command.frames_dir is not None:
+    if command.frames_dir is not None and ranks.rank == 0:
         pictures_folder(command.frames_dir, overwrite=command.overwrite)
     cameras = _cameras(command, asset, moved, console)
     # Over black, colours and opacity are kept apart.
     shown = asset if command.frames_dir is None else asset.over((0.0, 0.0, 0.0))
-    film = shown.film(moved, cameras, samples=command.samples)
+    everywhere = torch.cat([one.points for one in moved])
+    ranks.agree({"posed points": everywhere, "cameras": cameras})
+    detail = shown.film_detail(moved, cameras)
+
+    def frame(n: int) -> Image:
+        return shown.render(moved[n], cameras[n], samples=command.samples, detail=detail).cpu()
+
+    film = ranks.in_turn(len(moved), frame)
+    if ranks.rank > 0:
+        deque(film, maxlen=0)
+        return
     _film(command, film, asset.provenance.background, len(moved), console)
     for place in (command.output, command.frames_dir):
         if place is not None:
@@ -160,7 +183,7 @@ def _frames(
     animation: Animation, asset: Asset, command: AnimateCommand, console: Console
 ) -> list[Posed]:
     """The object in every frame; equal times are computed once."""
-    from pcore.cli.diagnosing import note
+    from pcore.cli.diagnosing import note_edit
     from pcore.cli.results import counting
 
     known: dict[float, Posed] = {}
@@ -172,7 +195,8 @@ def _frames(
                     animation, time=time, rays=command.rays, light=command.light
                 )
             tell(number, len(times))
-    note(console, [line for posed in known.values() for line in posed.notes])
+    found = [line for posed in known.values() for line in posed.notes]
+    note_edit(console, found, command.run_or_file, command.edit)
     return [known[time] for time in times]
 
 

@@ -22,7 +22,8 @@ class BenchmarkMakeCommand:
     """Make a scene with true deformed states of a model, for train, eval and compare."""
 
     models: Annotated[Positional[tuple[Path, ...]], arg(metavar="MODEL")]
-    """.glb with textures, skins, morph targets and clips; .obj with its .mtl; .ply with colours."""
+    """.glb or .gltf with textures, skins, morph targets and clips; .obj with its .mtl; .ply with
+    colours."""
 
     output: Annotated[Path, arg(aliases=["-o"], metavar="FOLDER")]
     """Folder to make; with several models, each gets one of its name in it."""
@@ -36,8 +37,19 @@ class BenchmarkMakeCommand:
     test_views: Annotated[int, arg(metavar="N")] = 20
     """Test views, canonical and of every state."""
 
+    state_train_views: Annotated[int, arg(metavar="N")] = 0
+    """Training views of every state, from which PAPR-in-Motion learns (`pcore compare`)."""
+
     light: Literal["fixed", "baked"] = "fixed"
     """fixed: light stands still while the object moves; baked: it sticks to the surface."""
+
+    recipe: Annotated[Path | None, optional("FILE")] = None
+    """YAML file of models by name, each with its file and options as here, in the place of MODEL;
+    see the guide "Benchmarks of your own"."""
+
+    renderer: Literal["embedded", "blender"] = "embedded"
+    """embedded: ray casting, on any machine; blender: Cycles, with light between surfaces (the
+    extra `blender`, or a Python that has `bpy` in PCORE_BPY)."""
 
     edits: Annotated[tuple[Path, ...], arg(metavar="FILE")] = ()
     """Edit files, each a state of the file's name; they see an object of radius 1, z up."""
@@ -57,14 +69,23 @@ class BenchmarkMakeCommand:
 
     def run(self) -> None:
         """Do it; raises PcoreError subclasses for what the user can mend."""
+        if self.recipe is not None:
+            from pcore.cli.benchmark_recipe import commands_of
+
+            for one in commands_of(self):
+                one.run()
+            return
+        from pcore.benchmark.blender_renderer import blender_python
         from pcore.benchmark.making import make_benchmark
         from pcore.benchmark.model import read_model
         from pcore.cli.results import counting
         from pcore.sample.sample_render import ray_caster_class
 
         ray_caster_class()
+        if self.renderer == "blender":
+            blender_python()
         plan, console = self._plan(), Console()
-        folders = self._folders()
+        folders = self.folders()
         for path, folder in zip(self.models, folders, strict=True):
             model = read_model(path, up=self.up)
             with counting(console, "pictures") as tell:
@@ -74,10 +95,10 @@ class BenchmarkMakeCommand:
             lines.append(f"next: pcore train {folder} -o RUN && pcore eval RUN")
             print_lines(console, lines)
 
-    def _folders(self) -> list[Path]:
+    def folders(self) -> list[Path]:
         """Where each model goes; InputError before any work when a place is taken."""
         if not self.models:
-            raise InputError("benchmark make: expected at least one model, got none")
+            raise InputError("benchmark make: expected at least one model or --recipe, got none")
         names = [path.stem for path in self.models]
         if len(set(names)) < len(names):
             raise InputError(
@@ -105,7 +126,9 @@ class BenchmarkMakeCommand:
             resolution=check_count("--size", self.size, minimum=8),
             train_views=check_count("--train-views", self.train_views, minimum=2),
             test_views=check_count("--test-views", self.test_views),
+            state_train_views=check_count("--state-train-views", self.state_train_views, minimum=0),
             light=self.light,
+            renderer=self.renderer,
             analytic=not self.no_analytic,
             edits=tuple((path.stem, script_of(path)) for path in self.edits),
             clips=tuple(_clip(one) for one in self.clips),

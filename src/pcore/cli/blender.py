@@ -67,10 +67,10 @@ def export_bundle(command: BlenderExportCommand, console: Console) -> None:
     """
     from pcore.asset.blender_bundle import save_bundle
     from pcore.asset.saving import load
-    from pcore.cli.output import pictures_folder
+    from pcore.cli.output import export_folder
     from pcore.cli.results import counting
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.render.fusion import require_marching_cubes
+    from pcore.render.distance_grid import require_marching_cubes
 
     for name, value in (("--fps", command.fps), ("--resolution", command.resolution - 7)):
         if value < 1:
@@ -80,13 +80,7 @@ def export_bundle(command: BlenderExportCommand, console: Console) -> None:
     prepare_torch(command.threads)
     asset = load(command.run_folder, device=pick_device(command.device))
     views, photos = _views(command, asset)
-    try:
-        pictures_folder(command.output, overwrite=command.overwrite)
-    except OSError as error:
-        raise InputError(
-            f"{command.output}: cannot make the folder ({error.strerror}); expected a place that "
-            "can be written to"
-        ) from error
+    export_folder(command.output, overwrite=command.overwrite)
     with counting(console, "pictures") as tell:
         save_bundle(
             command.output,

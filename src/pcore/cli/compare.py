@@ -25,27 +25,31 @@ if TYPE_CHECKING:
 class CompareCommand:
     """Compare methods on one object: same field, same photos, same evaluation.
 
-    Trains what has to be trained, moves everything by the same field, scores all pictures alike.
-    The same command goes on where an interrupted one stopped; a method that fails is a row that
-    says why.
+    Give the runs that you have; `pcore compare RUN` trains all rivals on their scene (two trainings
+    of --seconds each and more: `--methods papr aware` trains none), draws every state with every
+    method, and writes tables. The same command goes on where an interrupted one stopped; a method
+    that fails is a row that says why.
     """
 
     runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN", help_behavior_hint="")] = ()
-    """Folders of trained runs of one scene: PAPR, P-CORE, Gaussians."""
+    """Folders of trained runs of one scene: PAPR, P-CORE, Gaussians. The first says which scene,
+    which size of images, and where results go."""
 
     scene: Folder = None
     """Folder of the scene; default: the one that the first run was trained on."""
 
     methods: Annotated[tuple[str, ...], arg(metavar="NAME [NAME ...]")] = ("all",)
-    """papr, aware, light (of the runs); 3dgs-fixed, 3dgs-rotation, 3dgs-affine, 3dgs-light, sc-gs
-    (rules on Gaussians); mani-gs (on a mesh); voxels (in a cage); motion (states with training
-    photos); or all."""
+    """What to compare; all, none (with --pictures), or some of these. Given runs of points: papr
+    (plain rays), aware (rays that know of the deformation), light (the light stands still too).
+    Rules on Gaussians, given ones and ones that are trained now: 3dgs-fixed, 3dgs-rotation,
+    3dgs-affine, 3dgs-light, sc-gs. Trained now: mani-gs (Gaussians on a mesh), voxels (a field in a
+    cage), motion (PAPR in Motion, for states that have training photos)."""
 
     settings: Annotated[
         tuple[Literal["primitives", "time"], ...], arg(metavar="NAME [NAME ...]")
     ] = ("primitives", "time")
-    """How rivals are trained: with as many primitives as the first PAPR run has points, and for as
-    long as --seconds says."""
+    """How rivals are trained, one row for each: primitives, with as many as the first given run of
+    points has (6,000 without one); time, for as long as --seconds says."""
 
     seconds: Annotated[float, arg(metavar="S")] = 120.0
     """Processor seconds of every training with equal time."""
@@ -61,7 +65,7 @@ class CompareCommand:
     """States besides the canonical one: names, `all`, or `scale:S`."""
 
     every: Annotated[int, arg(metavar="N")] = 1
-    """Score every so-manieth test view."""
+    """Score every N-th test view only: faster, and enough for a first look."""
 
     pictures: Annotated[
         tuple[str, ...], arg(metavar="NAME=DIR [NAME=DIR ...]", help_behavior_hint="")

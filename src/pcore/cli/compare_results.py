@@ -62,9 +62,10 @@ def finish(
         COMPARE_FILE,
         contest_csv,
         contest_record,
+        images_csv,
         lines_of,
     )
-    from pcore.evaluation.tables import write_json
+    from pcore.evaluation.tables import IMAGES_FILE, write_json
     from pcore.files.atomic import write_atomically
 
     lines = lines_of(outcomes, "standard")
@@ -73,6 +74,7 @@ def finish(
     record = contest_record(lines, about=about, notes=said)
     write_json(output / COMPARE_FILE, {**record, "status": "finished"})
     write_atomically(output / CSV_FILE, contest_csv(lines))
+    write_atomically(output / IMAGES_FILE, images_csv(outcomes))
     text = _tables(console, lines, states)
     text += "".join(f"- {line}\n" for line in said)
     write_atomically(output / TABLES_FILE, text.encode())

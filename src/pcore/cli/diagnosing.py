@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.text import Text
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from torch import Tensor
 
     from pcore.editing.diagnosis import Diagnosis
@@ -19,6 +21,15 @@ def note(console: Console, notes: Iterable[str]) -> None:
     """Print what is odd about edits and was not refused, each sentence once."""
     for line in dict.fromkeys(notes):
         console.print(Text(f"warning: {line}", "yellow"), soft_wrap=True)
+
+
+def note_edit(console: Console, notes: Iterable[str], run: Path, edit: Path | None) -> None:
+    """Print what is odd about an edit, and how to see where."""
+    found = [*notes]
+    note(console, found)
+    if found and edit is not None:
+        apply = f"pcore edit apply {run} --edit {edit} -o moved.ply --picture health.png"
+        console.print(Text(f"a picture of what goes wrong: {apply}"), soft_wrap=True)
 
 
 def report(

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -51,6 +50,8 @@ def draw(
 ) -> list[Path]:
     """Render views of an object and write them into the folder `output`.
 
+    Processes that work together take turns; the first of them has all the files.
+
     Args:
         take: makes the picture of a camera and tells `progress`, as `Asset.render` does.
         points: (N, 3) of what is rendered, world units; their extent sets the shades of depth.
@@ -67,6 +68,7 @@ def draw(
         KeyboardInterrupt: Ctrl-C; its message says what is complete.
     """
     from pcore.data.pictures import depth_range
+    from pcore.training.ranks import current_ranks
 
     shades = depth_range(points, [camera for _, camera in views])
     files: list[Path] = []
@@ -75,8 +77,12 @@ def draw(
         with ExitStack() as stack:
             films = _Films(output, stack)
             tell = stack.enter_context(_bar(console, len(views)))
-            for index, (name, camera) in enumerate(views):
-                picture = take(camera, progress=partial(_told, tell, index)).cpu()
+
+            def picture_of(index: int) -> Image:
+                return take(views[index][1], progress=partial(_told, tell, index)).cpu()
+
+            pictures = current_ranks().in_turn(len(views), picture_of)
+            for (name, camera), picture in zip(views, pictures, strict=False):
                 if not bool((picture.alpha > _FAINT).any()):
                     empty.append(name)
                 layers = _layers(picture, camera, wanted, shades)
@@ -117,14 +123,16 @@ def _layers(
 ) -> dict[str, Tensor]:
     """Colours (H, W, 3) by the ending of their file's name."""
     from pcore.data.pictures import depth_picture, normal_picture
-    from pcore.render.image import normals
+    from pcore.render.image import whole_normals
 
     layers = {"": picture.rgb}
     if wanted.depth:
         near, far = shades
         layers["_depth"] = depth_picture(picture.depth, picture.alpha, near=near, far=far)
     if wanted.normals:
-        layers["_normals"] = normal_picture(normals(picture, camera), camera.world_from_camera)
+        layers["_normals"] = normal_picture(
+            whole_normals(picture, camera), camera.world_from_camera
+        )
     return layers
 
 
@@ -137,7 +145,7 @@ def _write(
     wanted: Wanted,
 ) -> list[Path]:
     from pcore.data.pictures import write_png, write_raw
-    from pcore.render.image import normals
+    from pcore.render.image import whole_normals
 
     files: list[Path] = []
     if wanted.png:
@@ -152,7 +160,7 @@ def _write(
             "surface": picture.surface,
         }
         if wanted.normals:
-            arrays["normals"] = normals(picture, camera)
+            arrays["normals"] = whole_normals(picture, camera)
         files.append(output / f"{name}.npz")
         write_raw(files[-1], **arrays)
     return files
@@ -181,14 +189,9 @@ class _Films:
 
 @contextmanager
 def _bar(console: Console, total: int) -> Generator[Callable[[float], None]]:
-    progress = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-    )
+    from pcore.cli.results import bar
+
+    progress = bar(console)
     task = progress.add_task("views", total=total)
     with progress:
         yield lambda done: progress.update(task, completed=done)

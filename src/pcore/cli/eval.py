@@ -12,14 +12,24 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.light import LightChoice
-from pcore.cli.options import Count, Folder, Number, Output, Samples, check_given_samples
+from pcore.cli.options import (
+    Count,
+    Folder,
+    Number,
+    Output,
+    Samples,
+    check_given_samples,
+    optional,
+)
 from pcore.cli.runtime import DeviceName
+from pcore.cli.torchrun import is_first
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
     from pcore.evaluation.protocol import Perceptual
     from pcore.evaluation.runner import ImageRow, Method, Taken
     from pcore.evaluation.states import SceneStates, State
+    from pcore.training.ranks import Ranks
 
 PICTURES = "pictures"
 
@@ -46,6 +56,10 @@ class EvalCommand:
     edit: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]", help_behavior_hint="")] = ()
     """Edit files, each a further state without true images: strain, holes, handles, what no view
     saw, and pictures; no PSNR."""
+
+    against: Annotated[str | None, optional("STATE")] = None
+    """With --edit: score the edits on the true test images of this state, such as `end` of a
+    PAPR-in-Motion pair or a time stamp."""
 
     time: Number = None
     """For edit files with keyframes: the time to evaluate."""
@@ -84,11 +98,13 @@ class EvalCommand:
 
     def run(self) -> None:
         """Evaluate; raises PcoreError subclasses for what the user can mend."""
-        evaluate_run(self, Console())
+        evaluate_run(self, Console(quiet=not is_first()))
 
 
 def evaluate_run(command: EvalCommand, console: Console) -> None:
     """Score the run, write the files and print the table.
+
+    The processes that torchrun started take turns at the pictures; the first of them has the table.
 
     Raises:
         CheckpointError: the run or its baseline cannot be read.
@@ -96,10 +112,20 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         EditError: an edit file is not valid or does not fit the points.
         InputError: an unknown state, a factor that does not fit, or an output folder in use.
     """
+    from pcore.cli.runtime import pick_device, prepare_torch
+    from pcore.cli.torchrun import joined_ranks
+
+    check_given_samples(command.samples)
+    prepare_torch(command.threads)
+    device = pick_device(command.device)
+    with joined_ranks(device, learns=False) as ranks:
+        _evaluate(command, device, ranks, console)
+
+
+def _evaluate(command: EvalCommand, device: str, ranks: Ranks, console: Console) -> None:
     from pcore.cli.diagnosing import note
     from pcore.cli.output import results_folder
     from pcore.cli.results import counting
-    from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.data.scene import check_images
     from pcore.evaluation.mended import mended_notes
     from pcore.evaluation.methods import baseline_of, methods_of, open_subject
@@ -107,9 +133,6 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states
 
-    check_given_samples(command.samples)
-    prepare_torch(command.threads)
-    device = pick_device(command.device)
     run = open_subject(command.run_folder, device=device)
     base = baseline_of(run, command.baseline, device=device)
     runs = [run] if base is None else [base, run]
@@ -122,7 +145,11 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     note(console, places.scene.notes)
     check_images(shot.view for state in states for shot in state.shots)
     output = command.output or command.run_folder / "eval"
-    results_folder(output, about=run.path)
+    points = {one.path.name: one.points for one in runs}
+    ranks.agree({**points, "states": [(one.name, len(one.shots)) for one in states]})
+    if ranks.rank == 0:
+        results_folder(output, about=run.path)
+    ranks.from_first(output)  # Nobody draws before the folder is there.
     methods = methods_of(
         runs,
         places.scene,
@@ -141,6 +168,8 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
             progress=tell,
             show=_sheet_writer(output / PICTURES, methods) if command.pictures else None,
         )
+    if ranks.rank > 0:
+        return
     counts = [one.content.samples for one in runs]
     if command.samples is None and len({*counts}) > 1:
         odd.append("the runs send another number of rays per pixel each; give --samples for one")
@@ -163,6 +192,7 @@ def _about(
         "scene": relative(places.path, output),
         "factor": places.factor,
         "samples": {one.path.name: command.samples or one.content.samples for one in runs},
+        **({} if command.against is None else {"against": command.against}),
     }
 
 
@@ -180,13 +210,19 @@ def _edited(
         raise InputError(
             f"--edit: expected files of different names, got {', '.join(map(str, command.edit))}"
         )
+    if command.against is not None and not names:
+        raise InputError("--against: expected --edit FILE, which is to be scored, got none")
     subjects = [(one.points, one.rig) for one in runs]
-    shots = places.select([CANONICAL])[0].shots
     states: list[State] = []
     odd: list[str] = []
     for name, file in zip(names, command.edit, strict=True):
         shape = EditedShape(script_of(file, command.time), subjects)
-        states.append(shape.state(name, shots, places.scene.center))
+        if command.against is None:
+            shots = places.select([CANONICAL])[0].shots
+            states.append(shape.state(name, shots, places.scene.center))
+        else:
+            shots, size = places.true_shots(command.against), places.size_in(command.against)
+            states.append(shape.against(name, shots, size))
         odd += [f"{file}: {line}" for line in shape.notes]
     return states, odd
 

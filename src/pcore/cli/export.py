@@ -54,7 +54,8 @@ class ExportCommand:
     Without either they look from all around."""
 
     resolution: Count = None
-    """Mesh: voxels along the longest side; default: 200."""
+    """Mesh: voxels along the longest side; default: two for every pixel of the photos, at most
+    200."""
 
     smooth: Number = None
     """Mesh: filter over the depth, in voxels; 0 for none; default: 1."""

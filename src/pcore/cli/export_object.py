@@ -28,7 +28,7 @@ def check(command: ExportCommand) -> None:
     from pcore.data.mesh_output import check_mesh_output
     from pcore.data.mesh_usd import require_usd
     from pcore.data.splat_formats import check_splat_output
-    from pcore.render.fusion import require_marching_cubes
+    from pcore.render.distance_grid import require_marching_cubes
 
     path, kind = command.output, command.output.suffix.lower()
     if not path.absolute().parent.is_dir():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,16 +33,10 @@ def check(command: ExportCommand) -> None:
 
 def write(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
     """Write depth and normals, cameras, or a data set."""
-    from pcore.cli.output import pictures_folder
+    from pcore.cli.output import export_folder
 
     shots = _shots(command, asset)
-    try:
-        pictures_folder(command.output, overwrite=command.overwrite)
-    except OSError as error:
-        raise InputError(
-            f"{command.output}: cannot make the folder ({error.strerror}); expected a place that "
-            "can be written to"
-        ) from error
+    export_folder(command.output, overwrite=command.overwrite)
     if command.to == "depth":
         return _write_depth(command, asset, shots, console)
     named = [(name, camera) for name, camera, _ in shots]
@@ -110,6 +103,7 @@ def _write_depth(
     from pcore.cli.results import counting
     from pcore.data.camera_output import TRANSFORMS, save_transforms
     from pcore.data.depth_files import depth_step
+    from pcore.data.whole_file import save_json
 
     folder = command.output
     # One step for all pictures, before any is taken: what is behind the farthest point is nothing.
@@ -139,7 +133,7 @@ def _write_depth(
         "exr": None if command.no_exr else "Y: camera z, world units; infinity: nothing there",
         "normals": "world axes in .exr; in .png right is red, up green, to the camera blue",
     }
-    (folder / "depth.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    save_json(folder / "depth.json", about, "description")
     return [f"{folder}: depth and normals of {len(shots)} pictures; a step of a PNG is {step:g}"]
 
 
@@ -151,10 +145,10 @@ def _write_picture(
 
     from pcore.data.depth_files import save_depth_png, save_exr
     from pcore.data.pictures import normal_picture, write_png
-    from pcore.render.image import normals
+    from pcore.render.image import whole_normals
 
     depth = torch.where(image.alpha >= 0.5, image.depth, torch.nan)
-    facing = normals(image, camera)
+    facing = whole_normals(image, camera)
     save_depth_png(folder / f"{name}_depth.png", depth, step)
     write_png(folder / f"{name}_normals.png", normal_picture(facing, camera.world_from_camera))
     if exr:

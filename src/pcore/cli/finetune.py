@@ -93,13 +93,11 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     from pcore.asset.saving import load
-    from pcore.asset.training import RunOptions, finetune
-    from pcore.cli.light import show_light
+    from pcore.asset.training import finetune
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.sessions import show_result, shown_training
+    from pcore.cli.sessions import show_result, trained_with
     from pcore.cli.torchrun import refuse_ranks
-    from pcore.cli.train import announce
-    from pcore.files.run_record import finished
+    from pcore.cli.train_checks import announce
     from pcore.training.config import FinetuneConfig
 
     refuse_ranks("pcore finetune")
@@ -112,16 +110,12 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
         command.losses.check(config, scene.split("train"))
         check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{name}, {config.steps:,} steps on {device}")
-    done = command.resume and finished(output)
-    with shown_training(console) as (listener, note):
-        options = RunOptions(
-            resume=command.resume,
-            tensorboard=not command.no_tensorboard,
-            compiled=not command.no_compile,
-            preset=name,
-            note=note,
-        )
-        tuned = finetune(
+    tuned = trained_with(
+        command,
+        console,
+        output,
+        name,
+        lambda listener, options: finetune(
             asset,
             scene,
             config,
@@ -129,9 +123,8 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
             listener=listener,
             device=device,
             options=options,
-        )
-    if not done:
-        show_light(tuned, console)
+        ),
+    )
     show_result(console, tuned)
 
 

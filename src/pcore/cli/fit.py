@@ -15,10 +15,11 @@ from pcore.cli.runtime import DeviceName
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from pcore.asset.asset import Asset
     from pcore.data.scene import View
+    from pcore.editing.animation import Animation
     from pcore.editing.script import EditScript
     from pcore.fitting.pose_fit import PoseFit
 
@@ -80,44 +81,51 @@ class FitCommand:
         from pcore.asset.saving import load
         from pcore.cli.results import counting
         from pcore.cli.runtime import pick_device, prepare_torch
-        from pcore.fitting.fit_config import FitConfig
-        from pcore.fitting.fit_sequence import check_times, fit_sequence
-        from pcore.fitting.numbers_fit import fit_numbers
-        from pcore.fitting.pose_fit import fit_pose
+        from pcore.fitting.fit_sequence import check_times
 
         self._check()
         if self.times:
             check_times(self.times, len(self.photos))
-        config = FitConfig(anchors=self.anchors, seed=self.seed, silhouettes=self.silhouettes)
         prepare_torch(self.threads)
         asset = load(self.run_folder, device=pick_device(self.device))
         factor = asset.record.factor if self.factor is None else self.factor
         states = [photos_in(path, factor)[:: self.every] for path in self.photos]
         console = Console()
         with counting(console, "steps") as tell:
-            if self.free and self.start is not None:
-                fit = fit_numbers(
-                    asset,
-                    self.start,
-                    self.free,
-                    states[0],
-                    silhouettes=self.silhouettes,
-                    progress=tell,
-                )
-                result, fits = fit.edit, [fit]
-            elif len(states) == 1:
-                fit = fit_pose(asset, states[0], config, start=self.start, progress=tell)
-                result, fits = fit.edit, [fit]
-            else:
-                times = self.times or None
-                found = fit_sequence(
-                    asset, states, config, times=times, start=self.start, progress=tell
-                )
-                result, fits = found.animation, list(found.fits)
+            result, fits = self._fitted(asset, states, tell)
         result.save(self.output)
         self._show(console, states, fits)
         if self.appearance is not None:
             self._paint(asset, fits[0].edit, states[0], self.appearance, console)
+
+    def _fitted(
+        self, asset: Asset, states: list[tuple[View, ...]], tell: Callable[[int, int], None]
+    ) -> tuple[EditScript | Animation, list[PoseFit]]:
+        """The edit that was found, and how well it fits each state."""
+        from pcore.fitting.fit_config import FitConfig
+        from pcore.fitting.fit_sequence import fit_sequence
+        from pcore.fitting.numbers_fit import fit_numbers
+        from pcore.fitting.pose_fit import fit_pose
+
+        config = FitConfig(anchors=self.anchors, seed=self.seed, silhouettes=self.silhouettes)
+        if len(states) > 1:
+            times = self.times or None
+            found = fit_sequence(
+                asset, states, config, times=times, start=self.start, progress=tell
+            )
+            return found.animation, list(found.fits)
+        if self.free and self.start is not None:
+            fit = fit_numbers(
+                asset,
+                self.start,
+                self.free,
+                states[0],
+                silhouettes=self.silhouettes,
+                progress=tell,
+            )
+        else:
+            fit = fit_pose(asset, states[0], config, start=self.start, progress=tell)
+        return fit.edit, [fit]
 
     def _check(self) -> None:
         from pcore.validation import check_count
@@ -175,7 +183,7 @@ def photos_in(path: Path, factor: int) -> tuple[View, ...]:
     from pcore.capture.load import find_states, load_scene, load_state
 
     parent = path.parent
-    if path.is_dir() and parent.is_dir() and path.name in find_states(parent):
+    if parent.is_dir() and path.name in find_states(parent):
         scene = load_state(parent, path.name, factor=factor)
         return scene.split("train" if "train" in scene.splits else "test")
     return load_scene(path, factor=factor).split("train")

@@ -1,4 +1,4 @@
-"""`pcore info RUN`: what a run folder, a model file or a scene is."""
+"""`pcore info PATH`: what a run folder, a model file, a scene or an edit file is."""
 
 from __future__ import annotations
 
@@ -29,22 +29,25 @@ _SETTINGS = ("papr.", "config.", "skinning.")
 class InfoCommand:
     """Say what a run is: stage, steps, points, scores; its settings on demand.
 
-    Of a scene: its layout, its photos, and which of them are not used and why.
+    Of a scene: its layout, its photos, and which of them are not used and why. Of an edit file:
+    its edits, and what can be done with it.
     """
 
-    run_or_file: Annotated[Positional[Path], arg(metavar="RUN")]
-    """Folder of a run, a model.safetensors, or folder of a scene."""
+    run_or_file: Annotated[Positional[Path], arg(metavar="RUN|SCENE|FILE")]
+    """Folder of a run, a model.safetensors, folder of a scene, or an edit file (JSON)."""
 
     settings: bool = False
     """Also print every setting of the network and of the training."""
 
     def run(self) -> None:
-        """Print the table; raises CheckpointError when it is neither, SceneError for bad scenes."""
+        """Print the table; raises CheckpointError, SceneError or EditError for damaged ones."""
         from pcore.cli.scene_rows import is_scene, scene_rows
 
-        console = Console()
-        scene = is_scene(self.run_or_file)
-        rows = scene_rows(self.run_or_file) if scene else describe(self.run_or_file)
+        console, path = Console(), self.run_or_file
+        if path.suffix.lower() == ".json" and path.is_file():
+            rows = _edit_rows(path)
+        else:
+            rows = scene_rows(path) if is_scene(path) else describe(path)
         if not self.settings:
             short = [row for row in rows if not row[0].startswith(_SETTINGS)]
             if len(short) < len(rows):
@@ -62,9 +65,9 @@ def describe(path: Path) -> Rows:
     from pcore.asset.asset_summary import summarize
 
     summary = summarize(path)
-    rows: Rows = [] if summary.record is None else _run_rows(path, summary.record)
-    if summary.saved_step is not None:
-        rows.append(("can resume from", f"step {summary.saved_step}"))
+    rows: Rows = []
+    if summary.record is not None:
+        rows += _run_rows(path, summary.record, summary.saved_step)
     if summary.gaussians is not None:
         rows += _gaussian_rows(summary.model_file, summary.gaussians)
     elif summary.model is None:
@@ -80,9 +83,44 @@ def describe(path: Path) -> Rows:
     return [*rows, *_score_rows(path / "eval"), *_flat(summary.record.config, "config.")]
 
 
-def _run_rows(path: Path, record: RunRecord) -> Rows:
+def _run_rows(path: Path, record: RunRecord, saved_step: int | None) -> Rows:
     rows = [("run", str(path)), ("stage", record.stage), ("scene", record.scene)]
-    return rows + _flat(record.notes)
+    notes = {**record.notes}
+    if notes.get("status") in ("running", "stopped"):
+        notes["status"] = _unfinished(path, saved_step)
+    return rows + _flat(notes)
+
+
+def _unfinished(path: Path, saved_step: int | None) -> str:
+    """How a training stands that has not come to its end; its process may have been killed."""
+    from pcore.files.lock import held
+
+    if held(path):
+        return "running" if saved_step is None else f"running; step {saved_step} is saved"
+    if saved_step is None:
+        return "stopped before anything was saved; give the same command again"
+    return f"stopped; go on from step {saved_step} with the same command and --resume"
+
+
+def _edit_rows(path: Path) -> Rows:
+    """What an edit file does, and what to do with it."""
+    from pcore.cli.edit import lines_of
+    from pcore.editing.animation import load_animation
+
+    animation = load_animation(path)
+    still = animation.end == animation.start
+    lines = lines_of(animation.at(animation.start))
+    rows: Rows = [("edit file", str(path))]
+    rows += [("" if number else "does", line) for number, line in enumerate(lines)]
+    if not still:
+        rows.append(("keyframes", f"from time {animation.start:g} to {animation.end:g}"))
+    verb = (
+        f"pcore render RUN --edit {path}"
+        if still
+        else f"pcore animate RUN --edit {path} -o film.mp4"
+    )
+    apply = f"pcore edit apply RUN --edit {path} -o moved.ply --picture health.png"
+    return [*rows, ("pictures", verb), ("points, and how it does", apply)]
 
 
 def _score_rows(folder: Path) -> Rows:

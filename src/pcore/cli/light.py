@@ -68,7 +68,7 @@ def estimate(asset: Asset, scene: Scene, console: Console) -> None:
         InputError: too few points have a normal that the views agree on, or there is no folder.
         OSError: the file cannot be written.
     """
-    from pcore.asset.training import estimate_light
+    from pcore.asset.lighting import estimate_light
     from pcore.cli.results import counting
     from pcore.files.model_file import MODEL_FILE, describe_model
 

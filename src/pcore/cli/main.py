@@ -11,12 +11,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import Protocol
 
 from rich.console import Console
 from rich.table import Table
 
+import pcore
 from pcore.cli.console import guarded
 from pcore.errors import InputError
 
@@ -94,7 +94,7 @@ VERBS: tuple[Verb, ...] = (
         "BlenderExportCommand",
         "write a run for the add-on for Blender",
     ),
-    Verb("info", "pcore.cli.info", "InfoCommand", "say what a run or model file is"),
+    Verb("info", "pcore.cli.info", "InfoCommand", "say what a run, scene, edit or model file is"),
     Verb("doctor", "pcore.cli.doctor", "DoctorCommand", "check this machine"),
 )
 """In the order of the help; a new verb is one more line."""
@@ -113,7 +113,12 @@ def _dispatch(words: list[str]) -> None:
     if not words or words[0] in ("-h", "--help"):
         _show_help()
     elif words[0] == "--version":
-        print(f"pcore {_version()}")
+        print(f"pcore {pcore.__version__}")
+    elif (group := _group(words)) and words[1:] in ([], ["-h"], ["--help"]):
+        console = Console()
+        console.print(f"usage: pcore {words[0]} VERB [OPTIONS]\n", markup=False)
+        console.print(_table(group))
+        console.print(f"\n`pcore {group[0].name} --help` shows its options.", markup=False)
     else:
         verb = _find(words)
         command_of(verb, words[len(verb.name.split()) :]).run()
@@ -132,17 +137,29 @@ def command_of(verb: Verb, options: Sequence[str]) -> Command:
     )
 
 
+def _group(words: Sequence[str]) -> list[Verb]:
+    """Verbs of two words that begin with the first of these."""
+    return [verb for verb in VERBS if verb.name.startswith(f"{words[0]} ")]
+
+
+def _table(verbs: Sequence[Verb]) -> Table:
+    table = Table(box=None, show_header=False, padding=(0, 2))
+    for verb in verbs:
+        table.add_row(verb.name, verb.summary)
+    return table
+
+
 def _find(words: list[str]) -> Verb:
     """Return the verb that the words begin with; raises InputError that suggests one."""
     for verb in VERBS:
         name = verb.name.split()
         if words[: len(name)] == name:
             return verb
-    given = words[0]
-    longer = [verb.name for verb in VERBS if verb.name.split()[0] == given]
-    close = longer or difflib.get_close_matches(given, [verb.name for verb in VERBS], n=1)
-    hint = f"; did you mean {' or '.join(f'`pcore {name}`' for name in close)}?" if close else ""
-    names = ", ".join(verb.name for verb in VERBS)
+    group = _group(words)
+    given = " ".join(words[: 2 if group else 1])
+    names = ", ".join(verb.name for verb in group or VERBS)
+    close = difflib.get_close_matches(given, [verb.name for verb in group or VERBS], n=1)
+    hint = f"; did you mean `pcore {close[0]}`?" if close else ""
     raise InputError(f"unknown command {given!r}: expected one of {names}{hint}")
 
 
@@ -152,19 +169,9 @@ def _show_help() -> None:
     console.print(
         "Edit captured objects: photos in, an object that is deformed and drawn without holes.\n"
     )
-    table = Table(box=None, show_header=False, padding=(0, 2))
-    for verb in VERBS:
-        table.add_row(verb.name, verb.summary)
-    console.print(table)
+    console.print(_table(VERBS))
     console.print("\n`pcore VERB --help` shows its options; `pcore --version` the version.")
     console.print("With PCORE_DEBUG=1 in the environment errors show where they were raised.")
-
-
-def _version() -> str:
-    try:
-        return version("pcore-edit")
-    except PackageNotFoundError:
-        return "(not installed)"
 
 
 if __name__ == "__main__":

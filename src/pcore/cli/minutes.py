@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rich.console import Console
 from rich.text import Text
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from pcore.training.config import PretrainConfig
     from pcore.training.gaussian_config import GaussianConfig
     from pcore.training.speed import Speed
+    from pcore.training.time_plan import TimePlan
+
+Config = TypeVar("Config", "GaussianConfig", "PretrainConfig")
 
 _LIGHT_STEPS = 2.0
 """What the estimate of the light costs, in steps per view at the finest size."""
@@ -49,66 +53,58 @@ class Promise:
         return 60 * self.minutes - (time.monotonic() - self.began)
 
 
-def promised_gaussians(
-    command: TrainCommand, scene: Scene, base: GaussianConfig, device: str, promise: Promise
-) -> tuple[Scene, GaussianConfig, str]:
+def promised(
+    command: TrainCommand, scene: Scene, base: Config, device: str, promise: Promise
+) -> tuple[Scene, Config, str]:
     """Photos and settings for a promise, and the plan in words; of the run itself to go on.
 
     Raises:
         InputError: an option that the promise decides on, or too little time.
     """
-    from pcore.training.gaussian_config import GaussianConfig
-    from pcore.training.measured_speed import measured_speed, photos_of
-    from pcore.training.time_plan import plan_gaussians
-
     _check(command)
     if command.resume:
-        going = _recorded(command, "gaussians", GaussianConfig, base, _OF_GAUSSIANS)
+        going = _recorded(command, base)
         if going is not None:
             return *going, "as the run was planned"
-    photos = photos_of(scene)
-    speed = measured_speed(scene, base, device)
+    planner = _planner(scene, base, device)
     factor = 1 if command.factor > 1 else None
-    plan = plan_gaussians(photos, speed, promise.seconds_left, base, factor=factor)
-    # Once more, since the estimate of the light depends on what was chosen.
-    reserve = after_gaussians(photos.pixels(plan.factor), photos.count, plan.config, speed)
-    seconds = _left(promise, reserve)
-    plan = plan_gaussians(photos, speed, seconds, base, factor=plan.factor)
-    scene, config = _divided(command, scene, plan.factor), plan.config
-    what = f"{config.points:,} to {config.density.limit:,} Gaussians"
-    return scene, config, _in_words(scene, config, what, promise)
+    plan = planner.plan(promise.seconds_left, factor)
+    # Once more, since what comes after the last step depends on what was chosen.
+    plan = planner.plan(_left(promise, planner.after(plan)), plan.factor)
+    scene = _divided(command, scene, plan.factor)
+    return scene, plan.config, _in_words(scene, plan.config, promise)
 
 
-def promised_papr(
-    command: TrainCommand, scene: Scene, base: PretrainConfig, device: str, promise: Promise
-) -> tuple[Scene, PretrainConfig, str]:
-    """The same for PAPR.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Planner:
+    """Plans for seconds and a division of the photos, and seconds that follow one."""
 
-    Raises:
-        InputError: an option that the promise decides on, or too little time.
-    """
+    plan: Callable[[float, int | None], TimePlan[Any]]
+    after: Callable[[TimePlan[Any]], float]
+
+
+def _planner(scene: Scene, base: GaussianConfig | PretrainConfig, device: str) -> _Planner:
     from pcore.training.config import PretrainConfig
-    from pcore.training.measured_speed import papr_step_seconds, photos_of
-    from pcore.training.time_plan import plan_papr
+    from pcore.training.measured_speed import measured_speed, papr_step_seconds, photos_of
+    from pcore.training.time_plan import plan_gaussians, plan_papr
 
-    _check(command)
-    if command.resume:
-        going = _recorded(command, "pretrain", PretrainConfig, base, _OF_PAPR)
-        if going is not None:
-            return *going, "as the run was planned"
     photos = photos_of(scene)
-    step = papr_step_seconds(scene, base, device)
-    factor = 1 if command.factor > 1 else None
-    plan = plan_papr(photos, step, promise.seconds_left, base, factor=factor)
-    reserve = after_papr(photos.pixels(plan.factor), photos.count, base, step)
-    plan = plan_papr(photos, step, _left(promise, reserve), base, factor=plan.factor)
-    scene, config = _divided(command, scene, plan.factor), plan.config
-    return scene, config, _in_words(scene, config, f"{config.points:,} points", promise)
+    if isinstance(base, PretrainConfig):
+        step = papr_step_seconds(scene, base, device)
+        return _Planner(
+            plan=lambda seconds, factor: plan_papr(photos, step, seconds, base, factor=factor),
+            after=lambda plan: after_papr(photos.pixels(plan.factor), photos.count, base, step),
+        )
+    speed = measured_speed(scene, base, device)
+    return _Planner(
+        plan=lambda seconds, factor: plan_gaussians(photos, speed, seconds, base, factor=factor),
+        after=lambda plan: after_gaussians(
+            photos.pixels(plan.factor), photos.count, plan.config, speed
+        ),
+    )
 
 
-def _recorded(
-    command: TrainCommand, key: str, kind: type[Any], base: Any, names: tuple[str, ...]
-) -> tuple[Scene, Any] | None:
+def _recorded(command: TrainCommand, base: Config) -> tuple[Scene, Config] | None:
     """What was planned when the run began, with today's options for all else; None: nothing was.
 
     Raises:
@@ -116,18 +112,22 @@ def _recorded(
     """
     from pcore.cli.train import opened
     from pcore.files.records import from_dict
+    from pcore.files.run_place import saved_nothing
     from pcore.files.run_record import RunRecord, begun
+    from pcore.training.config import PretrainConfig
 
-    if not begun(command.output):
+    if not begun(command.output) or saved_nothing(command.output):
         return None
     record = RunRecord.read(command.output).config
-    settings: Any = record.get(key)
+    papr = isinstance(base, PretrainConfig)
+    settings: Any = record.get("pretrain" if papr else "gaussians")
     if not isinstance(settings, dict) or settings.get("seconds") is None:
         raise InputError(
             f"{command.output}: --minutes {command.minutes:g}: expected a run of this kind that "
             "began with --minutes, got another; resume it with the options that it began with"
         )
-    config = from_dict(kind, settings, where=f"{command.output}: run.json")
+    config = from_dict(type(base), settings, where=f"{command.output}: run.json")
+    names = _OF_PAPR if papr else _OF_GAUSSIANS
     changed = replace(base, **{name: getattr(config, name) for name in names})
     again = replace(command, factor=int(record.get("factor", 1)))
     return opened(again, Console(quiet=True)), changed
@@ -148,10 +148,13 @@ def _left(promise: Promise, reserve: float) -> float:
     return max(left - reserve, 0.1 * left, 1.0)
 
 
-def _in_words(
-    scene: Scene, config: GaussianConfig | PretrainConfig, what: str, promise: Promise
-) -> str:
+def _in_words(scene: Scene, config: GaussianConfig | PretrainConfig, promise: Promise) -> str:
     """The plan in one sentence."""
+    from pcore.training.config import PretrainConfig
+
+    what = f"{config.points:,} points"
+    if not isinstance(config, PretrainConfig):
+        what = f"{config.points:,} to {config.density.limit:,} Gaussians"
     camera = scene.split("train")[0].camera
     coarse = ""
     if config.levels:

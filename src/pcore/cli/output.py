@@ -29,6 +29,19 @@ def pictures_folder(folder: Path, *, overwrite: bool) -> None:
     folder.mkdir(parents=True, exist_ok=True)
 
 
+def export_folder(folder: Path, *, overwrite: bool) -> None:
+    """Do the same as `pictures_folder`; InputError as well where it cannot be made."""
+    from pcore.errors import InputError
+
+    try:
+        pictures_folder(folder, overwrite=overwrite)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot make the folder ({error.strerror}); expected a place that can be "
+            "written to"
+        ) from error
+
+
 def results_folder(folder: Path, *, about: Path) -> None:
     """Make a folder for results and write into it which run they are about.
 

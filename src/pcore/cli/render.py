@@ -15,12 +15,14 @@ from tyro.conf import Positional, arg
 from pcore.cli.light import LightChoice
 from pcore.cli.options import Count, Folder, Number, Output, Samples, check_given_samples, optional
 from pcore.cli.runtime import DeviceName
+from pcore.cli.torchrun import is_first
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
     from pcore.asset.posed_asset import Posed
     from pcore.cli.cameras import Named
+    from pcore.training.ranks import Ranks
 
 _FRAMES = 60
 
@@ -106,11 +108,13 @@ class RenderCommand:
 
     def run(self) -> None:
         """Render; raises PcoreError subclasses for what the user can mend."""
-        render_run(self, Console())
+        render_run(self, Console(quiet=not is_first()))
 
 
 def render_run(command: RenderCommand, console: Console) -> None:
     """Render what the command asks for, write the files and say where they are.
+
+    The processes that torchrun started take turns at the views; the first of them writes.
 
     Raises:
         CheckpointError: no model there, or it is damaged.
@@ -119,24 +123,33 @@ def render_run(command: RenderCommand, console: Console) -> None:
         InputError: contradicting options, or an output folder in use.
         DependencyError: a video is asked for and its package is missing.
     """
-    from pcore.asset.saving import load
-    from pcore.cli.diagnosing import note
-    from pcore.cli.draw import Wanted, draw
-    from pcore.cli.output import pictures_folder
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.data.video import require_video
+    from pcore.cli.torchrun import joined_ranks
 
     _check(command)
     prepare_torch(command.threads)
     device = pick_device(command.device)
+    with joined_ranks(device, learns=False) as ranks:
+        _render(command, device, ranks, console)
+
+
+def _render(command: RenderCommand, device: str, ranks: Ranks, console: Console) -> None:
+    from pcore.asset.saving import load
+    from pcore.cli.diagnosing import note_edit
+    from pcore.cli.draw import Wanted, draw
+    from pcore.cli.output import pictures_folder
+    from pcore.data.video import require_video
+
     asset = load(command.run_or_file, device=device)
     posed = asset.pose(command.edit, time=command.time, rays=command.rays, light=command.light)
-    note(console, posed.notes)
+    note_edit(console, posed.notes, command.run_or_file, command.edit)
     views = _views(command, asset, posed, console)
     if _films(command):
         require_video()
-    output = command.output or _default_output(command)
-    pictures_folder(output, overwrite=command.overwrite)
+    output = command.output or ranks.from_first(_default_output(command))
+    ranks.agree({"posed points": posed.points, "cameras": [camera for _, camera in views]})
+    if ranks.rank == 0:
+        pictures_folder(output, overwrite=command.overwrite)
     wanted = Wanted(
         png=command.frames or not _films(command),
         video=_films(command),

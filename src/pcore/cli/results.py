@@ -44,10 +44,9 @@ _HOLES = (
 )
 
 
-@contextmanager
-def counting(console: Console, title: str) -> Generator[Callable[[int, int], None]]:
-    """Give a function (done, total) that moves a bar; one line at the end without a terminal."""
-    progress = Progress(
+def bar(console: Console) -> Progress:
+    """A bar with how many are done and how long the rest takes; nothing without a terminal."""
+    return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
@@ -55,6 +54,12 @@ def counting(console: Console, title: str) -> Generator[Callable[[int, int], Non
         console=console,
         disable=not console.is_terminal,
     )
+
+
+@contextmanager
+def counting(console: Console, title: str) -> Generator[Callable[[int, int], None]]:
+    """Give a function (done, total) that moves a bar; one line at the end without a terminal."""
+    progress = bar(console)
     task = progress.add_task(title, total=None)
     last = [0]
 
@@ -79,8 +84,8 @@ def show_results(
     """Print tables of every protocol and of the points, the gains, and why columns are missing."""
     for protocol in dict.fromkeys(one.protocol for one in means):
         chosen = [one for one in means if one.protocol == protocol]
-        # A state that an edit file makes has no true images.
-        scored = [one for one in chosen if one.kind != "edited"]
+        # A state that an edit file makes has true images only where it is scored against another.
+        scored = [one for one in chosen if one.scores.get("psnr") is not None]
         sheet = _sheet(f"protocol {protocol}", scored, _COLUMNS)
         print_lines(console, sheet_lines(sheet, room(console)))
         console.print(Text(_caption(protocol, chosen), "dim"), soft_wrap=True)

@@ -10,7 +10,12 @@ from rich.console import Console
 from rich.text import Text
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from pcore.asset.asset import Asset
+    from pcore.asset.run_options import RunOptions
+    from pcore.cli.finetune import FinetuneCommand
+    from pcore.cli.train import TrainCommand
     from pcore.training.events import Listener
 
 
@@ -24,6 +29,33 @@ def shown_training(console: Console) -> Generator[tuple[Listener, Callable[[str]
 
     with ProgressDisplay(console) as display:
         yield display, note
+
+
+def trained_with(
+    command: TrainCommand | FinetuneCommand,
+    console: Console,
+    output: Path,
+    preset: str,
+    make: Callable[[Listener, RunOptions], Asset],
+) -> Asset:
+    """Train with progress shown; say what the light is, unless the run was finished before."""
+    from pcore.asset.run_options import RunOptions
+    from pcore.cli.light import show_light
+    from pcore.files.run_record import finished
+
+    done = command.resume and finished(output)
+    with shown_training(console) as (listener, note):
+        options = RunOptions(
+            resume=command.resume,
+            tensorboard=not command.no_tensorboard,
+            compiled=not command.no_compile,
+            preset=preset,
+            note=note,
+        )
+        asset = make(listener, options)
+    if not done:
+        show_light(asset, console)
+    return asset
 
 
 def show_result(console: Console, asset: Asset) -> None:

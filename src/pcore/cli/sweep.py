@@ -42,6 +42,10 @@ class SweepCommand:
     address: Annotated[str | None, optional("HOST:PORT")] = None
     """Of a running Ray cluster that shares its disks with this machine."""
 
+    storage: Annotated[str | None, optional("URL")] = None
+    """Mirror trials to this place (s3://BUCKET/FOLDER, file:///FOLDER, any of fsspec), from which
+    every machine goes on: for clusters whose machines share scenes and no folder to write to."""
+
     dry_run: bool = False
     """Check and show the plan, and say how long it will take; trains a few seconds to know."""
 
@@ -64,28 +68,36 @@ def sweep(command: SweepCommand, console: Console) -> None:
     from pcore.cli.sweep_verbs import check_trials, output_folder
     from pcore.files.lock import FolderLock
     from pcore.sweep.sweep_plan import read_plan
-    from pcore.sweep.sweep_tables import SWEEP_FILE, write_start
-    from pcore.sweep.sweep_trial import finished_trial, trials_of
+    from pcore.sweep.sweep_storage import check_storage, publish
+    from pcore.sweep.sweep_tables import SWEEP_FILE, TABLES, write_start
+    from pcore.sweep.sweep_trial import fetch_records, trials_of
 
     plan = read_plan(command.plan)
-    trials = trials_of(plan, beside=command.plan.parent, folder=command.output)
+    trials = trials_of(
+        plan, beside=command.plan.parent, folder=command.output, storage=command.storage
+    )
     check_trials(trials)
-    done = [one for one in map(finished_trial, trials) if one is not None]
+    if command.storage is not None:
+        check_storage(command.storage)
     with ExitStack() as stack:
         if command.dry_run:
             _check_here(command, plan)
             from pcore.cli.sweep_forecast import show_plan
 
-            show_plan(console, trials, done, command.workers or 1)
+            show_plan(console, trials, _finished(trials), command.workers or 1)
             return
         execute = _executor(command, plan, stack)
         output_folder(command.output, SWEEP_FILE)
         lock = FolderLock.acquire(command.output)
         stack.callback(lock.release)
         write_start(command.output)
-        results = _attempt(console, trials, done, execute)
+        for one in trials:
+            fetch_records(one)
+        results = _attempt(console, trials, _finished(trials), execute)
     failures = [one for one in results if one.failed is not None]
     write_results(console, command.output, trials, results)
+    if command.storage is not None:
+        publish(command.output, command.storage, TABLES)
     if failures:
         show_failures(console, failures)
         raise TrainingError(
@@ -93,6 +105,12 @@ def sweep(command: SweepCommand, console: Console) -> None:
             f"{', '.join(one.trial.name for one in failures)}; mend what they say, then give the "
             "same command again"
         )
+
+
+def _finished(trials: Sequence[Trial]) -> list[TrialResult]:
+    from pcore.sweep.sweep_trial import finished_trial
+
+    return [one for one in map(finished_trial, trials) if one is not None]
 
 
 def _check_here(command: SweepCommand, plan: SweepPlan) -> None:
@@ -140,12 +158,14 @@ def _attempt(
     """Results of all trials, in their order."""
     from pcore.cli.sweep_verbs import run_trial
     from pcore.demo.machine import clock
+    from pcore.sweep.sweep_trial import fetch_records
 
     results = {one.trial.name: one for one in done}
     if done:
         console.print(f"{len(done)} of {len(trials)} trials are finished already")
     left = [one for one in trials if one.name not in results]
     for result in execute(left, run_trial):
+        fetch_records(result.trial)
         results[result.trial.name] = result
         took = "" if result.seconds is None else f" in {clock(result.seconds)}"
         said = f"finished{took}" if result.failed is None else f"failed: {result.failed}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,7 +49,7 @@ def parsed(trial: Trial, verb: str) -> Command:
     if verb not in known:
         raise InputError(f"plan: setting {trial.setting!r}: this pcore has no verb {verb!r}")
     where = f"plan: setting {trial.setting!r}, {verb}"
-    words = [*_own_words(trial, verb), *_words(trial.verbs, verb, where)]
+    words = [*_own_words(trial, verb), *_plan_words(trial, verb, where)]
     told = io.StringIO()
     try:
         with redirect_stderr(told), redirect_stdout(told):
@@ -61,7 +61,7 @@ def parsed(trial: Trial, verb: str) -> Command:
 
 def words_of(trial: Trial, verb: str) -> list[str]:
     """The same command as words of a command line, without `pcore`."""
-    return [verb, *_own_words(trial, verb), *_words(trial.verbs, verb, verb)]
+    return [verb, *_own_words(trial, verb), *_plan_words(trial, verb, verb)]
 
 
 def check_trials(trials: Sequence[Trial]) -> None:
@@ -107,15 +107,32 @@ def _own_words(trial: Trial, verb: str) -> list[str]:
     return [*subjects, "--scene", scene, "--output", str(folder), *seeds, *shared]
 
 
-def _words(verbs: Mapping[Any, Mapping[str, Any]], verb: str, where: str) -> list[str]:
-    """Options of the plan as words; true is a flag that is given, false one that is not."""
+def _plan_words(trial: Trial, verb: str, where: str) -> list[str]:
+    verbs: Mapping[Any, Mapping[str, Any]] = trial.verbs
+    return option_words(verbs[verb], _OURS[verb], where, giver="sweep")
+
+
+def option_words(
+    options: Mapping[str, Any], ours: Collection[str], where: str, *, giver: str
+) -> list[str]:
+    """Options of a file as words; true is a flag that is given, false one that is not.
+
+    Args:
+        options: name -> value, or list of values, with or without dashes.
+        ours: names that the file cannot give.
+        where: the place in the file, for messages.
+        giver: what gives ours, such as "sweep".
+
+    Raises:
+        InputError: one of ours, or no value.
+    """
     found: list[str] = []
-    for key, value in verbs[verb].items():
+    for key, value in options.items():
         name = key.replace("_", "-").lstrip("-")
-        if name in _OURS[verb]:
+        if name in ours:
             raise InputError(
-                f"{where}: '{key}': expected options that are the same for all trials, got one "
-                "that the sweep gives to each; remove it (seeds and resources have their own keys)"
+                f"{where}: '{key}': expected options that are the same for all, got one that the "
+                f"{giver} gives to each; remove it (seeds, resources and files have their own keys)"
             )
         if value is None or isinstance(value, dict):
             raise InputError(f"{where}: '{key}': expected a value or a list, got {value!r}")

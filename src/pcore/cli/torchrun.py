@@ -1,4 +1,4 @@
-"""`torchrun ... pcore train`: several processes train one object; alone without torchrun."""
+"""`torchrun ... pcore VERB`: several processes share the work of a verb; alone without torchrun."""
 
 from __future__ import annotations
 
@@ -14,18 +14,32 @@ if TYPE_CHECKING:
     from pcore.cli.train import TrainCommand
     from pcore.data.scene import Scene
     from pcore.training.config import PretrainConfig
+    from pcore.training.gaussian_config import GaussianConfig
     from pcore.training.ranks import Ranks
 
 
 def trained_together(
-    command: TrainCommand, scene: Scene, config: PretrainConfig, device: str, console: Console
+    command: TrainCommand,
+    scene: Scene,
+    config: PretrainConfig | GaussianConfig,
+    device: str,
+    console: Console,
 ) -> Asset | None:
-    """Train; only the first process has the folder and the result, the others get None."""
+    """Train; only the first process has the folder and the result, the others get None.
+
+    Raises:
+        InputError: processes that were given different settings or photos.
+    """
     from pcore.asset.training import RunOptions, train
     from pcore.cli.train import trained
+    from pcore.files.provenance import pcore_version
     from pcore.files.run_record import finished
 
-    with _joined_ranks(device) as ranks:
+    with joined_ranks(device) as ranks:
+        views = [
+            (view.name, view.camera.width, view.camera.height) for view in scene.split("train")
+        ]
+        ranks.agree({"version of pcore": pcore_version(), "settings": config, "photos": views})
         done = ranks.from_first(command.resume and finished(command.output))
         if ranks.rank == 0:
             return trained(command, scene, config, device, console)
@@ -36,11 +50,12 @@ def trained_together(
 
 
 @contextmanager
-def _joined_ranks(device: str) -> Generator[Ranks]:
-    """Train together with the other processes that torchrun started; alone without it.
+def joined_ranks(device: str, *, learns: bool = True) -> Generator[Ranks]:
+    """Work together with the other processes that torchrun started; alone without it.
 
     Args:
         device: "cuda": each process takes the GPU of its number on its machine; or "cpu".
+        learns: gradients are exchanged, GPU to GPU; else finished work is, on the CPU.
     """
     import torch
     import torch.distributed as dist
@@ -52,7 +67,7 @@ def _joined_ranks(device: str) -> Generator[Ranks]:
         return
     if device == "cuda":
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
-    dist.init_process_group("nccl" if device == "cuda" else "gloo")
+    dist.init_process_group("nccl" if device == "cuda" and learns else "gloo")
     try:
         yield current_ranks()
     finally:
@@ -74,8 +89,8 @@ def refuse_ranks(what: str) -> None:
 
     if _processes() > 1:
         raise InputError(
-            f"{what}: expected one process, got {_processes()} by torchrun; only `pcore train "
-            "--model papr` shares its work, start this one without torchrun"
+            f"{what}: expected one process, got {_processes()} by torchrun; `pcore train`, "
+            "`render`, `animate` and `eval` share their work, start this one without torchrun"
         )
 
 

@@ -3,34 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.losses import LossOptions, check_weights
-from pcore.cli.minutes import Promise, promised_papr, say_duration
+from pcore.cli.minutes import Promise, promised, say_duration
 from pcore.cli.options import Count, optional
 from pcore.cli.runtime import DeviceName
 from pcore.cli.torchrun import is_first
-from pcore.errors import InputError
+from pcore.cli.train_checks import EARLY, announce, check_shows, start_file, warn_of_start
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
     from pcore.data.scene import Scene
     from pcore.training.config import PretrainConfig
     from pcore.training.gaussian_config import GaussianConfig
-
-_LOOKS, _LOOK_SIDE, _LEAST_SIDE, _FAINT = 3, 64, 4, 0.02
-"""Views that are looked at in the end, sizes of these pictures, and what opacity is nothing."""
-EARLY = 50
-"""Pictures of a training of fewer steps may still be empty."""
-_HAZE = 0.5
-"""More faint pixels than that per solid one are no rims (clean masks: `faint_share`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,8 +63,8 @@ class TrainCommand:
     before the object, whatever camera renders); default: that of the preset."""
 
     patches: Count = None
-    """Patches of a step, whose loss is their mean; default: those of the preset. The processes
-    that `torchrun` starts share them (papr)."""
+    """Patches of a step (gaussians: whole photos), whose loss is their mean; default: those of the
+    preset. The processes that `torchrun` starts share them."""
 
     seed: Annotated[int, arg(metavar="N")] = 0
     """Seed of every random draw."""
@@ -123,7 +114,7 @@ class TrainCommand:
         if self.model == "gaussians":
             from pcore.cli.train_gaussians import train_gaussians
 
-            train_gaussians(self, Console())
+            train_gaussians(self, Console(quiet=not is_first()))
         else:
             train(self, Console(quiet=not is_first()))
 
@@ -143,7 +134,7 @@ def train(command: TrainCommand, console: Console) -> None:
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
     from pcore.cli.torchrun import refuse_ranks, trained_together
-    from pcore.files.run_folder import check_place
+    from pcore.files.run_place import check_place
 
     began = time.monotonic()
     prepare_torch(command.threads)
@@ -158,7 +149,7 @@ def train(command: TrainCommand, console: Console) -> None:
     if command.minutes is not None:
         refuse_ranks("--minutes")
         promise = Promise(minutes=command.minutes, began=began)
-        scene, config, plan = promised_papr(command, scene, config, device, promise)
+        scene, config, plan = promised(command, scene, config, device, promise)
     announce(console, scene, f"{plan} on {device}")
     if command.minutes is None:
         say_duration(console, scene, config, device)
@@ -198,51 +189,22 @@ def trained(
     console: Console,
 ) -> Asset:
     """Train with progress shown; say what the light is, unless the run was finished before."""
-    from pcore.asset.training import RunOptions
     from pcore.asset.training import train as make
-    from pcore.cli.light import show_light
-    from pcore.cli.sessions import shown_training
-    from pcore.files.run_record import finished
+    from pcore.cli.sessions import trained_with
 
-    done = command.resume and finished(command.output)
-    with shown_training(console) as (listener, note):
-        options = RunOptions(
-            resume=command.resume,
-            tensorboard=not command.no_tensorboard,
-            compiled=not command.no_compile,
-            preset=command.preset,
-            note=note,
-        )
-        asset = make(
+    return trained_with(
+        command,
+        console,
+        command.output,
+        command.preset,
+        lambda listener, options: make(
             scene,
             config,
             folder=command.output,
             listener=listener,
             device=device,
             options=options,
-        )
-    if not done:
-        show_light(asset, console)
-    return asset
-
-
-def check_shows(asset: Asset, scene: Scene) -> None:
-    """Raise TrainingError when an object shows nothing in any of a few training views."""
-    from pcore.errors import TrainingError
-
-    views = scene.split("train")
-    for view in views[:: max(1, len(views) // _LOOKS)][:_LOOKS]:
-        scale = min(1.0, _LOOK_SIDE / max(view.camera.width, view.camera.height))
-        width, height = (
-            max(_LEAST_SIDE, round(scale * side))
-            for side in (view.camera.width, view.camera.height)
-        )
-        picture = asset.render(None, view.camera.resized(width, height), samples=1)
-        if bool((picture.alpha > _FAINT).any()):
-            return
-    raise TrainingError(
-        f"{asset.path}: the run is saved, but nothing is to be seen in its pictures: the points "
-        "are not where the photos show the object; check poses, masks and --init"
+        ),
     )
 
 
@@ -257,12 +219,7 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     if command.init in ("hull", "grid"):
         changes["start"] = command.init
     elif command.init is not None:
-        if command.points is not None:
-            raise InputError(
-                f"--points {command.points}: expected no number where the points come from a file, "
-                f"got --init {command.init} as well; leave one of the options out"
-            )
-        changes["start"] = str(Path(command.init).resolve())
+        changes["start"] = start_file(command.init, command.points)
     elif not all(view.has_alpha for view in scene.split("train")):
         console.print("images without alpha have no visual hull: points start on a grid")
         changes["start"] = "grid"
@@ -272,53 +229,3 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     config = replace(start, **changes)
     warn_of_start(scene, config.start, console, otherwise="grid")
     return config
-
-
-def warn_of_start(scene: Scene, start: str, console: Console, *, otherwise: str) -> None:
-    """Warn where masks or a file would start points beside the object.
-
-    Args:
-        scene: to be trained on.
-        start: where points begin.
-        console: told of it.
-        otherwise: the start that needs no masks.
-
-    Raises:
-        SceneError: no mask holds anything.
-        InputError: no camera sees the points.
-    """
-    from pcore.cli.diagnosing import note
-    from pcore.data.masks import check_masks
-    from pcore.training.population import faint_share
-    from pcore.training.start_cloud import check_start, start_from_file
-
-    views = scene.split("train")
-    notes = [*check_masks(views)]
-    share = faint_share(views) if start == "hull" else 0.0
-    if share > _HAZE:
-        notes.append(
-            f"the masks are hazy: for 100 pixels that show the object, {100 * share:.0f} are 5 to "
-            "50 % opaque, and points will start in all of that; clean the alpha channels, or start "
-            f"without them: --init {otherwise}"
-        )
-    if start not in ("hull", otherwise):
-        notes += check_start(start_from_file(Path(start)), views, start)
-    note(console, notes)
-
-
-def announce(console: Console, scene: Scene, plan: str) -> None:
-    """Say in one line what is about to be trained."""
-    from pcore.cli.diagnosing import note
-
-    views = scene.split("train")
-    note(console, scene.notes)
-    sizes = Counter((view.camera.width, view.camera.height) for view in views)
-    width, height = sizes.most_common(1)[0][0]
-    others = f" (and {len(sizes) - 1} other sizes)" if len(sizes) > 1 else ""
-    console.print(
-        Text(
-            f"{scene.name}: {len(views)} training views of {width} x {height} pixels{others}; "
-            f"{plan}"
-        ),
-        soft_wrap=True,
-    )

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.text import Text
 
-from pcore.cli.minutes import Promise, promised_gaussians, say_duration
-from pcore.cli.train import (
-    EARLY,
-    TrainCommand,
-    announce,
-    check_shows,
-    opened,
-    trained,
-    warn_of_start,
-)
+from pcore.cli.minutes import Promise, promised, say_duration
+from pcore.cli.torchrun import is_first
+from pcore.cli.train import TrainCommand, opened
+from pcore.cli.train_checks import EARLY, announce, check_shows, start_file, warn_of_start
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,21 +33,22 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     """
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
-    from pcore.cli.torchrun import refuse_ranks
-    from pcore.files.run_folder import check_place
+    from pcore.cli.torchrun import refuse_ranks, trained_together
+    from pcore.files.run_place import check_place
     from pcore.training.gaussian_start import chosen_start
 
-    refuse_ranks("--model gaussians")
     began = time.monotonic()
     prepare_torch(command.threads)
     device = pick_device(command.device)
-    check_place(command.output, resume=command.resume)  # Before the photos are read.
+    if is_first():
+        check_place(command.output, resume=command.resume)  # Before the photos are read.
     config = _config(command)
     scene = opened(command, console)
     plan = f"{command.preset}, {config.steps:,} steps"
     if command.minutes is not None:
+        refuse_ranks("--minutes")
         promise = Promise(minutes=command.minutes, began=began)
-        scene, config, plan = promised_gaussians(command, scene, config, device, promise)
+        scene, config, plan = promised(command, scene, config, device, promise)
     start = chosen_start(scene, config.start)
     if start != "sparse":
         warn_of_start(scene, start, console, otherwise="views")
@@ -64,7 +58,9 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     if start in _WITHOUT_MASKS:
         place = f"images without alpha have no visual hull: Gaussians start {_WITHOUT_MASKS[start]}"
         console.print(Text(place), soft_wrap=True)
-    asset = trained(command, scene, config, device, console)
+    asset = trained_together(command, scene, config, device, console)
+    if asset is None:
+        return
     if config.steps >= EARLY:
         check_shows(asset, scene)
     show_result(console, asset)
@@ -76,7 +72,6 @@ def _config(command: TrainCommand) -> GaussianConfig:
 
     foreign = {
         "--origin": command.origin,
-        "--patches": command.patches,
         "--no-compile": command.no_compile or None,
     }
     foreign |= {f"--{name.replace('_', '-')}": x for name, x in command.losses.changes().items()}
@@ -89,16 +84,13 @@ def _config(command: TrainCommand) -> GaussianConfig:
             "only PAPR has; leave them out, or train with --model papr"
         )
     changes: dict[str, Any] = {"seed": command.seed}
+    if command.patches is not None:
+        changes["views"] = command.patches
     for name in ("steps", "points", "background", "exposure"):
         if getattr(command, name) is not None:
             changes[name] = getattr(command, name)
     if command.init in ("hull", "sparse", "views"):
         changes["start"] = command.init
     elif command.init is not None:
-        if command.points is not None:
-            raise InputError(
-                f"--points {command.points}: expected no number where the points come from a file, "
-                f"got --init {command.init} as well; leave one of the options out"
-            )
-        changes["start"] = str(Path(command.init).resolve())
+        changes["start"] = start_file(command.init, command.points)
     return replace(gaussian_preset(command.preset), **changes)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -25,35 +25,72 @@ def transforms_path(root: Path, split: str) -> Path:
     return root / f"transforms_{split}.json"
 
 
-def load_splits(root: Path, *, factor: int, cache: ImageCache) -> SplitsOnDemand:
-    """Splits that are in the folder, in the order train, val, test; each is read when it is needed.
+@dataclass(frozen=True, kw_only=True)
+class SplitFile:
+    """Where the views of one split are written.
+
+    Attributes:
+        root: folder that paths of images start from; images must lie inside it.
+        path: the transforms file.
+        time: only frames of this time stamp belong to it (`same_time`); None: all.
+    """
+
+    root: Path
+    path: Path
+    time: float | None = None
+
+
+def splits_in(root: Path, time: float | None = None) -> dict[str, SplitFile]:
+    """Splits of the format that are in a folder, in the order train, val, test."""
+    paths = {split: transforms_path(root, split) for split in SPLITS}
+    return {
+        split: SplitFile(root=root, path=path, time=time)
+        for split, path in paths.items()
+        if path.is_file()
+    }
+
+
+def same_time(first: float | None, second: float | None) -> bool:
+    """Whether two time stamps are one: they agree in six digits, as their names do."""
+    return first is not None and second is not None and f"{first:.6g}" == f"{second:.6g}"
+
+
+def load_splits(
+    files: Mapping[str, SplitFile], *, factor: int, cache: ImageCache, note: str = ""
+) -> SplitsOnDemand:
+    """Splits by their files; each is read when it is needed, and has the note beside its own.
 
     Then the headers of all its images are read, so that a missing file or a wrong size is found
     at once and not in the middle of training; pixels are decoded later.
     """
     return SplitsOnDemand(
         {
-            split: partial(load_split, root, split, factor=factor, cache=cache)
-            for split in SPLITS
-            if transforms_path(root, split).is_file()
+            split: partial(load_split, split, file, factor=factor, cache=cache, note=note)
+            for split, file in files.items()
         }
     )
 
 
-def load_split(root: Path, split: str, *, factor: int, cache: ImageCache) -> Split:
+def load_split(
+    split: str, file: SplitFile, *, factor: int, cache: ImageCache, note: str = ""
+) -> Split:
     """Views of one split, and what is odd about its files.
 
     Args:
-        root: folder of the transforms file; images must lie inside it.
         split: "train", "val" or "test". The poses of training views must be those of one object.
+        file: where it is written.
         factor: whole number by which images are down-scaled.
         cache: keeps decoded images.
+        note: what is to be said of the files before what is odd about them.
 
     Raises:
         SceneError: files missing, damaged or inconsistent.
         InputError: a factor that does not divide the image size.
     """
-    transforms = read_transforms(transforms_path(root, split))
+    root, transforms = file.root, read_transforms(file.path)
+    if file.time is not None:
+        chosen = [frame for frame in transforms.frames if same_time(frame.time, file.time)]
+        transforms = replace(transforms, frames=tuple(chosen))
     frames = transforms.frames
     finder = Finder(root=root)
     images = finder.find_all(_wanted(frames))
@@ -82,7 +119,7 @@ def load_split(root: Path, split: str, *, factor: int, cache: ImageCache) -> Spl
         camera = transforms.camera(frame, (full[0] // factor, full[1] // factor), full)
         views.append(View(name=frame.name, camera=camera, image=source))
     alpha.sources = [view.image for view in views]
-    notes = [*transforms.notes, *finder.notes(transforms.path.name)]
+    notes = [note, *transforms.notes, *finder.notes(transforms.path.name)]
     notes += _notes(views, turned, root)
     if split == "train":
         notes.append(_check_poses(transforms, views))

@@ -1,4 +1,4 @@
-"""The structure of a binary glTF file (.glb), version 2, as far as shapes need it.
+"""The structure of a glTF file (.glb or .gltf), version 2, as far as shapes need it.
 
 Khronos, "glTF 2.0 Specification". What the file asks for and is not read here is an error that
 names it: nothing falls back to a shape that the file does not have.
@@ -6,9 +6,12 @@ names it: nothing falls back to a shape that the file does not have.
 
 from __future__ import annotations
 
+import base64
 import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal
+from urllib.parse import unquote
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -161,12 +164,12 @@ class Document(_Part):
 
 @dataclass(frozen=True, kw_only=True)
 class Glb:
-    """A binary glTF file.
+    """A glTF file.
 
     Attributes:
         document: its JSON, as far as shapes need it.
         data: its JSON as it is.
-        binary: its binary chunk, empty where it has none.
+        binary: its binary chunk or first buffer, empty where it has none.
         where: its name, for messages.
     """
 
@@ -192,10 +195,61 @@ def read_glb(content: bytes, where: str) -> Glb:
     chunks = _chunks(content, where)
     if _JSON not in chunks:
         raise _damaged(where, "it has no JSON chunk")
+    return _checked(_tree(chunks[_JSON], where), chunks.get(_BIN, b""), where)
+
+
+def read_gltf(content: bytes, where: str, folder: Path) -> Glb:
+    """Take a .gltf together with the files that lie beside it, and check what it asks for.
+
+    Args:
+        content: its JSON.
+        where: its name, for messages.
+        folder: that its files are in.
+
+    Raises:
+        InputError: as `read_glb`, or a file that is missing or lies outside the folder.
+    """
+    data = _tree(content, where)
+    binary = b""
+    for kind in ("buffers", "images"):
+        entries = data.get(kind, []) if isinstance(data, dict) else []
+        for number, entry in enumerate(entries if isinstance(entries, list) else []):
+            uri = entry.get("uri") if isinstance(entry, dict) else None
+            if not isinstance(uri, str) or uri.startswith("data:"):
+                continue
+            found = _beside(uri, where, folder)
+            if kind == "buffers" and number == 0:
+                binary = found
+                del entry["uri"]
+            else:
+                entry["uri"] = "data:;base64," + base64.b64encode(found).decode("ascii")
+    return _checked(data, binary, where)
+
+
+def _beside(uri: str, where: str, folder: Path) -> bytes:
+    path = (folder / unquote(uri)).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise InputError(
+            f"{where}: expected files beside it, got {uri[:60]!r} outside its folder; put them "
+            "together"
+        )
     try:
-        data = json.loads(chunks[_JSON].decode("utf-8-sig").rstrip("\0"))
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"{where}: expected the file {uri[:60]!r} beside it, got: {error.strerror}; bring it "
+            "along, or export glTF Binary (.glb), which is one file"
+        ) from None
+
+
+def _tree(text: bytes, where: str) -> Any:
+    try:
+        return json.loads(text.decode("utf-8-sig").rstrip("\0"))
     except (ValueError, RecursionError):
         raise _damaged(where, "its JSON does not parse") from None
+
+
+def _checked(data: Any, binary: bytes, where: str) -> Glb:
     document = parse(Document, data, where=where, error=InputError)
     if not document.asset.version.startswith("2."):
         raise InputError(
@@ -203,7 +257,7 @@ def read_glb(content: bytes, where: str) -> Glb:
         )
     for name in document.extensionsRequired:
         _check_extension(name, where)
-    return Glb(document=document, data=data, binary=chunks.get(_BIN, b""), where=where)
+    return Glb(document=document, data=data, binary=binary, where=where)
 
 
 def refuse_extension(name: str, where: str) -> InputError:

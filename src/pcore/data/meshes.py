@@ -1,4 +1,4 @@
-"""Triangle meshes in files: PLY, OBJ and binary glTF."""
+"""Triangle meshes in files: PLY, OBJ and glTF."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pcore.data.gltf import read_glb
+from pcore.data.gltf import read_glb, read_gltf
 from pcore.data.gltf_mesh import read_shape
 from pcore.data.obj import parse_obj
 from pcore.data.point_ply import read_point_ply
 from pcore.errors import InputError
 
-MESH_SUFFIXES = (".ply", ".obj", ".glb")
+MESH_SUFFIXES = (".ply", ".obj", ".glb", ".gltf")
 _REMEDIES = {
-    ".gltf": "; export glTF Binary (.glb), which is one file",
     ".stl": "; an STL repeats its corners in every triangle: export another of these",
 }
 
@@ -41,8 +40,8 @@ def read_mesh(path: Path | str, *, up: Literal["y", "z"] = "z") -> MeshFile:
     """Read a mesh with its vertices in the order of the file, none merged.
 
     Args:
-        path: a .ply, .obj or .glb; the parts of a .glb are joined, each where its node puts it,
-            with morph targets and skins as they stand in the file.
+        path: a .ply, .obj, .glb or .gltf; the parts of a glTF are joined, each where its node puts
+            it, with morph targets and skins as they stand in the file.
         up: the axis that points up in the file; y is turned to z as Blender's importers do,
             (x, y, z) to (x, -z, y).
 
@@ -73,18 +72,22 @@ def _parsed(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
         raise InputError(
-            f"{path}: expected a mesh that ends in .ply, .obj or .glb, got "
+            f"{path}: expected a mesh that ends in .ply, .obj, .glb or .gltf, got "
             f"{path.suffix or 'no ending'!r}{_REMEDIES.get(suffix, '')}"
         )
     try:
         content = path.read_bytes()
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file; expected a mesh (.ply, .obj or .glb)") from None
+        raise InputError(
+            f"{path}: no such file; expected a mesh (.ply, .obj, .glb, .gltf)"
+        ) from None
     except OSError as error:
         raise InputError(f"{path}: cannot read the mesh: {error.strerror}") from error
     where = str(path)
     if suffix == ".glb":
         return read_shape(read_glb(content, where))
+    if suffix == ".gltf":
+        return read_shape(read_gltf(content, where, path.parent))
     if suffix == ".obj":
         return parse_obj(content, where)
     points = read_point_ply(content, where)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping
@@ -14,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from pcore.data.foreign import foreign_json, foreign_matrix, foreign_text
-from pcore.data.lens import Lens, LensEntry, bend_of, check_pinhole, check_projection, lens_of
+from pcore.data.lens import Lens, lens_of
+from pcore.data.lens_entry import LensEntry, bend_of, check_pinhole, check_projection
 from pcore.data.transform_keys import (
     USED_AT_TOP,
     USED_IN_CAPTURES,
@@ -58,6 +60,7 @@ class PosedFrame:
         world_from_camera: (4, 4) float64, as in the file.
         lens: the file's, with what the frame says itself.
         bend: coefficients of distortion that are not zero, by name.
+        time: time stamp of D-NeRF's form, as in the file; None where it says none.
     """
 
     where: str
@@ -67,6 +70,7 @@ class PosedFrame:
     world_from_camera: Tensor
     lens: Lens
     bend: Mapping[str, float] = field(default_factory=dict[str, float])
+    time: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,12 +153,21 @@ def read_transforms(path: Path, *, capture: bool = False) -> Transforms:
             world_from_camera=_pose(place, entry, finite=not capture),
             lens=_lens(lens, entry, place, where),
             bend=bend_of(top, entry),
+            time=time_of(item),
         )
-        for (place, entry), name in zip(entries, names, strict=True)
+        for item, (place, entry), name in zip(frames, entries, names, strict=True)
     )
     note = note_of_unknown(unknown, in_frames, len(frames))
     said = () if note is None else (f"{path.name}: {note}",)
     return Transforms(path=path, frames=posed, notes=said, content=raw)
+
+
+def time_of(frame: Any) -> float | None:
+    """Time stamp of an entry of `frames`; None where it has no finite number there."""
+    value = cast("Mapping[str, Any]", frame).get("time") if isinstance(frame, dict) else None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    return float(value) if math.isfinite(value) else None
 
 
 def _read(path: Path, where: str) -> Mapping[str, Any]:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from pcore.errors import InputError
+
+PARTIAL_SUFFIX = ".partial"
+"""Ending of files that are being written; one that is left over comes from a killed process."""
 
 
 def replace_file(path: Path, content: bytes) -> None:
@@ -19,7 +24,7 @@ def replace_file(path: Path, content: bytes) -> None:
 @contextmanager
 def replacing(path: Path) -> Generator[Path]:
     """Give a hidden file beside `path` to write, which takes its place when all went well."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f".{path.name}.{os.getpid()}{PARTIAL_SUFFIX}")
     try:
         yield partial
         partial.replace(path)
@@ -48,3 +53,8 @@ def write_whole(path: Path, content: bytes, what: str) -> None:
             f"{path}: cannot write the {what} ({error.strerror}); expected a place that can be "
             "written to"
         ) from error
+
+
+def save_json(path: Path, content: Mapping[str, Any], what: str) -> None:
+    """Write JSON values as `write_whole` does; raises InputError."""
+    write_whole(path, (json.dumps(content, indent=1) + "\n").encode(), what)

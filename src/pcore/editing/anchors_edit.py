@@ -157,8 +157,13 @@ class AnchorsEdit(PlacedEdit):
     def dragger(self, rig: AnchorRig) -> tuple[Dragger, dict[int, Handle]]:
         """Return what poses the anchors, and its handles; errors as `bind_to`."""
         handles = self.placed(rig)
-        reach = _REACH * rig.size if self.reach is None else self.reach
+        reach = self.reach_of(self.reach, rig.size)
         return Dragger(rig.graph, tuple(handles), reach=reach), handles
+
+    @staticmethod
+    def reach_of(reach: float | None, size: float) -> float:
+        """How far along the surface handles reach, on an object of a size; None is the usual."""
+        return _REACH * size if reach is None else reach
 
     def placed(self, rig: AnchorRig) -> dict[int, Handle]:
         """Return the handles by anchor index, in world units; errors as `bind_to`."""

@@ -51,17 +51,20 @@ class PartEdit(Edit):
         return self.place(Setting(points=points, rest=points))
 
     def place(self, setting: Setting) -> Deformation:
-        """See `Edit.place`; without `origin` it is the centre of the points in the region."""
-        if self.origin is not None:
-            origin = torch.tensor(self.origin, dtype=torch.float64)
-        else:
-            weight = bind_region(self.region, setting).weight(setting.points).unsqueeze(-1)
-            origin = (weight * setting.points).sum(dim=0) / weight.sum()
+        """See `Edit.place`."""
+        origin = self.pivot(setting)
         turn_by = turn_of(self.axis, self.angle_deg, self.rotation)
         turn = rigid(*turn_by, self.translation, origin)
         if self.factor == 1.0:
             return turn
         return _merged(uniform_scale(self.factor, origin), turn)
+
+    def pivot(self, setting: Setting) -> Tensor:
+        """`origin` (3,) float64; where none is given, the centre of the points in the region."""
+        if self.origin is not None:
+            return torch.tensor(self.origin, dtype=torch.float64)
+        weight = bind_region(self.region, setting).weight(setting.points).unsqueeze(-1)
+        return (weight * setting.points).sum(dim=0) / weight.sum()
 
 
 def _merged(first: Affine, second: Affine) -> Affine:

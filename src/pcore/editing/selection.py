@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 from torch import Tensor
 
 from pcore.deform.point_region import path_weights
@@ -92,6 +93,29 @@ class Selector:
         away = (offset - share.clamp(0, 1).unsqueeze(2) * way).norm(dim=2).amin(dim=1)
         return self._seen(points, camera, (away <= radius) & (depth > 0), through)
 
+    def lasso(
+        self, points: Tensor, camera: Camera, outline: Tensor, *, through: bool = False
+    ) -> Tensor:
+        """Points that lie within an outline drawn over a picture, bool (N,).
+
+        Args:
+            points: (N, 3) where they are now, world units.
+            camera: who looks.
+            outline: (S, 2) columns and rows; its ends are joined, and what it goes round twice
+                lies outside. With fewer than three places nothing lies within.
+            through: as `box`.
+        """
+        column, row, depth = camera.project(points)
+        start = outline.reshape(-1, 2).to(row)
+        end = start.roll(-1, dims=0)
+        # A ray to the right crosses the outline an odd number of times from within.
+        spans = (start[:, 1] > row.unsqueeze(1)) != (end[:, 1] > row.unsqueeze(1))
+        slope = (end[:, 0] - start[:, 0]) / (end[:, 1] - start[:, 1])
+        crossing = start[:, 0] + (row.unsqueeze(1) - start[:, 1]) * slope
+        crossed = spans & (column.unsqueeze(1) < crossing)
+        inside = crossed.sum(dim=1) % 2 == 1
+        return self._seen(points, camera, inside & (depth > 0), through)
+
     def geodesic(self, point: int, radius: float, falloff: float = 0.0) -> Tensor:
         """Weights (N,) by paths over the surface from a point: 1 up to a radius, then to 0.
 
@@ -109,6 +133,22 @@ class Selector:
             mask = mask | (self.graph.astype(bool) @ mask)
         return torch.from_numpy(mask)
 
+    def rim(self, sources: Tensor, length: float) -> Rim:
+        """Where the shortest paths from points (S,), at least one, have a length at rest."""
+        longest = float(self.graph.max()) if self.graph.nnz else 0.0
+        limit = length + longest  # No link that goes across is left out.
+        reached = torch.from_numpy(
+            dijkstra(
+                self.graph, directed=False, indices=sources.numpy(), min_only=True, limit=limit
+            )
+        )
+        first, second = (torch.from_numpy(one.astype(np.int64)) for one in self.graph.nonzero())
+        across = (reached[first] <= length) & (reached[second] > length)
+        across &= reached[second].isfinite()
+        first, second = first[across], second[across]
+        share = (length - reached[first]) / (reached[second] - reached[first])
+        return Rim(first=first, second=second, share=share)
+
     def shrink(self, chosen: Tensor, steps: int = 1) -> Tensor:
         """Take the rim of what is chosen, bool (N,), away, so many times."""
         return ~self.grow(~chosen, steps)
@@ -116,6 +156,20 @@ class Selector:
     def _seen(self, points: Tensor, camera: Camera, inside: Tensor, through: bool) -> Tensor:
         inside = inside.cpu()
         return inside if through else inside & visible_from(points, camera, self.spacing)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rim:
+    """A line over the surface: places on links (M,) from first to second points, at a share."""
+
+    first: Tensor
+    second: Tensor
+    share: Tensor
+
+    def at(self, points: Tensor) -> Tensor:
+        """The places (M, 3) of the line while the points (N, 3) are somewhere."""
+        share = self.share.unsqueeze(1).to(points)
+        return torch.lerp(points[self.first], points[self.second], share)
 
 
 def save_mask(path: Path | str, chosen: Tensor, falloff: float | None = None) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import statistics
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +19,7 @@ from pcore.evaluation.picture_method import folder_of
 from pcore.evaluation.protocol import STANDARD, Perceptual, Protocol
 from pcore.evaluation.runner import ImageRow, Method, Tells, evaluate
 from pcore.evaluation.states import State
-from pcore.evaluation.tables import jsonable, write_json
+from pcore.evaluation.tables import jsonable, numbers_of, write_json
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
 
@@ -148,15 +148,14 @@ class Contest:
     def _scored(self, entry: Entry, once: _Once, state: State) -> Outcome:
         base = Outcome(name=entry.name, setting=entry.setting, seed=entry.seed, state=state.name)
         try:
-            made = once.made()
-            timed = _Timed(made.method)
+            made, timed = once.made()
+            timed.seconds.clear()
             rows = evaluate([timed], [state], protocols=self.protocols, perceptual=self.perceptual)
         except PcoreError as error:
             return replace(base, failed=str(error))
         except (RuntimeError, ValueError, ArithmeticError, MemoryError) as error:
             # Of packages that are not ours; a method that fails must not cost the others.
             return replace(base, failed=f"{type(error).__name__}: {error}")
-        # The median: the first picture may wait for kernels to be compiled.
         spent = 1000 * statistics.median(timed.seconds)
         return replace(base, rows=tuple(rows), cost=made.cost, milliseconds=spent)
 
@@ -171,15 +170,16 @@ class _Once:
 
     def __init__(self, entry: Entry) -> None:
         self._entry = entry
-        self._made: Contestant | None = None
+        self._made: tuple[Contestant, _Timed] | None = None
         self._error: Exception | None = None
 
-    def made(self) -> Contestant:
+    def made(self) -> tuple[Contestant, _Timed]:
         if self._error is not None:
             raise self._error
         if self._made is None:
             try:
-                self._made = self._entry.make()
+                made = self._entry.make()
+                self._made = made, _Timed(made.method)
             except Exception as error:
                 self._error = error
                 raise
@@ -191,6 +191,7 @@ class _Timed:
 
     def __init__(self, method: Method) -> None:
         self._method = method
+        self._warm = False
         self.seconds: list[float] = []
 
     @property
@@ -205,6 +206,10 @@ class _Timed:
         return self._method.pose(state)
 
     def draw(self, posed: Any, camera: Camera) -> Image:
+        if not self._warm:
+            # The first picture also waits for kernels to be compiled: it is taken twice.
+            self._method.draw(posed, camera)
+            self._warm = True
         start = time.process_time()
         found = self._method.draw(posed, camera)
         self.seconds.append(time.process_time() - start)
@@ -222,7 +227,7 @@ def _read(path: Path, stamp: Any) -> Outcome | None:
             return None
         record["cost"] = Cost(**record["cost"])
         record["rows"] = tuple(
-            _row({**row, "scores": _numbers(row["scores"])}) for row in record["rows"]
+            _row({**row, "scores": numbers_of(row["scores"])}) for row in record["rows"]
         )
         return Outcome(**record)
     except (OSError, ValueError, KeyError, TypeError):
@@ -231,8 +236,3 @@ def _read(path: Path, stamp: Any) -> Outcome | None:
 
 def _row(values: dict[str, Any]) -> ImageRow:
     return ImageRow(**values)
-
-
-def _numbers(scores: Mapping[str, Any]) -> dict[str, Any]:
-    """Undo how infinity is written in JSON."""
-    return {k: float(v) if v in ("inf", "-inf") else v for k, v in scores.items()}

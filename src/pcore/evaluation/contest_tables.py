@@ -28,6 +28,7 @@ METRICS = (
     "strain_99",
     "unseen",
 )
+_IMAGE_KEYS = ("method", "setting", "seed", "state", "kind", "protocol", "view")
 _SETTINGS: dict[Setting, str] = {
     "given": "as given",
     "primitives": "equal primitives",
@@ -147,6 +148,20 @@ def contest_csv(lines: Sequence[Line]) -> bytes:
                     line.failed.get(state, ""),
                 ]
             )
+    return text.getvalue().encode()
+
+
+def images_csv(outcomes: Sequence[Outcome]) -> bytes:
+    """One line per picture: method, setting, seed, state, view and all scores."""
+    columns = list(dict.fromkeys(k for one in outcomes for row in one.rows for k in row.scores))
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*_IMAGE_KEYS, *columns])
+    for one in outcomes:
+        for row in one.rows:
+            where = [one.name, one.setting, one.seed, row.state, row.kind, row.protocol, row.view]
+            values = [row.scores.get(name) for name in columns]
+            writer.writerow([*where, *("" if v is None else repr(v) for v in values)])
     return text.getvalue().encode()
 
 

@@ -1,4 +1,4 @@
-"""States that an edit file makes: no true images, but all that points and renderings tell."""
+"""States that an edit file makes: all that points and renderings tell, and true images if given."""
 
 from __future__ import annotations
 
@@ -53,16 +53,27 @@ class EditedShape:
             center: (3,) of the scene, from which cameras step back, world units.
         """
         reach = max(growth(points, one.setting.points, center) for points, _, one in self._known)
+        farther = tuple(
+            Shot(view=shot.view, camera=_farther(shot.camera, center, reach), depth=None)
+            for shot in shots
+        )
+        return replace(self.against(name, farther, None), has_truth=False)
+
+    def against(self, name: str, shots: Sequence[Shot], object_size: float | None) -> State:
+        """Return the state to be scored on true images of another one.
+
+        Args:
+            name: of the edit; the state is called `edit:NAME`.
+            shots: of the state that the edit is meant to be.
+            object_size: of that state (`State`), None where its shape is not known.
+        """
         return State(
             name=f"{EDIT}{name}",
             kind="edited",
-            shots=tuple(
-                Shot(view=shot.view, camera=_farther(shot.camera, center, reach), depth=None)
-                for shot in shots
-            ),
+            shots=tuple(shots),
             move=lambda points: self._of(points)[2].setting.points.to(points),
             local_maps=self._local_maps,
-            object_size=None,
+            object_size=object_size,
             handles=self._handles,
         )
 

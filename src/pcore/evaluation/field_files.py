@@ -19,7 +19,7 @@ from pcore.evaluation.picture_method import folder_of
 from pcore.evaluation.states import CANONICAL, State
 from pcore.files.atomic import write_atomically
 from pcore.rivals.bound_fit import sized_mesh
-from pcore.rivals.depth_mesh import coarse_cage
+from pcore.rivals.cage_mesh import coarse_cage
 from pcore.rivals.nodes import node_rig
 
 _TRIANGLES = 4000

@@ -22,8 +22,9 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from pcore.deform.base import Deformation
-from pcore.errors import DependencyError, InputError, SceneError
+from pcore.errors import InputError, SceneError
 from pcore.evaluation.deformation_record import DeformationRecord
+from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.geometry.camera import Camera
 from pcore.geometry.surface_search import SurfacePoints, SurfaceSearch
 
@@ -195,45 +196,6 @@ def load_truth(root: Path) -> DeformedTruth:
         faces=faces.astype(np.int64),
         states={k: _vertices(path, k, v, len(canonical)) for k, v in states.items()},
     )
-
-
-def mesh_depth(vertices: FloatArray, faces: IntArray, camera: Camera) -> Tensor:
-    """Depth of a mesh by ray casting at pixel centres.
-
-    Args:
-        vertices: (V, 3) world units.
-        faces: (F, 3) indices; both sides of a triangle are seen.
-        camera: the view.
-
-    Returns:
-        (H, W) float32 camera z in world units; infinity where nothing is hit.
-
-    Raises:
-        DependencyError: embreex is not installed.
-    """
-    try:
-        import trimesh
-        from trimesh.ray.ray_pyembree import RayMeshIntersector
-    except ImportError as error:
-        raise DependencyError(
-            "the true depth of a mesh needs the ray caster embreex, which is not installed; "
-            "install it with: pip install 'pcore-edit[sample]'"
-        ) from error
-    rays = camera.rays().flat()
-    directions = rays.directions.double().numpy()
-    origin = camera.center.double().numpy()
-    mesh = trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
-    first = RayMeshIntersector(mesh).intersects_first(rays.origins.numpy(), directions)
-    ray = np.flatnonzero(first >= 0)
-    # embree knows which triangle is hit; where on its plane is computed here in float64.
-    corners = np.asarray(vertices, dtype=np.float64)[faces[first[ray]]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    towards = np.einsum("nd,nd->n", normal, directions[ray])
-    distance = np.einsum("nd,nd->n", normal, corners[:, 0] - origin) / towards
-    forward = -camera.world_from_camera[:3, 2].double().numpy()
-    depth = np.full(camera.height * camera.width, np.inf, dtype=np.float32)
-    depth[ray] = distance * (directions[ray] @ forward)
-    return torch.from_numpy(depth.reshape(camera.height, camera.width))
 
 
 def _as_points(points: Tensor) -> FloatArray:

@@ -25,7 +25,7 @@ from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
 from pcore.rivals.bound_fit import fit_bound, sized_mesh
-from pcore.rivals.depth_mesh import coarse_cage
+from pcore.rivals.cage_mesh import coarse_cage
 from pcore.rivals.kept import Spent, kept_bound, kept_cost, kept_mesh, kept_voxels
 from pcore.rivals.mesh_bound import PER_TRIANGLE
 from pcore.rivals.voxel_fit import VoxelConfig, fit_voxels

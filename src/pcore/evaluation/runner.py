@@ -5,6 +5,7 @@ from __future__ import annotations
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -18,6 +19,7 @@ from pcore.evaluation.states import Kind, State
 from pcore.geometry.camera import Camera
 from pcore.metrics.geometry_metrics import GeometryScores, TrueGeometry, measure_geometry
 from pcore.render.image import Image
+from pcore.training.ranks import current_ranks
 
 Value = float | int | None
 Progress = Callable[[int, int], None]
@@ -135,28 +137,34 @@ def evaluate(
         show: called with the pictures of every shot as soon as they are taken; they are not kept.
 
     Returns:
-        One row per picture and protocol: states, views, methods, protocols from slow to fast.
+        One row per picture and protocol: states, views, methods, protocols from slow to fast. Of
+        processes that work together the first has all of them, the others none.
 
     Raises:
         InputError: no method, names that repeat, or a picture that cannot be measured.
         EditError: a state folds space where a method draws with aware rays.
     """
     _check_names(methods)
-    total = len(methods) * sum(len(state.shots) for state in states)
-    rows: list[ImageRow] = []
-    done = 0
     # All poses first: a state that cannot be drawn must not cost the pictures of those before.
     carried = [{method.name: method.pose(state) for method in methods} for state in states]
-    for state, poses in zip(states, carried, strict=True):
-        health = {method.name: method.health(poses[method.name], state) for method in methods}
-        for index in range(len(state.shots)):
-            taken = _take(methods, poses, health, state, index)
-            rows += _score(methods, taken, state, protocols, perceptual)
-            done += len(methods)
-            if progress is not None:
-                progress(done, total)
-            if show is not None:
-                show(taken)
+    jobs = [(n, index) for n, state in enumerate(states) for index in range(len(state.shots))]
+
+    @cache
+    def health_of(n: int) -> dict[str, Health | None]:
+        return {one.name: one.health(carried[n][one.name], states[n]) for one in methods}
+
+    def scored(job: int) -> list[ImageRow]:
+        n, index = jobs[job]
+        taken = _take(methods, carried[n], health_of(n), states[n], index)
+        if show is not None:
+            show(taken)
+        return _score(methods, taken, states[n], protocols, perceptual)
+
+    rows: list[ImageRow] = []
+    for done, found in enumerate(current_ranks().in_turn(len(jobs), scored), start=1):
+        rows += found
+        if progress is not None:
+            progress(done * len(methods), len(jobs) * len(methods))
     return rows
 
 

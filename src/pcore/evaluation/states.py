@@ -1,6 +1,7 @@
 """States of a scene that can be scored: where the points go and what the camera then sees.
 
-A state is the canonical scene, a deformed state with true images and meshes, or a uniform scale
+A state is the canonical scene, a deformed state with true images and what carries points to it
+(meshes, or points before and after), or a uniform scale
 `scale:S`, whose truth is any real test view: points and camera centres that are scaled together
 about the origin give the same picture.
 """
@@ -14,17 +15,25 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-import torch
 from torch import Tensor
 
-from pcore.capture.load import find_states, load_scene, load_state
+from pcore.capture.load import load_scene, load_state
+from pcore.capture.state_folders import state_files
 from pcore.data.scene import Scene, View
-from pcore.deform.base import Deformation
-from pcore.deform.jacobian import analytic_maps, estimated_maps
+from pcore.deform.jacobian import estimated_maps
 from pcore.deform.simple import uniform_scale
 from pcore.editing.handles import HandleDiagnosis
 from pcore.errors import InputError, SceneError
-from pcore.evaluation.ground_truth import DeformedTruth, SurfaceAnchors, load_truth
+from pcore.evaluation.ground_truth import DeformedTruth, load_truth
+from pcore.evaluation.state_moves import (
+    AFTER,
+    BEFORE,
+    MeshCarrier,
+    by_formula,
+    carried_by,
+    point_files,
+    stay,
+)
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 
@@ -35,7 +44,7 @@ MESHES = "meshes.npz"
 
 Kind = Literal["canonical", "analytic", "skeletal", "edited"]
 """`analytic` states have a formula for all of space, `skeletal` ones come from an animation, and
-`edited` ones from an edit file: those have no true images."""
+`edited` ones from an edit file: those have true images only where it is scored against a state."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +78,7 @@ class State:
         world: factor by which the truth scales all of the world, lamps and cameras too.
         handles: diagnoses of the edits by anchors that make the state, for canonical points (N, 3);
             None where no edit makes it.
+        has_truth: whether its views are true images of it.
     """
 
     name: str
@@ -79,11 +89,7 @@ class State:
     object_size: float | None
     world: float = 1.0
     handles: Callable[[Tensor], tuple[HandleDiagnosis, ...]] | None = None
-
-    @property
-    def has_truth(self) -> bool:
-        """Whether its views are true images of it."""
-        return self.kind != "edited"
+    has_truth: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,7 +111,7 @@ class SceneStates:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the deformed states that can be scored."""
-        return () if self.truth is None else tuple(n for n in self._pictured if n in self._moved)
+        return tuple(name for name in self._pictured if name in self._moved)
 
     @property
     def left_out(self) -> str | None:
@@ -115,7 +121,8 @@ class SceneStates:
             return None
         return (
             f"left out: {', '.join(names)} of {self.path}: true images alone do not say where the "
-            f"points go; a state can be scored when {MESHES} holds its true mesh"
+            f"points go; a state can be scored when {MESHES} holds its true mesh, its folder "
+            f"{BEFORE} and {AFTER}, or an edit against it (`--edit FILE --against STATE`)"
         )
 
     def select(self, wanted: Sequence[str]) -> list[State]:
@@ -141,36 +148,68 @@ class SceneStates:
         if name not in self._pictured:
             known = ", ".join([CANONICAL, *self.names, f"{SCALE}S (for example {SCALE}2)", ALL])
             raise InputError(f"{self.path}: no state {name!r}; expected one of {known}")
-        if name not in self.names or self.truth is None:
+        if name not in self.names:
             raise SceneError(
-                f"{self.path}: the state {name!r} has true images but no mesh in {MESHES}, so "
-                "nothing says where the points go and it cannot be scored; choose another state "
-                f"({', '.join([CANONICAL, *self.names])}), or render it with an edit file"
+                f"{self.path}: the state {name!r} has true images but no mesh in {MESHES} and no "
+                f"{BEFORE} and {AFTER} in its folder, so nothing says where the points go and it "
+                f"cannot be scored; choose another state ({', '.join([CANONICAL, *self.names])}), "
+                f"or score an edit on its images (--edit FILE --against {name})"
             )
-        return self._deformed(name, self.truth)
+        return self._deformed(name)
 
     def _canonical(self) -> State:
         return State(
             name=CANONICAL,
             kind="canonical",
             shots=tuple(self._shot(view, None) for view in self._test_views),
-            move=_stay,
+            move=stay,
             local_maps=lambda points, moved: None,
             object_size=self._size,
         )
 
-    def _deformed(self, name: str, truth: DeformedTruth) -> State:
-        scene = load_state(self.path, name, factor=self.factor)
+    def _deformed(self, name: str) -> State:
+        shots, truth = self.true_shots(name), self.truth
+        if truth is None or name not in truth.states:
+            files = point_files(self.path / name)
+            assert files is not None, "the state is among those that are moved"
+            return State(
+                name=name,
+                kind="skeletal",
+                shots=shots,
+                move=files.move(),
+                local_maps=estimated_maps,
+                object_size=None,
+            )
         formula = truth.analytic(name)
         return State(
             name=name,
             kind="skeletal" if formula is None else "analytic",
-            shots=tuple(self._shot(view, name) for view in scene.split("test")),
+            shots=shots,
             # A formula says where all of space goes, as an edit does; the mesh only its surface.
-            move=_carried_by(formula) if formula else lambda points: self._carrier(points, name),
-            local_maps=_by_formula(formula) if formula else estimated_maps,
+            move=carried_by(formula) if formula else lambda points: self._carrier(points, name),
+            local_maps=by_formula(formula) if formula else estimated_maps,
             object_size=truth.object_size(name),
         )
+
+    def true_shots(self, name: str) -> tuple[Shot, ...]:
+        """The test views of a state, whether or not anything says where its points go.
+
+        Raises:
+            InputError: no such state.
+            SceneError: it has no test views, or they are damaged.
+        """
+        if name not in self._pictured:
+            known = ", ".join(self._pictured) or "none"
+            raise InputError(f"{self.path}: no state {name!r} with true images; it has {known}")
+        views = load_state(self.path, name, factor=self.factor).split("test")
+        if self.size_in(name) is None:
+            return tuple(Shot(view=view, camera=view.camera, depth=None) for view in views)
+        return tuple(self._shot(view, name) for view in views)
+
+    def size_in(self, name: str) -> float | None:
+        """Diagonal of the bounding box in a state, world units; None where no mesh tells."""
+        truth = self.truth
+        return truth.object_size(name) if truth is not None and name in truth.states else None
 
     def _scaled(self, name: str) -> State:
         scale = _scale_factor(name)
@@ -184,8 +223,8 @@ class SceneStates:
             name=name,
             kind="analytic",
             shots=tuple(shots),
-            move=_carried_by(uniform_scale(scale)),
-            local_maps=_by_formula(uniform_scale(scale)),
+            move=carried_by(uniform_scale(scale)),
+            local_maps=by_formula(uniform_scale(scale)),
             object_size=None if self._size is None else scale * self._size,
             world=scale,
         )
@@ -205,33 +244,19 @@ class SceneStates:
 
     @cached_property
     def _pictured(self) -> tuple[str, ...]:
-        return find_states(self.path)
+        found = state_files(self.path if self.path.is_dir() else self.path.parent)
+        return tuple(name for name, splits in found.items() if "test" in splits)
 
-    @property
-    def _moved(self) -> tuple[str, ...]:
-        return () if self.truth is None else tuple(self.truth.states)
+    @cached_property
+    def _moved(self) -> frozenset[str]:
+        meshed = () if self.truth is None else tuple(self.truth.states)
+        return frozenset(meshed) | {n for n in self._pictured if point_files(self.path / n)}
 
     @cached_property
     def _carrier(self) -> Callable[[Tensor, str], Tensor]:
         if self.truth is None:
             raise SceneError(f"{self.path}: no {MESHES}, nothing carries points")
-        return _Carrier(self.truth)
-
-
-class _Carrier:
-    """Carries points with a mesh; the search for closest points is done once per cloud."""
-
-    def __init__(self, truth: DeformedTruth) -> None:
-        self._truth = truth
-        self._known: list[tuple[Tensor, SurfaceAnchors]] = []
-
-    def __call__(self, points: Tensor, state: str) -> Tensor:
-        for cloud, anchors in self._known:
-            if cloud is points or torch.equal(cloud, points):
-                return self._truth.follow(anchors, state)
-        anchors = self._truth.anchor(points)
-        self._known.append((points, anchors))
-        return self._truth.follow(anchors, state)
+        return MeshCarrier(self.truth)
 
 
 def open_states(path: Path, *, factor: int = 1, masks: Path | None = None) -> SceneStates:
@@ -264,15 +289,3 @@ def _scale_factor(name: str) -> float:
 
 def _times(depth: Callable[[], Tensor], scale: float) -> Callable[[], Tensor]:
     return lambda: depth() * scale
-
-
-def _carried_by(formula: Deformation) -> Callable[[Tensor], Tensor]:
-    return lambda points: formula(points.double()).to(points)
-
-
-def _by_formula(formula: Deformation) -> Callable[[Tensor, Tensor], LocalMaps]:
-    return lambda points, moved: analytic_maps(formula, points)
-
-
-def _stay(points: Tensor) -> Tensor:
-    return points

@@ -10,8 +10,8 @@ from typing import Literal
 from pcore.evaluation.runner import ImageRow, Value, mean
 from pcore.evaluation.states import CANONICAL, Kind
 
-Group = Literal["analytic", "skeletal"]
-GROUPS: tuple[Group, ...] = ("analytic", "skeletal")
+Group = Literal["analytic", "skeletal", "edited"]
+GROUPS: tuple[Group, ...] = ("analytic", "skeletal", "edited")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,12 @@ def gains(means: Sequence[StateMean], baseline: str) -> list[Gain]:
     for protocol in protocols:
         table = {(m.method, m.state): m for m in means if m.protocol == protocol}
         for group in GROUPS:
-            names = dict.fromkeys(m.state for m in table.values() if m.kind == group)
+            # An edit is compared where it is scored against true images.
+            names = dict.fromkeys(
+                m.state
+                for m in table.values()
+                if m.kind == group and (group != "edited" or m.scores.get("psnr") is not None)
+            )
             found += [
                 _gain(table, (method, baseline), (protocol, group), tuple(names))
                 for method in methods

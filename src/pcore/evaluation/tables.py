@@ -136,15 +136,15 @@ def _field(value: Value) -> str:
 
 
 def _mean(record: dict[str, Any]) -> StateMean:
-    entries: dict[str, Any] = {**record, "scores": _numbers(record["scores"])}
+    entries: dict[str, Any] = {**record, "scores": numbers_of(record["scores"])}
     return StateMean(**entries)
 
 
 def _gain(record: dict[str, Any]) -> Gain:
-    entries: dict[str, Any] = {**_numbers(record), "states": tuple(record["states"])}
+    entries: dict[str, Any] = {**numbers_of(record), "states": tuple(record["states"])}
     return Gain(**entries)
 
 
-def _numbers(record: dict[str, Any]) -> dict[str, Any]:
+def numbers_of(record: Mapping[str, Any]) -> dict[str, Any]:
     """Undo how infinity is written in JSON."""
     return {k: float(v) if v in ("inf", "-inf") else v for k, v in record.items()}

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-PARTIAL_SUFFIX = ".partial"
-"""Ending of files that are being written; one that is left over comes from a killed process."""
+from pcore.data.whole_file import PARTIAL_SUFFIX, replacing
 
 
 def write_atomically(path: Path, content: bytes | memoryview) -> None:
@@ -19,17 +18,10 @@ def write_atomically(path: Path, content: bytes | memoryview) -> None:
     Raises:
         OSError: the disk is full, read-only or gone; `path` is then as it was before.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}{PARTIAL_SUFFIX}")
-    try:
-        with partial.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except BaseException:
-        # Also on Ctrl-C: the half-written file would otherwise hold disk space for nothing.
-        partial.unlink(missing_ok=True)
-        raise
+    with replacing(path) as partial, partial.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
     _sync_folder(path.parent)
 
 

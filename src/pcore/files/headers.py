@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -47,7 +49,7 @@ class Companion:
             OSError: the file cannot be written; the old one is untouched.
         """
         plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-        header = {"format": self._format, "version": self.version, **header}
+        header = {"format": self.format, "version": self.version, **header}
         write_atomically(path, save(plain, metadata=header))
 
     def read(self, path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
@@ -67,13 +69,26 @@ class Companion:
                 f"{path} is damaged or not a safetensors file: expected a {self.name} "
                 f"written by pcore; {self.mend}"
             ) from error
-        if header.get("format") != self._format or header.get("version") != self.version:
+        if header.get("format") != self.format or header.get("version") != self.version:
             raise CheckpointError(
-                f"{path}: expected the format '{self._format}' of version {self.version}, got "
+                f"{path}: expected the format '{self.format}' of version {self.version}, got "
                 f"{header.get('format')!r} of version {header.get('version')!r}; this is pcore "
                 f"{pcore_version()}; {self.mend}"
             )
         return header, tensors
+
+    def values(self, path: Path, header: Mapping[str, str], key: str) -> dict[str, Any]:
+        """JSON object under a key of a header; raises CheckpointError where it is none."""
+        try:
+            found: Any = json.loads(header.get(key, ""))
+        except (ValueError, RecursionError):
+            found = None
+        if not isinstance(found, dict):
+            raise CheckpointError(
+                f"{path}: expected a JSON object under '{key}' of the header, got "
+                f"{header.get(key)!r:.60}; the file was edited, {self.mend}"
+            )
+        return cast("dict[str, Any]", found)
 
     def check_finite(self, path: Path, tensors: Mapping[str, Tensor]) -> None:
         """Raise CheckpointError where a tensor has NaN or infinity."""
@@ -85,5 +100,6 @@ class Companion:
             )
 
     @property
-    def _format(self) -> str:
+    def format(self) -> str:
+        """Name of the format in headers."""
         return f"pcore-{self.noun}"

@@ -52,6 +52,19 @@ class FolderLock:
             self._file.close()
 
 
+def held(folder: Path) -> bool:
+    """Whether a living process holds the lock of a folder."""
+    if not (folder / LOCK_FILE).is_file():
+        return False
+    try:
+        with (folder / LOCK_FILE).open("rb") as file:
+            # Whoever gets the lock was alone; it goes as soon as the file is closed.
+            _lock(file.fileno())
+    except OSError:
+        return True
+    return False
+
+
 if sys.platform == "win32":
     import msvcrt
 

@@ -6,15 +6,14 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor
 
 from pcore.errors import CheckpointError, InputError
-from pcore.files.atomic import write_atomically
+from pcore.files.headers import Companion
 from pcore.files.provenance import Provenance, pcore_version
 from pcore.files.records import from_dict, to_dict
 from pcore.geometry.point_cloud import PointCloud
@@ -22,9 +21,12 @@ from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
 from pcore.model.papr_config import PaprConfig
 
-MODEL_FILE = "model.safetensors"
-_FORMAT = "pcore-model"
-_VERSION = "6"
+_FILE = Companion(
+    noun="model",
+    version="6",
+    mend="go back to an earlier checkpoint, or train again with lower learning rates",
+)
+MODEL_FILE = _FILE.name
 _CLOUD = ("positions", "features", "influence")
 _SURFELS = ("normals", "heights")
 
@@ -106,15 +108,13 @@ def save_model(
     if surfels is not None:
         tensors |= {f"surfels.{name}": getattr(surfels, name) for name in _SURFELS}
     _check_tensors(path, {name: _form(value) for name, value in tensors.items()}, config)
-    _check_finite(path, tensors)
-    header = {
-        "format": _FORMAT,
-        "version": _VERSION,
-        "config": json.dumps(to_dict(config)),
-        "provenance": json.dumps(to_dict(provenance)),
-    }
-    plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-    write_atomically(path, save(plain, metadata=header))
+    _FILE.check_finite(path, tensors)
+    _FILE.write(
+        path,
+        tensors,
+        config=json.dumps(to_dict(config)),
+        provenance=json.dumps(to_dict(provenance)),
+    )
 
 
 def load_model(path: Path | str) -> SavedModel:
@@ -131,7 +131,7 @@ def load_model(path: Path | str) -> SavedModel:
     config, provenance, _ = _read_header(path)
     with _open(path) as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    _check_finite(path, tensors)
+    _FILE.check_finite(path, tensors)
     cloud = PointCloud.from_tensors({name: tensors[f"cloud.{name}"] for name in _CLOUD})
     return SavedModel(
         config=config,
@@ -186,8 +186,7 @@ _DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", tor
 
 
 def _model_path(given: Path | str) -> Path:
-    path = Path(given)
-    path = path / MODEL_FILE if path.is_dir() else path
+    path = _FILE.path(given)
     if not path.is_file():
         raise CheckpointError(
             f"no model at {path}: expected a {MODEL_FILE} written by `pcore train`, `pcore "
@@ -225,40 +224,27 @@ def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
         forms: dict[str, _Form] = {
             name: (tuple(part.get_shape()), part.get_dtype()) for name, part in slices.items()
         }
-    if header.get("format") != _FORMAT:
+    if header.get("format") != _FILE.format:
         raise CheckpointError(
             f"{path} is a safetensors file but not a model of pcore: expected the format "
-            f"'{_FORMAT}' in its header, got {header.get('format')!r}; give a file written by "
+            f"'{_FILE.format}' in its header, got {header.get('format')!r}; give a file written by "
             "`pcore train`, `pcore finetune` or `pcore import papr`"
         )
-    if header.get("version") != _VERSION:
+    if header.get("version") != _FILE.version:
         raise CheckpointError(
             f"{path} has version {header.get('version')!r} of the model format: this pcore "
-            f"({pcore_version()}) reads version {_VERSION} alone; train the scene again (`pcore "
-            "train`), import the original's checkpoint again (`pcore import papr`), or use the "
-            "pcore that wrote it"
+            f"({pcore_version()}) reads version {_FILE.version} alone; train the scene again "
+            "(`pcore train`), import the original's checkpoint again (`pcore import papr`), or use "
+            "the pcore that wrote it"
         )
     # Models that were made before networks had a frame of their own have none.
-    settings = {"frame": None, **_json(path, header, "config")}
+    settings = {"frame": None, **_FILE.values(path, header, "config")}
     config = from_dict(PaprConfig, settings, where=f"{path}: config")
     provenance = from_dict(
-        Provenance, _json(path, header, "provenance"), where=f"{path}: provenance"
+        Provenance, _FILE.values(path, header, "provenance"), where=f"{path}: provenance"
     )
     _check_tensors(path, forms, config)
     return config, provenance, forms
-
-
-def _json(path: Path, header: Mapping[str, str], key: str) -> dict[str, Any]:
-    try:
-        found: Any = json.loads(header.get(key, ""))
-    except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, dict):
-        raise CheckpointError(
-            f"{path}: expected a JSON object under '{key}' of the header, got "
-            f"{header.get(key)!r:.60}; the file was edited, use the original"
-        )
-    return cast("dict[str, Any]", found)
 
 
 def _check_tensors(path: Path, forms: Mapping[str, _Form], config: PaprConfig) -> None:
@@ -304,12 +290,3 @@ def _check_tensors(path: Path, forms: Mapping[str, _Form], config: PaprConfig) -
 
 def _show(form: _Form) -> str:
     return f"{form[1]} {form[0]}"
-
-
-def _check_finite(path: Path, tensors: Mapping[str, Tensor]) -> None:
-    bad = [name for name, value in tensors.items() if not bool(torch.isfinite(value).all())]
-    if bad:
-        raise CheckpointError(
-            f"{path}: expected finite numbers, got NaN or infinity in {', '.join(bad[:4])}; the "
-            "training diverged, go back to an earlier checkpoint or lower the learning rates"
-        )

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Literal
 
 from torch import Tensor
 
+import pcore
 from pcore.geometry.point_cloud import PointCloud
 from pcore.model.papr_config import PaprConfig
 
@@ -19,10 +19,7 @@ Vector = tuple[float, float, float]
 
 def pcore_version() -> str:
     """Return the version of the installed package."""
-    try:
-        return version("pcore-edit")
-    except PackageNotFoundError:
-        return "unknown"
+    return pcore.__version__
 
 
 @dataclass(frozen=True, kw_only=True)

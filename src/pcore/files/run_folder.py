@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
@@ -11,42 +10,30 @@ from pathlib import Path
 from typing import Any
 
 from pcore.contrib.learned_skinning import Skinning
-from pcore.errors import CheckpointError, InputError, TrainingError
-from pcore.files.atomic import PARTIAL_SUFFIX, remove_partials, write_atomically
+from pcore.errors import CheckpointError, TrainingError
+from pcore.files.atomic import remove_partials, write_atomically
 from pcore.files.closing import Closing
 from pcore.files.gaussian_file import GAUSSIANS_FILE
-from pcore.files.lock import LOCK_FILE, FolderLock
+from pcore.files.lock import FolderLock
 from pcore.files.manifest import MANIFEST_FILE, new_manifest, read_manifest, same_run
 from pcore.files.model_file import MODEL_FILE, save_model
 from pcore.files.provenance import Provenance, Stage
+from pcore.files.run_place import (
+    RUNNING,
+    check_place,
+    check_space,
+    probe,
+    saved_nothing,
+    unwritable,
+)
 from pcore.files.skinning_file import SKINNING_FILE, save_skinning
 from pcore.files.training_state import STATE_FILE, TrainingState, load_state, save_state
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.surfels import Surfels
 from pcore.model.papr_config import PaprConfig
-from pcore.validation import first_names
 
 LOG_FILE = "log.jsonl"
-_BYTES_PER_NUMBER = 4
-
-
-def bytes_needed(numbers: int, *, renders: int = 0) -> int:
-    """Estimate the disk space of a run in bytes.
-
-    Args:
-        numbers: parameters of the networks and of the largest cloud together.
-        renders: bytes of pictures that will be written as well.
-
-    Counted are weights, two moments of Adam, a running average and the best weights in the state,
-    and the model file; all twice, because the old files stay until the new ones are complete;
-    and 16 MB for logs.
-    """
-    state, model = 5 * numbers, numbers
-    return 2 * (state + model) * _BYTES_PER_NUMBER + 16_000_000 + renders
-
-
-MASKS = "masks"
-"""Folder of the masks that were made for a run."""
+_TENSORBOARD = "tensorboard"
 
 
 class RunFolder(Closing):
@@ -88,19 +75,22 @@ class RunFolder(Closing):
             CheckpointError: its `run.json` is damaged or not ours.
         """
         check_place(path, resume=resume)
-        _check_space(path, needed)
-        with _unwritable(path):
+        check_space(path, needed)
+        with unwritable(path):
             path.mkdir(parents=True, exist_ok=True)
             lock = FolderLock.acquire(path)
             try:
                 check_place(path, resume=resume)  # Somebody may have been faster.
                 remove_partials(path)
-                _probe(path)
+                probe(path)
                 manifest = new_manifest(stage, scene, config)
-                if (path / MANIFEST_FILE).exists():
+                if saved_nothing(path):
+                    (path / LOG_FILE).unlink(missing_ok=True)
+                    shutil.rmtree(path / _TENSORBOARD, ignore_errors=True)
+                elif (path / MANIFEST_FILE).exists():
                     manifest = same_run(path, manifest)
                 run = cls(path, manifest, lock)
-                run.update(status="running")
+                run.update(status=RUNNING)
             except BaseException:
                 lock.release()
                 raise
@@ -139,7 +129,7 @@ class RunFolder(Closing):
     @property
     def tensorboard(self) -> Path:
         """The folder of TensorBoard's event files."""
-        return self.path / "tensorboard"
+        return self.path / _TENSORBOARD
 
     @property
     def renders(self) -> Path:
@@ -240,61 +230,3 @@ def _what_is_saved(folder: Path) -> str:
     if not parts:
         return f"nothing was saved in {folder} before"
     return f"already saved and undamaged in {folder}: {', '.join(parts)}"
-
-
-def check_place(path: Path, *, resume: bool) -> None:
-    """Raise InputError when `path` holds what must not be overwritten; write nothing."""
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path} is a file: expected a folder for the run; use another -o")
-    if not path.exists():
-        if resume:
-            raise InputError(
-                f"nothing to resume at {path}: expected the folder of an interrupted run; check "
-                "the path, or leave out --resume to start one"
-            )
-        return
-    if (path / MANIFEST_FILE).exists():
-        if resume:
-            return
-        raise InputError(
-            f"{path} holds a run already, which is not overwritten: continue it with --resume, "
-            "or choose another folder with -o"
-        )
-    foreign = first_names(item.name for item in path.iterdir() if not _is_leftover(item))
-    if foreign:
-        raise InputError(
-            f"{path} holds other files ({foreign}): "
-            "expected a new or empty folder for the run; choose another one with -o"
-        )
-
-
-def _is_leftover(item: Path) -> bool:
-    """Whether it stands before a run: masks made for it, or what a killed process left behind."""
-    return item.name == MASKS or item.name == LOCK_FILE or item.name.endswith(PARTIAL_SUFFIX)
-
-
-def _check_space(path: Path, needed: int) -> None:
-    parent = next(one for one in (path.absolute(), *path.absolute().parents) if one.exists())
-    free = shutil.disk_usage(parent).free
-    if free < needed:
-        raise TrainingError(
-            f"not enough space for the run at {path}: expected {needed / 1e6:.0f} MB free, got "
-            f"{free / 1e6:.0f} MB; free some or choose a folder on another disk with -o"
-        )
-
-
-@contextmanager
-def _unwritable(path: Path) -> Generator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise TrainingError(
-            f"cannot write into {path}: {error.strerror or error}; expected a writable folder, "
-            "choose another one with -o"
-        ) from error
-
-
-def _probe(path: Path) -> None:
-    """Write and delete a small file: permissions alone do not tell about read-only mounts."""
-    write_atomically(path / f".probe{PARTIAL_SUFFIX}", os.urandom(4096))
-    remove_partials(path)

@@ -86,17 +86,9 @@ def describe_skinning(path: Path | str) -> SkinningSummary:
 def _read(path: Path) -> tuple[SkinningConfig, dict[str, Tensor]]:
     """Configuration and tensors of a file, after checking that it is one of ours."""
     header, tensors = _FILE.read(path)
-    return from_dict(SkinningConfig, _config(path, header), where=f"{path}: config"), tensors
-
-
-def _config(path: Path, header: dict[str, str]) -> object:
-    try:
-        return json.loads(header.get("config", ""))
-    except json.JSONDecodeError as error:
-        raise CheckpointError(
-            f"{path}: expected JSON under 'config' of the header, got "
-            f"{header.get('config')!r:.60}; the file was edited, fit the skinning again"
-        ) from error
+    return from_dict(
+        SkinningConfig, _FILE.values(path, header, "config"), where=f"{path}: config"
+    ), tensors
 
 
 def _anchors(path: Path, tensors: dict[str, Tensor], points: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Shapes of Gaussians: quaternion and scales, and the covariance that they stand for."""
+"""Shapes of Gaussians: quaternions, and the covariances that they and scales stand for."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ import torch
 from torch import Tensor
 
 from pcore.geometry.rotation import rotations
-
-_SMALLEST = 1e-12
-"""Share of the longest standard deviation that is kept of a direction with none at all."""
 
 
 def quaternions(matrices: Tensor) -> Tensor:
@@ -39,17 +36,3 @@ def covariances(quats: Tensor, scales: Tensor) -> Tensor:
     """
     factors = rotations(quats) * scales.unsqueeze(-2)
     return factors @ factors.mT
-
-
-def shapes_of(covariance: Tensor) -> tuple[Tensor, Tensor]:
-    """Quaternions (..., 4) and scales (..., 3), ascending, of covariances (..., 3, 3).
-
-    The symmetric part counts. Scales are at least 1e-12 of the longest one. Differentiable where
-    the three scales differ.
-    """
-    variances, axes = torch.linalg.eigh((covariance + covariance.mT) / 2)
-    # The third axis is the one that makes a right-handed system.
-    third = torch.linalg.cross(axes[..., 0], axes[..., 1])
-    axes = torch.stack([axes[..., 0], axes[..., 1], third], dim=-1)
-    least = variances[..., 2:].clamp_min(torch.finfo(variances.dtype).tiny) * _SMALLEST**2
-    return quaternions(axes), variances.clamp_min(least).sqrt()

@@ -65,9 +65,9 @@ def load_light(path: Path | str, positions: Tensor) -> Relighting:
         )
     try:
         config = from_dict(
-            RelightConfig, json.loads(header.get("config", "")), where=f"{path}: config"
+            RelightConfig, _FILE.values(path, header, "config"), where=f"{path}: config"
         )
         light = Light(**{name: tensors[name] for name in _LIGHT})
         return Relighting(light=light, config=config, **{name: tensors[name] for name in _POINTS})
-    except (InputError, json.JSONDecodeError) as error:
+    except InputError as error:
         raise CheckpointError(f"{path}: {error}; {_FILE.mend}") from error

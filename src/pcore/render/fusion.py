@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -19,8 +18,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter
 from torch import Tensor
 
-from pcore.errors import DependencyError, InputError
+from pcore.errors import InputError
 from pcore.geometry.camera import Camera
+from pcore.render.distance_grid import BoolArray, DistanceGrid, require_marching_cubes
 from pcore.render.image import Image, normals
 from pcore.render.surfel_fit import Shown
 
@@ -39,8 +39,6 @@ _FREE = 0.05
 """Weight of a ray that passes, beside the cosine of one that hits: many pass close to a surface and
 would push it inwards; enough of them sweep away what floats."""
 _CHUNK = 1 << 18
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +67,6 @@ def depth_view(image: Image, camera: Camera) -> DepthView:
     return DepthView(camera=camera, rgb=straight, depth=depth, cosine=cosine.clamp(0, 1))
 
 
-@torch.no_grad()
 def fuse(
     views: Sequence[DepthView],
     lower: Tensor,
@@ -79,7 +76,30 @@ def fuse(
     smooth: float = 1.0,
     closed: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    """Make the mesh that the pictures agree on.
+    """Make the mesh that the pictures agree on; see `fused_distances` and `DistanceGrid.surface`.
+
+    Returns:
+        Vertices (V, 3) float64 and faces (F, 3) int64, counter-clockwise from outside.
+
+    Raises:
+        InputError: no picture shows anything solid in the box.
+        DependencyError: scikit-image is not installed.
+    """
+    require_marching_cubes()
+    return fused_distances(views, lower, upper, voxel, smooth=smooth, closed=closed).surface()
+
+
+@torch.no_grad()
+def fused_distances(
+    views: Sequence[DepthView],
+    lower: Tensor,
+    upper: Tensor,
+    voxel: float,
+    *,
+    smooth: float = 1.0,
+    closed: bool = False,
+) -> DistanceGrid:
+    """Average the distances from the surface that pictures show.
 
     Args:
         views: at least one, with pixels about a voxel wide.
@@ -90,14 +110,9 @@ def fuse(
             object do not agree to a voxel on where its surface is. 0 is none.
         closed: end the surface nowhere: what no camera has seen is inside. Else it ends there.
 
-    Returns:
-        Vertices (V, 3) float64 and faces (F, 3) int64, counter-clockwise from outside.
-
     Raises:
         InputError: no picture shows anything solid in the box.
-        DependencyError: scikit-image is not installed.
     """
-    marching_cubes = require_marching_cubes()
     grid = _Grid.around(lower, upper, voxel)
     near = grid.blocks_of([_places(view) for view in views])
     if not near.any():
@@ -113,33 +128,9 @@ def fuse(
     field, seen = grid.spread(coarse, near, views)
     # Outside of all pictures is no part of the object.
     field[~seen] = np.where(field[~seen] > 0, 1.0, -1.0)
-    shown = seen & (field < 1.0)
-    field = gaussian_filter(field, smooth)
-    # A rim of empty space: nothing ends at the box.
-    padded = np.pad(field, 1, constant_values=1.0)
-    if not (padded.min() < 0 < padded.max()):
-        raise InputError("mesh: expected a surface in the box, got nothing that is solid")
-    vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="descent")
-    vertices = vertices.astype(np.float64) - 1.0
-    if not closed:
-        faces = faces[_on_seen(vertices, shown)[faces].all(axis=1)]
-    return _compact(torch.from_numpy(vertices), torch.from_numpy(faces.astype(np.int64)), grid)
-
-
-def require_marching_cubes() -> Any:
-    """Return scikit-image's marching cubes.
-
-    Raises:
-        DependencyError: it is not installed; call this before long work whose end is a mesh.
-    """
-    try:
-        from skimage.measure import marching_cubes
-    except ImportError as error:
-        raise DependencyError(
-            "making meshes needs the package scikit-image, which is not installed: "
-            "`pip install 'pcore-edit[mesh]'`"
-        ) from error
-    return marching_cubes
+    shown = None if closed else seen & (field < 1.0)
+    values = np.asarray(gaussian_filter(field, smooth), dtype=np.float32)
+    return DistanceGrid(values=values, shown=shown, lower=grid.lower, voxel=voxel)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -275,19 +266,3 @@ def _between(plane: Tensor, row: Tensor, column: Tensor) -> tuple[Tensor, Tensor
     mean = (shares * four.nan_to_num(0.0)).sum(dim=0) / shares.sum(dim=0)
     least, most = four.nan_to_num(math.inf).amin(dim=0), four.nan_to_num(-math.inf).amax(dim=0)
     return mean, torch.where(mean.isnan(), math.inf, most - least)
-
-
-def _on_seen(vertices: NDArray[np.float64], seen: BoolArray) -> BoolArray:
-    """Which vertices (V, 3), in voxels, lie on an edge of the grid whose ends are both seen."""
-    most = np.array(seen.shape) - 1
-    low = np.clip(np.floor(vertices).astype(int), 0, most)
-    high = np.clip(np.ceil(vertices).astype(int), 0, most)
-    return seen[tuple(low.T)] & seen[tuple(high.T)]
-
-
-def _compact(vertices: Tensor, faces: Tensor, grid: _Grid) -> tuple[Tensor, Tensor]:
-    """Vertices in world units without those that no face has, and faces without area."""
-    a, b, c = faces.unbind(dim=1)
-    faces = faces[(a != b) & (b != c) & (a != c)]
-    used, numbers = torch.unique(faces, return_inverse=True)
-    return grid.lower + grid.voxel * vertices[used], numbers

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from pcore.geometry.camera import Camera
@@ -102,7 +103,6 @@ def _smooth(image: Image, camera: Camera) -> Tensor:
     """Where a pixel and its four neighbours are one surface, (H - 2, W - 2)."""
     solid, depth = image.alpha >= _SOLID, image.depth
     center = depth[1:-1, 1:-1]
-    steepest = _STEEPEST / min(camera.focal)
     valid = solid[1:-1, 1:-1]
     for rows, columns in (
         (slice(1, -1), slice(2, None)),
@@ -110,8 +110,49 @@ def _smooth(image: Image, camera: Camera) -> Tensor:
         (slice(2, None), slice(1, -1)),
         (slice(None, -2), slice(1, -1)),
     ):
-        beside = depth[rows, columns]
-        # A pixel is depth / focal length wide.
-        one_surface = (beside - center).abs() <= steepest * torch.maximum(beside, center)
-        valid = valid & solid[rows, columns] & one_surface
+        valid = valid & solid[rows, columns] & _one_surface(depth[rows, columns], center, camera)
     return valid
+
+
+def _one_surface(beside: Tensor, center: Tensor, camera: Camera) -> Tensor:
+    """Whether depths of neighbouring pixels are of one surface."""
+    # A pixel is depth / focal length wide.
+    steepest = _STEEPEST / min(camera.focal)
+    return (beside - center).abs() <= steepest * torch.maximum(beside, center)
+
+
+def whole_normals(image: Image, camera: Camera) -> Tensor:
+    """Unit normals (H, W, 3) for pictures: those of `normals`, without gaps at rims and jumps.
+
+    Where only one side of a pixel is of its surface, the difference to that side is taken. NaN
+    where the picture is not solid, and where no side is.
+
+    Args:
+        image: one picture.
+        camera: that took it.
+    """
+    points = F.pad(image.surface, (0, 0, 1, 1, 1, 1), value=math.nan)
+    depth = F.pad(image.depth, (1, 1, 1, 1), value=math.nan)
+    solid = F.pad(image.alpha, (1, 1, 1, 1)) >= _SOLID
+
+    def difference(axis: int) -> tuple[Tensor, Tensor]:
+        """Along an axis (H, W, 3), and where either side of a pixel tells it (H, W)."""
+        total = torch.zeros_like(image.surface)
+        told = torch.zeros_like(image.alpha, dtype=torch.bool)
+        center = depth[1:-1, 1:-1]
+        for step in (-1, 1):
+            beside, there, opaque = (
+                plane.roll(-step, axis)[1:-1, 1:-1] for plane in (depth, points, solid)
+            )
+            same = opaque & solid[1:-1, 1:-1] & _one_surface(beside, center, camera)
+            total += (step * (there - image.surface)).where(same.unsqueeze(-1), 0.0)
+            told |= same
+        return total, told
+
+    (down, tall), (right, wide) = difference(0), difference(1)
+    normal = F.normalize(torch.linalg.cross(right, down, dim=-1), dim=-1)
+    towards = camera.center.to(points) - image.surface
+    side = torch.where((normal * towards).sum(dim=-1, keepdim=True) < 0, -1.0, 1.0)
+    known = (tall & wide & (normal.square().sum(dim=-1) > 0)).unsqueeze(-1)
+    found = normals(image, camera)
+    return found.where(~found.isnan(), (side * normal).where(known, math.nan))

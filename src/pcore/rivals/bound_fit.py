@@ -12,8 +12,10 @@ from pcore.data.scene import Scene
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, PosedGaussians
 from pcore.geometry.camera import Camera
+from pcore.render.distance_grid import DistanceGrid
+from pcore.render.fusion import depth_view, fused_distances
 from pcore.render.image import Image
-from pcore.rivals.depth_mesh import Fused, fuse, mesh_of
+from pcore.rivals.cage_mesh import largest_piece
 from pcore.rivals.mesh_bound import PER_TRIANGLE, hung, placed, start_on, triangle_frames
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.gaussian_fit import fit_gaussians
@@ -21,6 +23,10 @@ from pcore.training.trainable_gaussians import Bound
 
 FINEST, COARSEST = 96, 8
 _TRIES = 4
+_VIEWS = 40
+"""More add nothing at these sizes."""
+_MARGIN = 0.06
+"""Share of the object's longest side around it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,19 +61,23 @@ def sized_mesh(
     scene: Scene,
     points: Tensor,
     triangles: int,
-) -> tuple[Fused, Tensor, Tensor]:
-    """Fuse depth as finely as makes about so many triangles; see `fuse` and `mesh_of`.
+) -> tuple[DistanceGrid, Tensor, Tensor]:
+    """Fuse depth as finely as makes about so many triangles; see `fused_distances`.
 
     Raises:
         InputError: there is no surface.
         DependencyError: scikit-image is not installed.
     """
     cameras = [view.camera for view in scene.split("train")]
+    chosen = {int(k) for k in torch.linspace(0, len(cameras) - 1, min(_VIEWS, len(cameras)))}
+    views = [depth_view(draw(cameras[k]), cameras[k]) for k in sorted(chosen)]
     lower, upper = (points.float().quantile(share, dim=0) for share in (0.01, 0.99))
+    side = float((upper - lower).max())
+    lower, upper, side = lower - _MARGIN * side, upper + _MARGIN * side, (1 + 2 * _MARGIN) * side
     cells, tries = 40, _TRIES
     while True:
-        fused = fuse(draw, cameras, lower, upper, cells=cells)
-        vertices, faces = mesh_of(fused)
+        fused = fused_distances(views, lower, upper, side / cells, smooth=0.0, closed=True)
+        vertices, faces = largest_piece(fused)
         tries -= 1
         # Triangles grow with the square of the cells.
         better = min(max(round(cells * (triangles / len(faces)) ** 0.5), COARSEST), FINEST)

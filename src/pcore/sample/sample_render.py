@@ -23,7 +23,7 @@ def ray_caster_class() -> Any:
         from trimesh.ray.ray_pyembree import RayMeshIntersector
     except ImportError as problem:
         raise DependencyError(
-            "the embedded sample is ray cast with embreex, which is not installed; "
+            "meshes are ray cast with embreex, which is not installed; "
             'install it with: pip install "pcore-edit[sample]"'
         ) from problem
     return RayMeshIntersector

@@ -6,29 +6,33 @@ import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.picking import pick
 from pcore.errors import EditError
+from pcore.geometry.extent import size_of
 from pcore.studio.drawing import OVERLAYS
+from pcore.studio.edit_forms import AXES, CAGES
 from pcore.studio.editor import Editor
-from pcore.studio.handle_edit import HandlePose
+from pcore.studio.handle_pose import HandlePose
 from pcore.studio.viewport import Viewport
 
 if TYPE_CHECKING:
     from pcore.studio.studio import Studio
 
 COMMANDS = (
-    *("undo", "redo", "add", "select", "enable", "order", "limit", "remove_handle", "cancel"),
+    *("undo", "redo", "add", "select", "enable", "order", "remove_handle", "cancel"),
     *(
-        "visible_only",
-        "selection",
-        "freeze",
-        "thaw",
         "play",
         "key",
         "unkey",
         "overlay",
         "still",
         "mirror",
+        "lock",
+        "click",
+        "reach",
+        "put",
+        "turn",
     ),
     *("save", "open"),
 )
@@ -72,8 +76,12 @@ class Actions:
         self._editor.redo()
 
     def add(self, kind: str) -> None:
-        """Add an edit."""
-        self._editor.add(kind)
+        """Add an edit, or one of `CAGES`."""
+        if kind in CAGES:
+            file = self._studio.outputs.next("cage", ".ply")
+            self._editor.add_cage(file, cells=CAGES[kind])
+        else:
+            self._editor.add(kind)
 
     def select(self, index: int) -> None:
         """Show another edit."""
@@ -100,36 +108,14 @@ class Actions:
         else:
             self._editor.remove(index)
 
-    def limit(self, index: int) -> None:
-        """Let an edit act in the selection alone."""
-        self._editor.limit(index)
-
     def remove_handle(self) -> None:
         """Take the selected handle away."""
         self._editor.remove_handle()
 
     def cancel(self) -> None:
-        """Put a drag back."""
-        self._editor.cancel()
-
-    def visible_only(self, on: bool) -> None:
-        """Whether boxes leave out what is covered."""
-        self._visible_only = on
-
-    def selection(self, what: str) -> None:
-        """Invert, grow, shrink or clear the selection."""
-        if what == "Clear":
-            self._shown(chosen=frozenset[int]())
-        else:
-            getattr(self._editor, {"Invert": "invert", "Grow": "grow", "Shrink": "shrink"}[what])()
-
-    def freeze(self) -> None:
-        """Hold the selection."""
-        self._editor.freeze()
-
-    def thaw(self) -> None:
-        """Let everything go."""
-        self._editor.thaw()
+        """Put a drag back, or a stroke."""
+        if not self._studio.selecting.take_back():
+            self._editor.cancel()
 
     def time(self, time: float) -> None:
         """Go to a time."""
@@ -145,8 +131,9 @@ class Actions:
 
     def overlay(self, name: str | None = None) -> None:
         """Show an overlay; None is the next one."""
-        now = OVERLAYS.index(self._editor.shown.overlay)
-        self._shown(overlay=name or OVERLAYS[(now + 1) % len(OVERLAYS)])
+        names: list[str] = list(OVERLAYS)
+        now = names.index(self._editor.shown.overlay)
+        self._shown(overlay=name or names[(now + 1) % len(names)])
 
     def compare(self, share: float) -> None:
         """Show how the object was before, in a share of the picture."""
@@ -156,9 +143,35 @@ class Actions:
         """Whether the light stands still."""
         self._shown(still=on)
 
-    def mirror(self, axis: str) -> None:
-        """Across which axis handles move in pairs."""
-        self._shown(mirror=axis)
+    def mirror(self, axis: str | None = None) -> None:
+        """Across which axis handles move in pairs; None is the next one."""
+        names = ("off", *AXES)
+        now = names.index(self._editor.shown.mirror)
+        self._shown(mirror=axis or names[(now + 1) % len(names)])
+
+    def lock(self, axis: str) -> None:
+        """Let handles move along one axis alone; the same once more, or "off", lets them go."""
+        self._shown(lock="off" if axis == self._editor.shown.lock else axis)
+
+    def click(self, what: str) -> None:
+        """What a click without a key puts, one of `CLICKS`."""
+        self._shown(click=what)
+
+    def reach(self, by: float) -> None:
+        """Let the selected handles reach so many times as far."""
+        raw, index = self._editor.present, self._index()
+        if raw is None or raw["type"] != "anchors":
+            raise EditError("reach: expected an edit by handles, got none; Ctrl-click the object")
+        size = size_of(self._editor.asset.points)
+        self._editor.set(index, "reach", AnchorsEdit.reach_of(raw.get("reach"), size) * by)
+
+    def put(self, place: Any) -> None:
+        """Put the selected handle at a place (3,), world units."""
+        self._stays(self._editor.put(place=place))
+
+    def turn(self, degrees: Any) -> None:
+        """Turn the selected handle by angles about x, y and z."""
+        self._stays(self._editor.put(degrees=degrees))
 
     def play(self, on: bool | None = None) -> None:
         """Let the timeline run, or stop it; None changes that."""
@@ -169,8 +182,8 @@ class Actions:
         if on:
             threading.Thread(target=self._run_time, name="pcore timeline", daemon=True).start()
 
-    def place(self, viewport: Viewport, place: tuple[float, float]) -> None:
-        """Put a handle where a tab's picture shows the object; a place in shares of the picture."""
+    def place(self, viewport: Viewport, place: tuple[float, float], pin: bool = False) -> None:
+        """Put a handle, or a pin, where a tab's picture shows the object, in shares of it."""
         editor, camera = self._editor, viewport.camera()
         if camera is None:
             return
@@ -178,23 +191,7 @@ class Actions:
         hit = pick(editor.state, camera, column, row, spacing=editor.spacing)
         if hit is None:
             raise EditError("handle: there is nothing under the pointer")
-        editor.place_handle(hit.point)
-
-    def choose(self, viewport: Viewport, lower: Any, upper: Any, how: str) -> None:
-        """Select the points in a rectangle of a tab, in shares of its picture."""
-        editor, camera = self._editor, viewport.camera()
-        if camera is not None:
-            sides = (camera.width, camera.height)
-            left, top, right, bottom = (
-                share * side for share, side in zip((*lower, *upper), sides * 2, strict=True)
-            )
-            inside = editor.selector.box(
-                editor.state.points.float(),
-                camera,
-                (left, top, right, bottom),
-                through=not self._visible_only,
-            )
-            editor.choose(inside, how=how)
+        editor.place_handle(hit.point, pin=pin)
 
     def drag(self, pose: HandlePose) -> None:
         """Show the selected handle elsewhere."""
@@ -202,7 +199,10 @@ class Actions:
 
     def drop(self) -> None:
         """Keep what is dragged."""
-        if not self._editor.drop():
+        self._stays(self._editor.drop())
+
+    def _stays(self, there: bool) -> None:
+        if not there:
             raise EditError("drag: space would fold there; back at the last place where it did not")
 
     def _shown(self, **changes: Any) -> None:
@@ -211,7 +211,7 @@ class Actions:
     def _index(self) -> int:
         index = self._editor.shown.selected
         if index is None:
-            raise EditError("key: expected a selected edit, got none; click one in the list")
+            raise EditError("expected a selected edit, got none; click one in the list")
         return index
 
     def _run_time(self) -> None:

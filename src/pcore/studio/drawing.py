@@ -23,7 +23,7 @@ from pcore.render.progressive import render_progressively
 
 OVERLAYS = ("none", "strain", "holes", "handles", "exposed", "frozen")
 FOLDED = torch.tensor([220, 30, 30], dtype=torch.uint8)
-CHOSEN = torch.tensor([255, 160, 0], dtype=torch.uint8)
+CHOSEN = torch.tensor([214, 0, 160], dtype=torch.uint8)
 _FROZEN = torch.tensor([40, 110, 200], dtype=torch.uint8)
 _EXPOSED = torch.tensor([250, 190, 5], dtype=torch.uint8)
 _SOLID = 0.5

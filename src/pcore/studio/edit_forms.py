@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
+from pcore.editing.regions import FALLOFF
 from pcore.geometry.extent import size_of
 from pcore.geometry.point_cloud import extent_of
 
@@ -79,6 +80,26 @@ CHOICES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
 """Texts of an edit that may be one of a few."""
 NEW = ("twist", "bend", "taper", "stretch", "scale", "rigid", "part")
 """Kinds that the page makes by name; handles make "anchors", the others come from files."""
+CAGES: Mapping[str, int] = {"cage": 3, "fine cage": 5}
+"""What the page makes besides: boxes, of so many cells along their longest side."""
+LABELS: Mapping[str, str] = {
+    **{kind: kind.capitalize() for kind in (*SLIDERS, *CAGES)},
+    "anchors": "Handles",
+    "rigid": "Move and turn all",
+    "part": "Move a part",
+    "cage": "Cage",
+}
+"""What the page calls kinds of edits."""
+SOFT = Slider(
+    path="region/falloff",
+    label="Soft edge",
+    low=0,
+    high=0.4,
+    step=0.01,
+    rest=FALLOFF,
+    in_sizes=True,
+)
+"""Of an edit with a region."""
 
 
 def new_edit(kind: str, points: Tensor, region: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -1,74 +1,89 @@
-"""What a page does to an object, without any page: handles, selections, keys."""
+"""What a page does to an object, without any page: handles, cages, keys."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
 from pcore.editing.dragging import Mirror
-from pcore.editing.stack import raw_region
+from pcore.editing.tracks import set_key, set_value, tracks_of
 from pcore.errors import EditError
+from pcore.geometry.extent import size_of
+from pcore.studio.cage_handles import KINDS, loose_box, moved_vertices, write_cage
 from pcore.studio.edit_forms import AXES, SLIDERS, value_at
-from pcore.studio.handle_edit import (
-    HandlePose,
-    arriving,
-    handle_points,
-    mirrored,
-    moved_handle,
-    placed,
-)
-from pcore.studio.stack_editor import StackEditor
+from pcore.studio.edit_handles import handles_of_edit, with_handle, without_handle
+from pcore.studio.handle_edit import arriving, handle_points
+from pcore.studio.handle_pose import HandlePose, degrees_of, turn_of_degrees
+from pcore.studio.selection_editor import SelectionEditor
 
 _UNEVEN = 4.0
 """Spacings."""
+_FINE = 1e-3
+"""Places that pages tell apart, in sizes of the object."""
+_DEGREE = 0.01
 
 
-class Editor(StackEditor):
-    """A `StackEditor` with handles that are dragged, points that are selected, and time."""
+class Editor(SelectionEditor):
+    """A `SelectionEditor` with handles that are dragged, cages, and time."""
 
     @property
     def handles(self) -> list[HandlePose]:
-        """The handles of the selected edit where they are now; none of other kinds."""
+        """The handles of the selected edit where they are now; none of kinds without."""
         index = self.shown.selected
-        if index is None or self._kind(index) != "anchors":
+        if index is None:
             return []
         state, raw = self.state, self._held_raw or self.raw(index)
-        return placed(raw, state, index)
+        return handles_of_edit(raw, state, index)
 
-    def place_handle(self, point: int) -> None:
-        """Put a handle on a point, where it holds it; the selected edit by handles takes it."""
+    @property
+    def present(self) -> dict[str, Any] | None:
+        """The selected edit as it is shown, keyframes at the present time; None without one."""
+        index = self.shown.selected
+        return None if index is None else self._held_raw or self.raw(index)
+
+    def place_handle(self, point: int, *, pin: bool = False) -> None:
+        """Put a handle on a point; the selected edit by handles takes it.
+
+        Args:
+            point: its number.
+            pin: it holds the place where the point was before this edit, and another handle
+                stays selected; otherwise it holds the point where it is now, and is selected.
+        """
         index = self.shown.selected
         if index is None or self._kind(index) != "anchors":
             index = len(self.session.stack.edits)
         state = self.session.state
-        before, after = arriving(state, index), arriving(state, index + 1)
+        before, after = arriving(state, index).points, arriving(state, index + 1).points
         fresh = index == len(self.session.stack.edits)
         raw = {"type": "anchors", "handles": []} if fresh else self._whole(index)
         self._refuse_second(raw, point, index)
         number = len(raw["handles"])
+        to = before if pin else after
         entries = [
-            {"near": before[one].tolist(), "to": after[one].tolist()}
+            {"near": before[one].tolist(), "to": to[one].tolist()}
             for one in self._pair(point, before)
         ]
         raw["handles"] = [*raw["handles"], *entries]
         self.session.do(raw) if fresh else self.session.replace(index, raw)
-        self._select(index, handle=number)
+        self._select(index, handle=self.shown.handle if pin and not fresh else number)
 
     def select_handle(self, number: int | None) -> None:
         """Give a handle of the selected edit the gizmo."""
         self.shown = replace(self.shown, handle=number)
 
     def remove_handle(self) -> None:
-        """Take the selected handle away, and its edit with the last one."""
+        """Take the selected handle away, and its edit with the last one; vertices go back."""
         index, number = self._held()
-        raw = self._whole(index)
-        if len(raw["handles"]) == 1:
+        raw = without_handle(self._whole(index), number)
+        if raw is None:
             self.remove(index)
             return
-        raw["handles"] = [one for k, one in enumerate(raw["handles"]) if k != number]
         self.session.replace(index, raw)
         self.shown = replace(self.shown, handle=None)
 
@@ -79,14 +94,41 @@ class Editor(StackEditor):
         """
         index, number = self._held()
         raw = self.raw(index)
-        before = placed(raw, self.session.state, index)[number]
-        moved = moved_handle(raw, number, before, pose)
-        if self._mirror is not None:
-            moved = mirrored(moved, number, self._mirror, self._beside)
+        before = handles_of_edit(raw, self.session.state, index)[number]
+        mirror = None if self._mirror is None else (self._mirror, self._beside)
+        moved = with_handle(raw, number, before, self._locked(before, pose), mirror)
         state = self.session.preview(moved, at=index)
         self._dragged, self._held_raw = state, moved
         if not len(state.folds):
             self._kept = moved
+
+    def put(self, *, place: Any = None, degrees: Any = None) -> bool:
+        """Put the selected handle at a place (3,), or turn it by `degrees_of`, as one step.
+
+        Numbers that are those of now but for the rounding of a page change nothing.
+
+        Returns:
+            Whether it is there: as `drop`.
+        """
+        _, number = self._held()
+        now = self.handles[number]
+        if place is not None:
+            fine = 0.51 * 10.0**-self.digits
+            x, y, z = (
+                b if abs(a - b) <= fine else a for a, b in zip(place, now.place, strict=True)
+            )
+            now = replace(now, place=(x, y, z))
+        if degrees is not None:
+            old = degrees_of(now.turn)
+            kept = [b if abs(a - b) <= _DEGREE else a for a, b in zip(degrees, old, strict=True)]
+            now = replace(now, turn=turn_of_degrees(kept))
+        self.drag(now)
+        return self.drop()
+
+    @property
+    def digits(self) -> int:
+        """Decimals that pages show of places, world units."""
+        return math.ceil(-math.log10(max(_FINE * size_of(self.asset.points), 1e-12)))
 
     def drop(self) -> bool:
         """Keep what was dragged, as one step; whether it stays where it was let go.
@@ -97,56 +139,29 @@ class Editor(StackEditor):
         self.cancel()
         if dragged is None:
             return True
-        index, number = self._held()
-        if kept is not None:
-            self._keep_handle(index, number, kept)
+        index, _ = self._held()
+        if kept is not None and kept != self.raw(index):
+            self._keep(index, kept)
         return not len(dragged.folds)
 
-    # Selection
+    def add_cage(self, file: Path, *, cells: int) -> None:
+        """Add a box around the selected points, or the object, that changes nothing yet.
 
-    def choose(self, points: Tensor, *, how: str = "replace") -> None:
-        """Select points (N,) bool, or add or subtract them."""
-        found = frozenset(points.nonzero().flatten().tolist())
-        chosen = self.shown.chosen
-        new = {"replace": found, "add": chosen | found, "subtract": chosen - found}[how]
-        self.shown = replace(self.shown, chosen=new)
+        Args:
+            file: where its mesh is written, .ply.
+            cells: of the box along its longest side.
 
-    def invert(self) -> None:
-        """Select what is not selected."""
-        everything = frozenset(range(len(self.asset.points)))
-        self.shown = replace(self.shown, chosen=everything - self.shown.chosen)
-
-    def grow(self) -> None:
-        """Select the neighbours of what is selected, too."""
-        self.choose(self.selector.grow(self._mask))
-
-    def shrink(self) -> None:
-        """Take the rim of the selection away."""
-        self.choose(self.selector.shrink(self._mask))
-
-    @property
-    def _mask(self) -> Tensor:
-        """(N,) bool, which points are selected."""
-        mask = torch.zeros(len(self.asset.points), dtype=torch.bool)
-        mask[sorted(self.shown.chosen)] = True
-        return mask
-
-    def freeze(self) -> None:
-        """Hold the selected points, besides what is held already."""
-        held = [raw_region(entry) for entry in self.session.stack.freeze]
-        self.session.freeze(*held, self.region())
-        self.shown = replace(self.shown, chosen=frozenset())
-
-    def thaw(self) -> None:
-        """Let everything go that is frozen."""
-        if self.session.stack.freeze:
-            self.session.freeze()
-
-    def limit(self, index: int) -> None:
-        """Make an edit act on the selected points alone; on all where none is selected."""
-        raw = self._whole(index)
-        raw["region"] = self.region() if self.shown.chosen else None
-        self.session.replace(index, {k: v for k, v in raw.items() if v is not None})
+        Raises:
+            EditError: points without an extent.
+            InputError: the file cannot be written.
+        """
+        points = self.session.state.points.detach().cpu()
+        region = self.region() if self.shown.chosen else None
+        held = points[self.mask] if region else points
+        vertices = write_cage(file, loose_box(held, cells))
+        raw = {"type": "cage", "before": str(file.absolute()), "after": vertices}
+        self.session.do(raw if region is None else {**raw, "region": region})
+        self._select(len(self.session.stack.edits) - 1)
 
     # Time
 
@@ -183,21 +198,34 @@ class Editor(StackEditor):
                 for name in names
                 if one.get(name) is not None
             ]
+        if raw["type"] in KINDS and (moved := moved_vertices(raw)):
+            return [(f"after/{number}", raw["after"][number]) for number in moved]
         first = SLIDERS[raw["type"]][0]
         return [(first.path, value_at(raw, first))]
 
-    def _keep_handle(self, index: int, number: int, kept: dict[str, Any]) -> None:
-        tracks = self.session.tracks(index)
-        if not tracks:
-            self.session.replace(index, kept)
-        for name in ("to", "rotation"):
-            path = f"handles/{number}/{name}"
-            if path in tracks:
-                self.set(index, path, kept["handles"][number][name])
+    def _keep(self, index: int, kept: dict[str, Any]) -> None:
+        """Put what was dragged in the place of an edit; where it has keys, it sets them."""
+        whole, time = self._whole(index), self.session.time
+        tracks = tracks_of(whole)
+        if tracks:
+            for path, value in _differences(self.raw(index), kept):
+                if path in tracks:
+                    set_key(whole, path, time, value, None)
+                else:
+                    set_value(whole, path, value)
+        self.session.replace(index, whole if tracks else kept)
+
+    def _locked(self, before: HandlePose, pose: HandlePose) -> HandlePose:
+        """A pose whose place differs from the one before along the locked axis alone."""
+        if self.shown.lock == "off":
+            return pose
+        free = AXES.index(self.shown.lock)
+        x, y, z = (pose.place[k] if k == free else before.place[k] for k in range(3))
+        return replace(pose, place=(x, y, z))
 
     def _held(self) -> tuple[int, int]:
         index, number = self.shown.selected, self.shown.handle
-        if index is None or number is None or self._kind(index) != "anchors":
+        if index is None or number is None:
             raise EditError("handle: expected a selected handle, got none; click one")
         return index, number
 
@@ -224,5 +252,26 @@ class Editor(StackEditor):
         return [point, other] if float(away[other]) <= self._beside else [point]
 
     def _refuse_second(self, raw: dict[str, Any], point: int, index: int) -> None:
-        if point in handle_points(raw, arriving(self.session.state, index)):
+        if point in handle_points(raw, arriving(self.session.state, index).points):
             raise EditError("handle: there is one at this very place already")
+
+
+def _differences(old: Any, new: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Paths and values of what is other in new JSON values; lists of numbers are one value."""
+    if isinstance(new, dict):
+        items = cast("dict[str, Any]", new).items()
+        before = cast("dict[str, Any]", old) if isinstance(old, dict) else {}
+        pairs = [(name, before.get(name), item) for name, item in items]
+    elif isinstance(new, list) and isinstance(old, list) and len(old) == len(new) and _nested(new):
+        lists = cast("list[Any]", old), cast("list[Any]", new)
+        pairs = [(str(k), *both) for k, both in enumerate(zip(*lists, strict=True))]
+    else:
+        if old != new:
+            yield path, new
+        return
+    for name, one, other in pairs:
+        yield from _differences(one, other, f"{path}/{name}" if path else name)
+
+
+def _nested(values: list[Any]) -> bool:
+    return any(isinstance(one, (dict, list)) for one in values)

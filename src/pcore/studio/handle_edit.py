@@ -3,39 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from pcore.deform.frame import axis_vector
 from pcore.editing.dragging import Mirror
+from pcore.editing.regions import Setting
 from pcore.editing.state import EditState
-
-Quat = tuple[float, float, float, float]
-STILL: Quat = (1.0, 0.0, 0.0, 0.0)
+from pcore.studio.handle_pose import STILL, HandlePose, Quat, is_turned, triple, turn_about
 
 
-@dataclass(frozen=True, kw_only=True)
-class HandlePose:
-    """Where a handle is and how it is turned.
-
-    Attributes:
-        place: (3,) world units.
-        turn: unit quaternion w, x, y, z.
-    """
-
-    place: tuple[float, float, float]
-    turn: Quat = STILL
-
-
-def arriving(state: EditState, index: int) -> Tensor:
-    """Points (N, 3) float64 as they arrive at an edit; those of one too many are the last ones."""
+def arriving(state: EditState, index: int) -> Setting:
+    """What arrives at an edit; at one too many, what the last one makes."""
     bound = state.bound
     while len(bound.steps) > index and bound.before is not None:
         bound = bound.before
-    return bound.setting.points
+    return bound.setting
 
 
 def handle_points(raw: dict[str, Any], points: Tensor) -> list[int | None]:
@@ -45,11 +28,11 @@ def handle_points(raw: dict[str, Any], points: Tensor) -> list[int | None]:
         raw: the edit.
         points: (N, 3) as they arrive at it.
     """
-    origin = _triple(raw.get("origin"))
+    origin = triple(raw.get("origin"))
     return [
         None
         if one.get("near") is None
-        else int((points - origin - _triple(one["near"])).square().sum(dim=1).argmin())
+        else int((points - origin - triple(one["near"])).square().sum(dim=1).argmin())
         for one in raw["handles"]
     ]
 
@@ -62,18 +45,19 @@ def placed(raw: dict[str, Any], state: EditState, index: int) -> list[HandlePose
         state: the object.
         index: of the edit.
     """
-    points, origin = arriving(state, index), _triple(raw.get("origin"))
+    points, origin = arriving(state, index).points, triple(raw.get("origin"))
     last = index + 1 == len(state.bound.steps)
     poses: list[HandlePose] = []
     for one, point in zip(raw["handles"], handle_points(raw, points), strict=True):
-        place = origin + _triple(one["to"])
+        place = origin + triple(one["to"])
         if point is not None:
-            near = origin + _triple(one["near"])
+            near = origin + triple(one["near"])
             place = near + raw.get("amount", 1.0) * (place - near)
             # What later edits do to the place is what they do to the point there.
             place = place if last else state.bound.setting.points[point]
         x, y, z = place.tolist()
-        poses.append(HandlePose(place=(x, y, z), turn=_turn(one)))
+        rests = one["to"] == one.get("near") and _turn(one) == STILL
+        poses.append(HandlePose(place=(x, y, z), turn=_turn(one), rests=rests))
     return poses
 
 
@@ -90,9 +74,9 @@ def moved_handle(
     """
     one = dict(raw["handles"][number])
     share = max(float(raw.get("amount", 1.0)), 1e-3)
-    way = (_triple(after.place) - _triple(before.place)) / share
-    one["to"] = (_triple(one["to"]) + way).tolist()
-    if after.turn != before.turn:
+    way = (triple(after.place) - triple(before.place)) / share
+    one["to"] = (triple(one["to"]) + way).tolist()
+    if is_turned(before, after):
         one = {key: one[key] for key in one if key not in ("axis", "angle_deg")}
         one["rotation"] = list(after.turn)
     handles = [one if k == number else other for k, other in enumerate(raw["handles"])]
@@ -113,8 +97,8 @@ def mirrored(raw: dict[str, Any], number: int, mirror: Mirror, tolerance: float)
     if other is None:
         return raw
     there = dict(raw["handles"][other])
-    moved = _triple(mirror.image(one["to"])) - _triple(mirror.image(one["near"]))
-    there["to"] = (_triple(there["near"]) + moved).tolist()
+    moved = triple(mirror.image(one["to"])) - triple(mirror.image(one["near"]))
+    there["to"] = (triple(there["near"]) + moved).tolist()
     if one.get("rotation") is not None:
         there["rotation"] = list(mirror.turned(one["rotation"]))
     handles = [there if k == other else entry for k, entry in enumerate(raw["handles"])]
@@ -126,16 +110,12 @@ def across(raw: dict[str, Any], number: int, mirror: Mirror, tolerance: float) -
     near = raw["handles"][number].get("near")
     if near is None or abs(mirror.distance(near)) <= tolerance:
         return None
-    image, found = _triple(mirror.image(near)), list[tuple[float, int]]()
+    image, found = triple(mirror.image(near)), list[tuple[float, int]]()
     for k, entry in enumerate(raw["handles"]):
         if k != number and entry.get("near") is not None:
-            found.append((float((_triple(entry["near"]) - image).norm()), k))
+            found.append((float((triple(entry["near"]) - image).norm()), k))
     away, other = min(found, default=(float("inf"), 0))
     return other if away <= tolerance else None
-
-
-def _triple(values: Any) -> Tensor:
-    return torch.tensor([0.0] * 3 if values is None else list(values), dtype=torch.float64)
 
 
 def _turn(one: dict[str, Any]) -> Quat:
@@ -144,6 +124,4 @@ def _turn(one: dict[str, Any]) -> Quat:
         return w, x, y, z
     if one.get("axis") is None:
         return STILL
-    half = math.radians(one.get("angle_deg", 0.0)) / 2
-    x, y, z = (axis_vector(one["axis"]).double() * math.sin(half)).tolist()
-    return math.cos(half), x, y, z
+    return turn_about(one["axis"], math.radians(one.get("angle_deg", 0.0)))

@@ -3,19 +3,23 @@
 HELP = """
 | | |
 |---|---|
-| **Orbit, move, zoom** | left, right button, wheel |
-| **Put a handle** | Ctrl-click the object; it holds the place until it is dragged |
-| **Drag** | the ball, or the arrows and rings of the selected one |
-| **Select points** | drag a box with Shift; with Ctrl-Shift it adds |
-| **Undo, redo** | Ctrl-Z, Ctrl-Shift-Z |
+| **Camera** | left, right button, wheel; F shows all |
+| **Handle** | Ctrl-click; it holds the place until it is dragged |
+| **Pin** | Alt-click: stays where it was before the edit |
+| **Drag** | the ball, or arrows and rings; Escape puts back |
+| **One axis** | X, Y, Z, also in a drag; again: free |
+| **Reach** | PageUp, PageDown: to the dots |
+| **Take away** | Delete, for the selected handle |
+| **Select** | Shift-drag; Ctrl-Shift adds, Alt-Shift removes |
+| **Tools** | R box, B brush, L lasso, G ball |
+| **Freeze** | H; Shift-H lets everything go |
+| **Undo** | Ctrl-Z; Ctrl-Shift-Z does it again |
 | **Save** | Ctrl-S |
-| **Back, take away** | Escape while dragging, Delete for the selected handle |
-| **Freeze, let go** | H, Shift-H |
-| **Key, play** | I, space |
-| **Overlay, whole object** | O, F |
+| **Time** | I keys, space plays |
+| **View** | M mirror, O overlay, K this help |
 
-Red dots: space folds there. Let go and the handle returns to the last good place; hold less still
-(freeze fewer points), or drag less far.
+Grey balls hold their place. Red dots: space folds there; let go, and the handle returns to the last
+good place.
 """
 
 TOUR = (
@@ -26,7 +30,22 @@ TOUR = (
     "That was the tour. Ctrl-click more places: handles that rest hold what is around them.",
 )
 """Of the demo, one step after another."""
-SAID = {"anchors": "handles"}
-"""What the page calls kinds of edit that edit files call otherwise."""
 NO_EDIT = "*No edits yet.* Ctrl-click the object to put a handle on it, or add an edit above."
-NO_BOX = "Drag a box with Shift held."
+NOT_SELECTED = "*Nothing is selected.* Hold Shift and drag over the object."
+TOOL_NAMES = {
+    "box": "Box (R)",
+    "brush": "Brush (B)",
+    "lasso": "Lasso (L)",
+    "ball": "Ball on the surface (G)",
+}
+OVERLAY_NAMES = {
+    "none": "nothing",
+    "strain": "stretched or squeezed",
+    "holes": "torn open",
+    "handles": "far from all handles",
+    "exposed": "seen in no photo",
+    "frozen": "frozen",
+}
+"""What the page calls overlays."""
+WORKING = "*Working&hellip;* The first time on a machine takes longer."
+LOADING = "*Loading&hellip;* The first picture takes a moment."

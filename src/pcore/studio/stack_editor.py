@@ -16,6 +16,10 @@ from pcore.editing.state import EditState
 from pcore.errors import EditError
 from pcore.geometry.surfels import spacing_of
 from pcore.studio.edit_forms import new_edit
+from pcore.studio.edit_handles import ONE, handles_of_edit
+
+CLICKS = ("nothing", "handle", "pin")
+TOOLS = ("box", "brush", "lasso", "ball")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +34,10 @@ class Shown:
         still: the light stands still, where the object has one.
         mirror: "off", or the axis across which handles move in pairs: "x", "y" or "z".
         compare: share of the picture, from the left, that shows the object before the edits.
+        lock: "off", or the axis along which alone handles move: "x", "y" or "z".
+        click: what a click without a key puts: "nothing", "handle" or "pin".
+        tool: what a drag with Shift selects with, one of `TOOLS`.
+        brush: radius of the brush, and of the ball of a click, in shares of the object's size.
     """
 
     selected: int | None = None
@@ -39,6 +47,10 @@ class Shown:
     still: bool = True
     mirror: str = "off"
     compare: float = 0.0
+    lock: str = "off"
+    click: str = "nothing"
+    tool: str = "box"
+    brush: float = 0.05
 
 
 class StackEditor:
@@ -148,7 +160,7 @@ class StackEditor:
             EditError: nothing is selected.
         """
         if not self.shown.chosen:
-            raise EditError("selection: expected points, got none; drag a box with Shift held")
+            raise EditError("selection: expected points, got none; draw one with Shift held")
         return {"shape": "points", "ids": sorted(self.shown.chosen)}
 
     def _whole(self, index: int) -> dict[str, Any]:
@@ -161,6 +173,8 @@ class StackEditor:
     def _select(self, index: int | None, handle: int | None = None) -> None:
         self.cancel()
         self._gesture += 1
+        if handle is None and index is not None and self._kind(index) in ONE:
+            handle = 0
         self.shown = replace(self.shown, selected=index, handle=handle)
 
     def _check_selected(self) -> None:
@@ -169,6 +183,9 @@ class StackEditor:
         gone = index is None or index >= count
         index = count - 1 if gone else index
         handle = None if gone else self.shown.handle
-        if handle is not None and handle >= len(self.raw(index or 0).get("handles", ())):
-            handle = None
-        self._select(index if count else None, handle=handle)
+        selected = index if count else None
+        if handle is not None and selected is not None:
+            raw = self.raw(selected)
+            if handle >= len(handles_of_edit(raw, self.session.state, selected)):
+                handle = None
+        self._select(selected, handle=handle)

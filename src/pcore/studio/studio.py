@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from pcore.asset.asset import Asset
 from pcore.studio.actions import COMMANDS, NEWEST, OF_TAB, Actions
+from pcore.studio.dialogs import ask_to_restore, show_help
 from pcore.studio.drawing import Drawer
 from pcore.studio.editor import Editor
 from pcore.studio.guard import Guard
-from pcore.studio.handle_edit import HandlePose
+from pcore.studio.guide_nodes import GuideNodes
+from pcore.studio.guides import GuideMaker
 from pcore.studio.handle_nodes import HandleNodes
-from pcore.studio.help_text import HELP, TOUR
+from pcore.studio.handle_pose import HandlePose
+from pcore.studio.help_text import WORKING
+from pcore.studio.hotkeys import HOTKEYS
 from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import SIZE, PageFrame
+from pcore.studio.select_actions import SELECT_COMMANDS, SelectActions
 from pcore.studio.server import open_server
 from pcore.studio.showing import Showing
+from pcore.studio.status_line import StatusLine
+from pcore.studio.stroke_nodes import HELD, StrokeNodes
 from pcore.studio.studio_files import StudioFiles
 from pcore.studio.tabs import Tabs
 from pcore.studio.viewport import Viewport
@@ -28,6 +36,8 @@ _AWAY = 1.5
 """Distance of the first camera in sizes of the object."""
 _ANGLE = 0.7
 """Its vertical field of view, radians."""
+_CLICK = 0.5
+"""Seconds within which two messages are of one click."""
 
 
 def _nowhere(error: Exception) -> None:
@@ -65,11 +75,12 @@ class Studio(Tabs):
         super().__init__(report)
         edit = outputs.edit if outputs.edit.is_file() else None
         self.editor, self.title = Editor(asset, edit), title
-        self.outputs, self._tour = outputs, 0 if tour else None
+        self.outputs, self._line = outputs, StatusLine(tour=tour)
         self.drawer = Drawer(asset)
         self.frame = PageFrame.around(asset.points)
         self.files = StudioFiles(self)
-        self.actions = Actions(self)
+        self.actions, self.selecting = Actions(self), SelectActions(self)
+        self._guides, self._grabbed = GuideMaker(), 0.0
         self.wishes = self._wishes()
         self._showing = Showing(self.editor, self.drawer, self.frame)
         self._seen = self.editor.session.history.present.number
@@ -102,12 +113,13 @@ class Studio(Tabs):
         self.nodes = HandleNodes(
             scene, self.frame, selected=self._select_handle, dragged=self._dragged
         )
+        self.strokes = StrokeNodes(scene, self.frame, self._stroked, self._boxed)
+        self.guides = GuideNodes(scene, self.frame)
         server.on_client_connect(self._joined)
         server.on_client_disconnect(self._left)
-        scene.on_click(modifier="cmd/ctrl")(self._clicked)
-        scene.on_rect_select(modifier="shift")(self._boxed)
-        scene.on_rect_select(modifier="cmd/ctrl+shift")(self._boxed)
-        for label, key, modifier, wish, *values in _COMMANDS:
+        for keys in ("cmd/ctrl", "alt", *HELD):
+            scene.on_click(modifier=keys)(self._clicked)
+        for label, key, modifier, wish, *values in HOTKEYS:
             self._command(label, key, modifier, wish, values)
 
     @property
@@ -150,18 +162,8 @@ class Studio(Tabs):
 
     def _offer(self, client: Any) -> None:
         """Offer what an earlier page could not save."""
-        if not self.outputs.left_over or self.editor.session.can_undo:
-            return
-        with client.gui.add_modal("Unsaved edits were found") as modal:
-            client.gui.add_markdown("An earlier page ended before its edits were saved.")
-            for label, take in (("Restore", True), ("Not now", False)):
-                button = client.gui.add_button(label, color=None if take else "gray")
-
-                @button.on_click
-                async def _(_: Any, take: bool = take) -> None:
-                    modal.close()
-                    if take:
-                        self.perform(self.files.restore)
+        if self.outputs.left_over and not self.editor.session.can_undo:
+            ask_to_restore(client.gui, lambda: self.perform(self.files.restore))
 
     # Wishes
 
@@ -171,6 +173,8 @@ class Studio(Tabs):
         wishes = {name: self._wish(getattr(actions, name)) for name in COMMANDS}
         wishes |= {name: self._newest_of(name, getattr(actions, name)) for name in NEWEST}
         wishes |= {name: self._of_tab(getattr(actions, name)) for name in OF_TAB}
+        wishes |= {name: self._wish(getattr(self.selecting, name)) for name in SELECT_COMMANDS}
+        wishes["brush"] = self._newest_of("brush", self.selecting.brush)
         return wishes | {
             "top": self._top,
             "home": self._home,
@@ -180,14 +184,36 @@ class Studio(Tabs):
         }
 
     async def _clicked(self, event: Any) -> None:
-        self._of_tab(self.actions.place)(int(event.client_id), event.screen_pos)
+        tab, place = int(event.client_id), event.screen_pos
+        if event.modifier in HELD:
+            self._of_tab(self.selecting.dab)(tab, place, HELD[event.modifier])
+        elif event.modifier or time.monotonic() > self._grabbed + _CLICK:
+            pin = event.modifier == "alt" or (
+                not event.modifier and self.editor.shown.click == "pin"
+            )
+            self._of_tab(self.actions.place)(tab, place, pin)
 
     async def _boxed(self, event: Any) -> None:
-        how = "replace" if event.modifier == "shift" else "add"
-        choose = self._of_tab(self.actions.choose)
+        choose = self._of_tab(self.selecting.choose)
+        how = HELD[event.modifier]
         choose(int(event.client_id), event.screen_min, event.screen_max, how)
 
+    def _stroked(self, event: Any, how: str) -> None:
+        tab = int(event.client_id)
+        viewport = self._viewports.get(tab)
+        if event.phase == "start" and not self._may(tab):
+            return
+        if viewport is None or tab != self._owner:
+            return
+        self.selecting.collect(event)
+        if event.phase == "end":
+            self.perform(lambda: self.selecting.stroke(viewport, how))
+            self.perform(lambda: self.selecting.lift(viewport))
+        else:
+            self.newest("stroke", lambda: self.selecting.stroke(viewport, how), light=True)
+
     def _select_handle(self, tab: int, number: int) -> None:
+        self._grabbed = time.monotonic()  # The page tells of the click behind the ball, too.
         if self._may(tab):
             self.perform(lambda: self.editor.select_handle(number))
 
@@ -216,17 +242,8 @@ class Studio(Tabs):
             viewport.fit(self._eye)
 
     def _help(self, tab: int) -> None:
-        viewport = self._viewports.get(tab)
-        if viewport is None:
-            return
-        gui = viewport.client.gui
-        with gui.add_modal("Keys and mouse") as modal:
-            gui.add_markdown(HELP)
-            close = gui.add_button("Close")
-
-            @close.on_click
-            async def _(_: Any) -> None:
-                modal.close()
+        if (viewport := self._viewports.get(tab)) is not None:
+            show_help(viewport.client.gui)
 
     # Showing
 
@@ -237,64 +254,47 @@ class Studio(Tabs):
         if number != self._seen:
             self._seen = number
             self.files.autosave()
-            self._go_on_with_tour()
+            self._line.go_on(self.editor.session.history.present.label)
         self.panels.show(
             editor,
             self._status(),
+            names=self.selecting.named.names,
             line=self.files.line,
             camera_keys=len(self.files.cameras),
             playing=self.actions.playing,
         )
         self.panels.several(len(self._viewports))
-        shown = editor.shown
-        self.nodes.show(editor.handles, shown.handle, warn=False, moved=True)
+        self.strokes.use(editor.shown.tool)
+        self.strokes.hear(self._clicked, editor.shown.click != "nothing")
+        self.nodes.show(editor, warn=False, moved=True)
+        self.guides.show(self._guides.of(editor))
         self.worker.draw(self._move, self._rest)
 
     def _show_drag(self) -> None:
         editor = self.editor
         warn = len(editor.state.folds) > 0
-        self.nodes.show(editor.handles, editor.shown.handle, warn=warn, moved=False)
+        self.nodes.show(editor, warn=warn, moved=False)
+        self.guides.show(self._guides.of(editor))
         self.worker.draw(self._move, self._rest)
 
     def _let_go(self) -> None:
+        self.selecting.take_back()
         self.editor.cancel()
+
+    def _show_working(self) -> None:
+        self.panels.say(WORKING)
 
     def _move(self) -> None:
         self._showing.move(list(self._viewports.values()))
 
-    def _rest(self, cancelled: Callable[[], bool]) -> Any:
-        return self._showing.rest(list(self._viewports.values()), cancelled)
+    def _rest(self, cancelled: Callable[[], bool]) -> Iterator[None]:
+        before = self._status()
+        for _ in self._showing.rest(list(self._viewports.values()), cancelled):
+            yield
+            if (text := self._status()) != before:  # The first picture is there.
+                self.panels.say(before := text)
 
     def _status(self) -> str:
-        count = len(self.editor.session.stack.edits)
-        saved = "saved" if self.files.saved else "not saved"
-        edits = "no edits" if not count else f"{count} edit{'s' * (count > 1)}, {saved}"
-        lines = [f"**{len(self.editor.asset.points):,} points** · {edits}"]
-        if self._said:
-            lines.append(self._said)
-        elif self._tour is not None and self._tour < len(TOUR):
-            lines.append(TOUR[self._tour])
-        return "\n\n".join(lines)
-
-    def _go_on_with_tour(self) -> None:
-        label = self.editor.session.history.present.label
-        done = (label == "do anchors", "anchors" in label, label != "do twist", True)
-        if self._tour is not None and self._tour < len(done) and done[self._tour]:
-            self._tour += 1
-
-
-_COMMANDS: tuple[tuple[Any, ...], ...] = (
-    ("Undo", "Z", "cmd/ctrl", "undo"),
-    ("Redo", "Z", "cmd/ctrl+shift", "redo"),
-    ("Save", "S", "cmd/ctrl", "top", "Save"),
-    ("Freeze selection", "H", None, "freeze"),
-    ("Let everything go", "H", "shift", "thaw"),
-    ("Key selected edit", "I", None, "key"),
-    ("Play or pause", "Space", None, "play"),
-    ("Next overlay", "O", None, "overlay"),
-    ("Whole object", "F", None, "home"),
-    ("Put a drag back", "Escape", None, "cancel"),
-    ("Take handle away", "Delete", None, "remove_handle"),
-    ("Keys and mouse", "/", None, "help"),
-)
-"""Label, key, keys held with it, wish, and its values."""
+        drawn = all(viewport.drawn for viewport in self._viewports.values())
+        saved, said = self.files.saved, self._said
+        return self._line.text(self.editor, saved=saved, said=said, drawn=drawn)

@@ -12,6 +12,9 @@ from pcore.studio.guard import plain
 from pcore.studio.viewport import Viewport
 from pcore.studio.worker import Worker
 
+_SLOW = 0.5
+"""Seconds after which a command is said to take its time."""
+
 
 class Tabs(ABC):
     """All tabs of a page, of which one edits, and the worker that does what it wishes."""
@@ -40,6 +43,10 @@ class Tabs(ABC):
     @abstractmethod
     def _let_go(self) -> None:
         """Put back what is being dragged: the tab that drags edits no more."""
+
+    @abstractmethod
+    def _show_working(self) -> None:
+        """Show that a command takes its time; called from another thread."""
 
     def say(self, text: str) -> None:
         """Show a line below the title, until the next command."""
@@ -97,17 +104,35 @@ class Tabs(ABC):
         """Let the worker do something and show what came of it; light: of a drag, the splats."""
 
         def command() -> None:
+            done = threading.Event()
+            if not light:
+                self._soon(done)
             try:
                 self._said = ""
                 do()
             except PcoreError as error:
                 self._complain(error)
+            finally:
+                with self._lock:
+                    done.set()
             if light:
                 self._show_drag()
             else:
                 self._refresh()
 
         self.worker.do(command)
+
+    def _soon(self, done: threading.Event) -> None:
+        """Say that something takes its time, unless it is done by then."""
+
+        def say() -> None:
+            with self._lock:
+                if not done.is_set():
+                    self._show_working()
+
+        timer = threading.Timer(_SLOW, say)
+        timer.daemon = True
+        timer.start()
 
     def _may(self, tab: int) -> bool:
         if tab == self._owner:

@@ -49,7 +49,8 @@ class Viewport:
         client.scene.set_background_image(self._empty, format="png")
         self._splats: Any = None
         self._dots: Any = None
-        self._resting = False
+        self._ink: Any = None
+        self.drawn, self._resting = False, False
         self._since: float | None = None
 
     @property
@@ -125,7 +126,7 @@ class Viewport:
 
     def show_picture(self, pixels: NDArray[np.uint8], depth: NDArray[np.float32] | None) -> None:
         """Show a picture of ours in the place of the splats."""
-        self._resting, self._since = True, None
+        self.drawn, self._resting, self._since = True, True, None
         with self.client.atomic():
             self.client.scene.set_background_image(
                 pixels, format="jpeg", jpeg_quality=_QUALITY, depth=depth
@@ -146,6 +147,18 @@ class Viewport:
                 point_size=0.09,
                 point_shape="circle",
                 precision="float32",
+            )
+
+    def show_ink(self, segments: NDArray[np.float32] | None, color: tuple[int, int, int]) -> None:
+        """Show lines (L, 2, 3), on the page, before everything; None for none."""
+        if segments is None and self._ink is not None:
+            self._ink.remove()
+            self._ink = None
+        elif self._ink is not None:
+            self._ink.points = segments
+        elif segments is not None:
+            self._ink = self.client.scene.add_line_segments(
+                "/ink", segments, color, thickness=2.0, thickness_units="screen"
             )
 
 

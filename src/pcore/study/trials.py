@@ -124,20 +124,24 @@ def plan_study(
     ]
     every = {one.key: one for one in shown.values()}
     for number, item in enumerate(_still(items, shown, names[0])[:catch]):
-        picture = shown[names[0], item]
-        torn = _torn(picture, seed + number)
+        trial, torn = _catch(item, shown[names[0], item], seed + number)
+        trials.append(trial)
         every[torn.key] = torn
-        trials.append(
-            Trial(
-                item=item,
-                group="",
-                first="as it is",
-                second="with holes",
-                keys=(picture.key, torn.key),
-                catch=True,
-            )
-        )
     return Study(trials=tuple(trials), shown=every)
+
+
+def _catch(item: str, picture: Shown, seed: int) -> tuple[Trial, Shown]:
+    """A trial whose answer is known, and the picture with holes in it."""
+    torn = _torn(picture, seed)
+    trial = Trial(
+        item=item,
+        group="",
+        first="as it is",
+        second="with holes",
+        keys=(picture.key, torn.key),
+        catch=True,
+    )
+    return trial, torn
 
 
 def _files_of(name: str, folder: Path) -> dict[str, Path]:

@@ -19,6 +19,8 @@ from pcore.sweep.sweep_trial import TrialResult
 
 SWEEP_FILE = "sweep.json"
 RESULTS_FILE, MEANS_FILE, DIFFERENCES_FILE = "results.csv", "means.csv", "differences.csv"
+TABLES = (SWEEP_FILE, RESULTS_FILE, MEANS_FILE, DIFFERENCES_FILE)
+"""All of them."""
 _SCORE_KEYS = ("scene", "setting", "seed", "method", "state", "protocol")
 _MEAN_KEYS = ("setting", "method", "scene", "state", "protocol")
 _DIFFERENCE_KEYS = ("setting", "method", "against_setting", "against_method", "state", "protocol")

@@ -15,6 +15,7 @@ from pcore.errors import PcoreError
 from pcore.evaluation.tables import jsonable, write_json
 from pcore.files.run_record import relative
 from pcore.sweep.sweep_plan import SweepPlan, VerbName
+from pcore.sweep.sweep_storage import fetch, mirrored
 
 TRIALS = "trials"
 RECORD_FILE, OUTPUT_FILE = "trial.json", "output.txt"
@@ -33,6 +34,7 @@ class Trial:
         verbs: what is run, in this order, each with its options as on the command line.
         threads: of the CPU.
         device: to compute on.
+        storage: URL that the folder is mirrored to, for machines that share no disk; None: none.
     """
 
     scene: str
@@ -43,6 +45,7 @@ class Trial:
     verbs: Mapping[VerbName, Mapping[str, Any]]
     threads: int
     device: str
+    storage: str | None = None
 
     @property
     def name(self) -> str:
@@ -76,13 +79,16 @@ class TrialResult:
     seconds: float | None = None
 
 
-def trials_of(plan: SweepPlan, *, beside: Path, folder: Path) -> list[Trial]:
+def trials_of(
+    plan: SweepPlan, *, beside: Path, folder: Path, storage: str | None = None
+) -> list[Trial]:
     """List all trials: scenes, settings, seeds from slow to fast.
 
     Args:
         plan: what to do.
         beside: folder that the plan's paths are seen from.
         folder: of the sweep.
+        storage: URL of the sweep's storage.
     """
     return [
         Trial(
@@ -94,6 +100,9 @@ def trials_of(plan: SweepPlan, *, beside: Path, folder: Path) -> list[Trial]:
             verbs=given.verbs(),
             threads=plan.resources.cpus,
             device="cuda" if plan.resources.gpus > 0 else "cpu",
+            storage=None
+            if storage is None
+            else f"{storage.rstrip('/')}/{TRIALS}/{scene}/{setting}/seed-{seed}",
         )
         for scene, place in plan.scenes.items()
         for setting, given in plan.settings.items()
@@ -112,6 +121,16 @@ def finished_trial(trial: Trial) -> TrialResult | None:
         return None
 
 
+def fetch_records(trial: Trial) -> None:
+    """Bring tables and records of a trial from its storage, where it has one.
+
+    Raises:
+        OSError: the storage cannot be read.
+    """
+    if trial.storage is not None:
+        fetch(trial.storage, trial.folder, records=True)
+
+
 def attempt(trial: Trial, run: Runner) -> TrialResult:
     """Run a trial, with what it prints in a file of its folder, and write how it ended.
 
@@ -120,21 +139,27 @@ def attempt(trial: Trial, run: Runner) -> TrialResult:
     Raises:
         KeyboardInterrupt: Ctrl-C; trainings have saved their state.
     """
-    begun, fresh = time.monotonic(), not trial.folder.exists()
     try:
-        trial.folder.mkdir(parents=True, exist_ok=True)
-        path = trial.folder / OUTPUT_FILE
-        with path.open("a", encoding="utf-8", buffering=1) as file:
-            failed = _failure(trial, run, file)
-        result = TrialResult(
-            trial=trial,
-            failed=failed,
-            seconds=time.monotonic() - begun if fresh and failed is None else None,
-        )
-        record = {"stamp": trial.stamp, "failed": failed, "seconds": result.seconds}
-        write_json(trial.folder / RECORD_FILE, record)
+        with mirrored(trial.folder, trial.storage):
+            return _attempt(trial, run)
     except OSError as error:
-        return TrialResult(trial=trial, failed=f"{trial.folder}: {error.strerror or error}")
+        told = str(error) if error.strerror is None else f"{trial.folder}: {error.strerror}"
+        return TrialResult(trial=trial, failed=told)
+
+
+def _attempt(trial: Trial, run: Runner) -> TrialResult:
+    begun, fresh = time.monotonic(), not trial.folder.exists()
+    trial.folder.mkdir(parents=True, exist_ok=True)
+    path = trial.folder / OUTPUT_FILE
+    with path.open("a", encoding="utf-8", buffering=1) as file:
+        failed = _failure(trial, run, file)
+    result = TrialResult(
+        trial=trial,
+        failed=failed,
+        seconds=time.monotonic() - begun if fresh and failed is None else None,
+    )
+    record = {"stamp": trial.stamp, "failed": failed, "seconds": result.seconds}
+    write_json(trial.folder / RECORD_FILE, record)
     return result
 
 

@@ -15,12 +15,12 @@ from pcore.training.compiling import compile_networks
 from pcore.training.config import FinetuneConfig
 from pcore.training.events import Listener, silent
 from pcore.training.held_out import validate
-from pcore.training.loop import Plan, autocast, run_loop
+from pcore.training.loop import autocast, run_loop
+from pcore.training.loop_plan import Plan
 from pcore.training.losses import Losses, mean_of, perceptual_loss
 from pcore.training.objective import Objective
 from pcore.training.patches import draw_patch
 from pcore.training.random_motion import skinning_to_train
-from pcore.training.schedule import Schedule
 from pcore.training.trainable import Trainable, trainable
 from pcore.training.trained import Trained
 
@@ -73,9 +73,10 @@ def finetune(
                 found.append(objective(patch))
         return mean_of(found)
 
+    rates = {} if config.skinning is None else {"skinning": config.skinning.rate}
     return run_loop(
         work,
-        _plan(config, validation, scene.name),
+        Plan.of(config, validation, scene.name, rates=rates),
         losses,
         budget=_budget(anchor, work, validation, config),
         finish=lambda tell: work.complete(scene.split("train"), tell),
@@ -103,21 +104,6 @@ def _work(anchor: Trained, config: FinetuneConfig) -> Trainable:
         seed=config.seed,
         train_points=False,
         skinning=skinning,
-    )
-
-
-def _plan(config: FinetuneConfig, validation: Sequence[View], scene: str) -> Plan:
-    rates: dict[str, Schedule] = config.rates.named()
-    if config.skinning is not None:
-        rates["skinning"] = config.skinning.rate
-    return Plan(
-        steps=config.steps,
-        rates=rates,
-        validate_every=config.validate_every,
-        save_every=config.save_every,
-        validation=validation,
-        background=config.background,
-        scene=scene,
     )
 
 

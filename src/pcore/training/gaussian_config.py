@@ -80,7 +80,9 @@ class GaussianConfig:
     """Training of Gaussians on one scene."""
 
     steps: int = 2400
-    """Optimiser steps, one picture each."""
+    """Optimiser steps."""
+    views: int = 1
+    """Photos of a step, whose loss is their mean; processes that train together share them."""
     points: int = 4000
     """Gaussians at the start."""
     start: str = "auto"
@@ -121,7 +123,7 @@ class GaussianConfig:
     the steps and promises nothing."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "points", "validate_every", "save_every"):
+        for name in ("steps", "views", "points", "validate_every", "save_every"):
             if getattr(self, name) < 1:
                 raise InputError(
                     f"training of Gaussians: expected {name} >= 1, got {getattr(self, name)}"

@@ -20,12 +20,10 @@ class Change:
     Attributes:
         keep: (N,) bool.
         new: rows to append by name.
-        cloned: how many of them are copies; the others are parts.
     """
 
     keep: Tensor
     new: Rows
-    cloned: int
 
 
 def changes(
@@ -63,7 +61,7 @@ def changes(
     copied, parted = wanted & ~large, wanted & large
     parts = _parts(raw, parted, config.shrink, generator)
     new = {name: torch.cat([rows[copied], parts[name]]) for name, rows in raw.items()}
-    return Change(keep=~gone & ~parted, new=new, cloned=int(copied.sum()))
+    return Change(keep=~gone & ~parted, new=new)
 
 
 def _parts(raw: Rows, chosen: Tensor, shrink: float, generator: torch.Generator) -> Rows:

@@ -11,7 +11,8 @@ from pcore.training.events import Listener, silent
 from pcore.training.gaussian_config import GaussianFinetuneConfig
 from pcore.training.gaussian_consistency import GaussianObjective
 from pcore.training.gaussian_start import camera_distance
-from pcore.training.loop import Plan, run_loop
+from pcore.training.loop import run_loop
+from pcore.training.loop_plan import Plan
 from pcore.training.trainable_gaussians import TrainedGaussians, trainable_gaussians
 
 _LOGIT = 1e-6
@@ -65,15 +66,7 @@ def finetune_gaussians(
         )
     return run_loop(
         work,
-        Plan(
-            steps=config.steps,
-            rates=config.rates.named(),
-            validate_every=config.validate_every,
-            save_every=config.save_every,
-            validation=validation,
-            background=config.background,
-            scene=scene.name,
-        ),
+        Plan.of(config, validation, scene.name),
         GaussianObjective(config, work, start, views),
         budget=budget,
         folder=folder,

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
 from pcore.data.images import background_color, composite
 from pcore.data.scene import Scene, check_images, hold_out
@@ -18,10 +20,12 @@ from pcore.training.exposure import ViewExposure
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from pcore.training.gaussian_density import changes
 from pcore.training.gaussian_start import camera_distance, start_gaussians
-from pcore.training.loop import Plan, run_loop
-from pcore.training.losses import Losses
+from pcore.training.loop import run_loop
+from pcore.training.loop_plan import Plan
+from pcore.training.losses import Losses, mean_of
 from pcore.training.pace import Clock, Leg, Pace
-from pcore.training.reduced_view import PhotosInTurn
+from pcore.training.ranks import Ranks, current_ranks
+from pcore.training.reduced_view import Photo, PhotosInTurn
 from pcore.training.schedule import Level, reduction_at
 from pcore.training.speed import Speed
 from pcore.training.ssim import picture_losses
@@ -86,13 +90,26 @@ def fit_gaussians(
     )
     pace = _pace(config, scene, clock)
     photos = PhotosInTurn(views)
+    ranks = current_ranks()
     shown: list[GaussianPictures] = []
 
     def losses() -> Losses:
-        index = _turn(work.step, len(views), config.seed)
-        color = background_color(config.background, work.generator)
         progress = pace.progress(work.step)
-        photo = photos.at(reduction_at(config.levels, progress))[index]
+        at_hand = photos.at(reduction_at(config.levels, progress))
+        numbers = range(config.views * work.step, config.views * (work.step + 1))
+        # All processes draw all colours, so that they go on drawing alike.
+        batch = [
+            (
+                _turn(number, len(views), config.seed),
+                background_color(config.background, work.generator),
+            )
+            for number in numbers
+        ]
+        found = [picture(index, at_hand[index], color) for index, color in ranks.share(batch)]
+        return found[0] if len(batch) == 1 else mean_of(found, of=len(batch))
+
+    def picture(index: int, photo: Photo, color: Tensor) -> Losses:
+        progress = pace.progress(work.step)
         camera = photo.camera
         viewmat, intrinsics = view_matrices([camera], work.raw["means"])
         found = render_views(
@@ -106,7 +123,7 @@ def fit_gaussians(
         )
         if progress <= config.density.last:
             found.means2d.retain_grad()
-        shown[:] = [found]
+        shown.append(found)
         rgb = found.rgb
         if exposure is not None:
             rgb = exposure.applied(index, rgb, found.alpha, color.to(where))
@@ -115,7 +132,8 @@ def fit_gaussians(
         return picture_losses(rgb, target, config.ssim_weight)
 
     def after_step(tell: Listener) -> None:
-        _observe(work, shown.pop())
+        _observe(work, shown, config.views, ranks)
+        shown.clear()
         density = config.density
         due = work.step % density.every == 0 and work.step >= density.first
         progress = pace.progress(work.step)
@@ -126,17 +144,7 @@ def fit_gaussians(
 
     return run_loop(
         work,
-        Plan(
-            steps=config.steps,
-            rates=config.rates.named(),
-            validate_every=config.validate_every,
-            save_every=config.save_every,
-            validation=validation,
-            background=config.background,
-            scene=scene.name,
-            pace=pace,
-            exposure=exposure,
-        ),
+        Plan.of(config, validation, scene.name, pace=pace, exposure=exposure),
         losses,
         after_step=after_step,
         folder=folder,
@@ -179,17 +187,25 @@ def _degree(progress: float, config: GaussianConfig) -> int:
 
 
 @torch.no_grad()
-def _observe(work: TrainableGaussians, shown: GaussianPictures) -> None:
+def _observe(
+    work: TrainableGaussians, shown: Sequence[GaussianPictures], views: int, ranks: Ranks
+) -> None:
     """Sum up how strongly the centres are pulled on the screen, per half a picture."""
-    if not shown.means2d.retains_grad:
+    if not shown[0].means2d.retains_grad:
         return
-    gradient = shown.means2d.grad
-    assert gradient is not None
-    height, width = shown.alpha.shape[1:]
-    half = gradient.new_tensor([width / 2, height / 2])
-    lengths = (gradient * half).norm(dim=-1)
-    work.slopes += lengths.sum(dim=0)
-    work.seen += (lengths > 0).sum(dim=0)
+    slopes, seen = torch.zeros_like(work.slopes), torch.zeros_like(work.seen)
+    for one in shown:
+        gradient = one.means2d.grad
+        assert gradient is not None
+        height, width = one.alpha.shape[1:]
+        # Of the loss of this picture alone: the step's is the mean over all of them.
+        half = views * gradient.new_tensor([width / 2, height / 2])
+        lengths = (gradient * half).norm(dim=-1)
+        slopes += lengths.sum(dim=0)
+        seen += (lengths > 0).sum(dim=0)
+    ranks.add([slopes, seen])
+    work.slopes += slopes
+    work.seen += seen
 
 
 @torch.no_grad()

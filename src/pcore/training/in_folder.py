@@ -15,7 +15,8 @@ from pcore.errors import DependencyError, PcoreError
 from pcore.files.lock import LOCK_FILE
 from pcore.files.manifest import MANIFEST_FILE, new_manifest, same_run
 from pcore.files.provenance import Stage
-from pcore.files.run_folder import RunFolder, bytes_needed
+from pcore.files.run_folder import RunFolder
+from pcore.files.run_place import bytes_needed, saved_nothing
 from pcore.files.run_record import finished, relative
 from pcore.model.papr import Papr
 from pcore.model.papr_config import PaprConfig
@@ -69,6 +70,7 @@ def train_in_folder(
     Raises:
         InputError: the folder is in use, holds another run, or nothing to resume.
         PcoreError: whatever the training raises; a run that saved nothing then leaves no trace.
+        KeyboardInterrupt: Ctrl-C; the same holds before the first save.
     """
     scene = plan.scene if isinstance(plan.scene, str) else relative(plan.scene, plan.path)
     if plan.resume and finished(plan.path):
@@ -76,7 +78,6 @@ def train_in_folder(
         plan.note("finished already; nothing is left to do")
         return None
     made = not plan.path.exists()
-    fresh = made or (plan.path.is_dir() and not any(plan.path.iterdir()))
     with RunFolder.create(
         plan.path,
         stage=plan.stage,
@@ -87,8 +88,8 @@ def train_in_folder(
     ) as run:
         try:
             return _train(plan, run, train, listener)
-        except PcoreError:
-            if fresh and not run.state.exists() and not run.model.exists():
+        except (PcoreError, KeyboardInterrupt):
+            if saved_nothing(plan.path):
                 _remove_traces(run, whole=made)
             raise
 

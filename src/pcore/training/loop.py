@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
-from pcore.data.scene import View
 from pcore.errors import TrainingError
 from pcore.files.run_folder import RunFolder
 from pcore.files.training_state import TrainingState
 from pcore.training.budget import Budget, largest_part
 from pcore.training.compiling import compiler_errors_explained
-from pcore.training.config import Background
 from pcore.training.events import (
     BudgetReport,
     Listener,
@@ -25,44 +23,16 @@ from pcore.training.events import (
     Stopped,
     ValidationReport,
 )
-from pcore.training.exposure import ViewExposure
 from pcore.training.interrupt import deferred_interrupt
+from pcore.training.loop_plan import Plan
 from pcore.training.losses import Losses
 from pcore.training.pace import Pace
 from pcore.training.ranks import Ranks, current_ranks
-from pcore.training.schedule import Schedule
 from pcore.training.work import Work
 
 Result = TypeVar("Result")
 
 _REPORT_EVERY = 10
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plan:
-    """What a loop does besides its steps.
-
-    Attributes:
-        steps: optimiser steps in all.
-        rates: learning rates by the names of the optimiser's groups.
-        validate_every: steps between validations.
-        save_every: steps between saves.
-        validation: held-out training views.
-        background: behind images with alpha.
-        scene: name of the scene, for the model file.
-        pace: of a training that has promised a time; None makes the steps and no promise.
-        exposure: of the photos, where it is learned along.
-    """
-
-    steps: int
-    rates: Mapping[str, Schedule]
-    validate_every: int
-    save_every: int
-    validation: Sequence[View]
-    background: Background
-    scene: str
-    pace: Pace | None = None
-    exposure: ViewExposure | None = None
 
 
 def run_loop(

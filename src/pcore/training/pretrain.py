@@ -23,7 +23,8 @@ from pcore.training.config import GrowConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.exposure import ViewExposure
 from pcore.training.gaussian_start import mean_colors
-from pcore.training.loop import Plan, autocast, run_loop
+from pcore.training.loop import autocast, run_loop
+from pcore.training.loop_plan import Plan
 from pcore.training.losses import (
     Losses,
     Perceptual,
@@ -100,17 +101,7 @@ def pretrain(
 
     return run_loop(
         work,
-        Plan(
-            steps=config.steps,
-            rates=config.rates.named(),
-            validate_every=config.validate_every,
-            save_every=config.save_every,
-            validation=validation,
-            background=config.background,
-            scene=scene.name,
-            pace=pace,
-            exposure=exposure,
-        ),
+        Plan.of(config, validation, scene.name, pace=pace, exposure=exposure),
         losses,
         after_step=lambda tell: _change_population(work, config, tell),
         finish=lambda tell: work.complete(scene.split("train"), tell),

@@ -1,11 +1,11 @@
-"""Several processes that train one object: each draws a part of every batch."""
+"""Several processes that share work: parts of every batch of a training, or pictures."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 import torch.distributed as dist
@@ -18,7 +18,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, kw_only=True)
 class Ranks:
-    """This process among those that train together; one alone by default.
+    """This process among those that work together; one alone by default.
 
     Attributes:
         rank: which it is; 0 saves and reports.
@@ -36,8 +36,8 @@ class Ranks:
         """
         if len(batch) < self.count:
             raise InputError(
-                f"{self.count} processes: expected at least as many patches in a step, got "
-                f"{len(batch)}; give --patches {self.count} or a multiple"
+                f"{self.count} processes: expected at least as many patches or photos in a step, "
+                f"got {len(batch)}; give --patches {self.count} or a multiple"
             )
         return batch[self.rank :: self.count]
 
@@ -77,6 +77,49 @@ class Ranks:
         box = [value]
         dist.broadcast_object_list(box, src=0)
         return box[0]
+
+    def in_turn(self, count: int, make: Callable[[int], Item]) -> Iterator[Item]:
+        """Make items 0 to count - 1, each in one of the processes.
+
+        Returns:
+            In the first process all of them, in order; in the others none, and to go through it is
+            their work.
+        """
+        if self.count == 1:
+            yield from map(make, range(count))
+            return
+        for start in range(0, count, self.count):
+            own = start + self.rank
+            made = make(own) if own < count else None
+            box: list[Any] | None = [None] * self.count if self.rank == 0 else None
+            dist.gather_object(made, box)
+            yield from (box or [])[: count - start]
+
+    def agree(self, values: Mapping[str, object]) -> None:
+        """Check that processes which begin to work together were given the same.
+
+        Args:
+            values: by what they are called; tensors by their bits, others by their `repr`.
+
+        Raises:
+            InputError: in all of them, where one has another value.
+        """
+        if self.count == 1:
+            return
+        own = {
+            name: _digest(value).hex() if isinstance(value, Tensor) else repr(value)
+            for name, value in values.items()
+        }
+        told: list[Any] = [None] * self.count
+        dist.all_gather_object(told, own)
+        for rank, other in enumerate(told):
+            bad = [name for name in told[0] if other.get(name) != told[0][name]]
+            if bad:
+                raise InputError(
+                    f"{self.count} processes: expected the same {' and '.join(bad)} in all of "
+                    f"them, got others in process {rank} than in process 0; give every machine "
+                    "the same command, the same files and the same version of pcore"
+                )
 
     def check_same(self, weights: Mapping[str, Tensor], step: int) -> None:
         """Compare the weights of all processes bit by bit.

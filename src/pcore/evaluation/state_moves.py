@@ -1,0 +1,142 @@
+"""What carries points to a deformed state: a formula, a mesh, or points whose new places are known.
+
+A state's folder may hold `points_before` and `points_after` (.npy or .ply): places of the same
+points of anybody's cloud before and after, as Neural Editor publishes its deformations. They are
+matched with ours by position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from pcore.data.points import POINT_SUFFIXES, read_point_file
+from pcore.deform.base import Deformation
+from pcore.deform.jacobian import analytic_maps
+from pcore.deform.scattered import PointMotion
+from pcore.errors import SceneError
+from pcore.evaluation.ground_truth import DeformedTruth, SurfaceAnchors
+from pcore.geometry.extent import size_of
+from pcore.geometry.local_maps import LocalMaps
+from pcore.geometry.neighbours import nearest
+
+Move = Callable[[Tensor], Tensor]
+
+BEFORE, AFTER = "points_before", "points_after"
+NEAR = 0.02
+"""How far a point may be from the one it is matched with, as a share of the object's size."""
+_STRAYS = 0.01
+"""Share of the points that may be farther away than that: they move as the nearest one does."""
+_SITES = 16
+"""Neighbours of every point that answer for it; published clouds have up to two million points."""
+
+
+class MeshCarrier:
+    """Carries points with a mesh; the search for closest points is done once per cloud."""
+
+    def __init__(self, truth: DeformedTruth) -> None:
+        self._truth = truth
+        self._known: list[tuple[Tensor, SurfaceAnchors]] = []
+
+    def __call__(self, points: Tensor, state: str) -> Tensor:
+        """Places (N, 3) in a state of points (N, 3)."""
+        for cloud, anchors in self._known:
+            if cloud is points or torch.equal(cloud, points):
+                return self._truth.follow(anchors, state)
+        anchors = self._truth.anchor(points)
+        self._known.append((points, anchors))
+        return self._truth.follow(anchors, state)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointFiles:
+    """Files that say where the points of a cloud go in a state.
+
+    Attributes:
+        before: places at rest.
+        after: places in the state, in the same order.
+    """
+
+    before: Path
+    after: Path
+
+    def move(self) -> Move:
+        """Read the files; what is returned carries points (N, 3) and remembers where they went.
+
+        Raises:
+            InputError: a file cannot be read.
+            SceneError: other numbers of points.
+        """
+        before, after = (
+            read_point_file(path).positions.double() for path in (self.before, self.after)
+        )
+        if len(before) != len(after):
+            raise SceneError(
+                f"{self.after}: expected a new place for each of the {len(before)} points of "
+                f"{self.before}, in their order, got {len(after)}"
+            )
+        known: list[tuple[Tensor, Tensor]] = []
+
+        def carry(points: Tensor) -> Tensor:
+            for cloud, moved in known:
+                if torch.equal(cloud, points):
+                    return moved
+            known.append((points, self._carried(points, before, after)))
+            return known[-1][1]
+
+        return carry
+
+    def _carried(self, points: Tensor, before: Tensor, after: Tensor) -> Tensor:
+        places = points.detach().cpu().double()
+        index, distance = nearest(before, places, min(_SITES, len(before)))
+        stray = distance[:, 0] > NEAR * size_of(places)
+        if float(stray.double().mean()) > _STRAYS:
+            raise SceneError(
+                f"{self.before}: expected a point within {NEAR * size_of(places):.3g} of every "
+                f"point of the object, got none for {int(stray.sum())} of {len(places)}, the "
+                f"farthest is {float(distance[:, 0].max()):.3g} away; it must hold the points of "
+                f"this scene at rest, in its world, in the order of {self.after.name}"
+            )
+        used = index.unique()
+        moved = PointMotion(before[used], after[used])(places)
+        shift = (after - before)[index[:, 0]]
+        return torch.where(stray[:, None], places + shift, moved).to(points)
+
+
+def point_files(folder: Path) -> PointFiles | None:
+    """The two files of a state's folder; None where there is none of them.
+
+    Raises:
+        SceneError: one of them is missing, or one is there in two formats.
+    """
+    found = [
+        [path for end in POINT_SUFFIXES if (path := folder / f"{name}{end}").is_file()]
+        for name in (BEFORE, AFTER)
+    ]
+    if not any(found):
+        return None
+    if [len(paths) for paths in found] != [1, 1]:
+        raise SceneError(
+            f"{folder}: expected {BEFORE} and {AFTER}, each as .npy or .ply, got "
+            f"{', '.join(path.name for paths in found for path in paths)}"
+        )
+    return PointFiles(before=found[0][0], after=found[1][0])
+
+
+def carried_by(formula: Deformation) -> Move:
+    """Carry points by a formula, in double precision."""
+    return lambda points: formula(points.double()).to(points)
+
+
+def by_formula(formula: Deformation) -> Callable[[Tensor, Tensor], LocalMaps]:
+    """Local maps of a formula, for points and their new places."""
+    return lambda points, moved: analytic_maps(formula, points)
+
+
+def stay(points: Tensor) -> Tensor:
+    """Points where they are."""
+    return points

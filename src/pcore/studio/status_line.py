@@ -1,0 +1,42 @@
+"""The text at the top of the panel: the object, its edits, what was said, and the tour."""
+
+from __future__ import annotations
+
+from pcore.studio.editor import Editor
+from pcore.studio.help_text import LOADING, TOUR
+
+
+class StatusLine:
+    """Knows how far the tour is."""
+
+    def __init__(self, *, tour: bool) -> None:
+        """Begin the tour, or without."""
+        self._step = 0 if tour else None
+
+    def go_on(self, label: str) -> None:
+        """Go on with the tour where a command, by its label, was what it waits for."""
+        done = (label == "do anchors", "anchors" in label, label != "do twist", True)
+        if self._step is not None and self._step < len(done) and done[self._step]:
+            self._step += 1
+
+    def text(self, editor: Editor, *, saved: bool, said: str, drawn: bool) -> str:
+        """The text.
+
+        Args:
+            editor: whose object and edits.
+            saved: whether all edits are.
+            said: last; empty for nothing.
+            drawn: whether every tab shows a picture already.
+        """
+        count = len(editor.session.stack.edits)
+        kept = "saved" if saved else "not saved"
+        edits = "no edits" if not count else f"{count} edit{'s' * (count > 1)}, {kept}"
+        number = len(editor.asset.points)
+        lines = [f"**{number:,} point{'s' * (number > 1)}** · {edits}"]
+        if said:
+            lines.append(said)
+        elif not drawn:
+            lines.append(LOADING)
+        elif self._step is not None and self._step < len(TOUR):
+            lines.append(TOUR[self._step])
+        return "\n\n".join(lines)
