@@ -1,4 +1,4 @@
-"""A rod of Gaussians in coloured bands, and photos of it."""
+"""A rod of Gaussians in coloured bands, one with an arm, and photos of them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from pathlib import Path
 
 import torch
 from PIL import Image
+from torch import Tensor
 
 from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset, Posed
+from pcore.fitting.anchor_motion import rotation_matrices
 from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
@@ -29,10 +31,35 @@ def rod(*, bands: float = 9.0, radius: float = 0.15, scale: float = 1.0) -> Asse
     means = torch.stack([along, radius * angle.cos(), radius * angle.sin()], dim=1)
     phases = torch.tensor([0.0, 2.0, 4.0])
     colors = 0.5 + 0.4 * torch.sin(bands * along[:, None] + phases + 0.5 * angle.cos()[:, None])
+    return _asset(scale * means, colors, 0.045 * scale)
+
+
+def armed(angle: float) -> Asset:
+    """An upright bar with a thin arm on one side, which hangs down and is raised by an angle."""
+    draw = torch.Generator().manual_seed(2)
+    along, around = torch.rand(COUNT, generator=draw), torch.rand(COUNT, generator=draw)
+    around = 2 * torch.pi * around
+    ring = torch.stack([around.cos(), around.sin()], dim=1)
+    arm = torch.arange(COUNT) >= 260
+    body = torch.cat([0.14 * ring, 1.2 * along[:, None] - 0.6], dim=1)
+    hanging = torch.cat([0.05 * ring, 0.33 - 1.1 * along[:, None]], dim=1)
+    # A third of the arm reaches out from the bar and stays.
+    shoulder = (along < 0.33)[:, None]
+    reaching = torch.cat([1.2 * along[:, None], 0.05 * ring], dim=1)
+    joint = torch.tensor([0.4, 0.0, 0.0])
+    turn = rotation_matrices(torch.tensor([[0.0, -angle, 0.0]]))[0]
+    raised = torch.where(shoulder, reaching, (hanging @ turn.mT) + joint)
+    means = torch.where(arm[:, None], raised + torch.tensor([0.0, 0.0, 0.4]), body)
+    phases = torch.tensor([0.0, 2.0, 4.0])
+    colors = 0.5 + 0.4 * torch.sin(8 * along[:, None] + phases + 2.0 * arm[:, None])
+    return _asset(means, colors, 0.045)
+
+
+def _asset(means: Tensor, colors: Tensor, width: float) -> Asset:
     gaussians = Gaussians(
-        means=scale * means,
+        means=means,
         quats=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(COUNT, 1),
-        scales=torch.full((COUNT, 3), 0.045 * scale),
+        scales=torch.full((COUNT, 3), width),
         opacities=torch.full((COUNT,), 0.95),
         sh=((colors - 0.5) / 0.28209479).unsqueeze(1),
     )

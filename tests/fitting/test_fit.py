@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from banded_rod import cameras, rod, write_photos
+from banded_rod import armed, cameras, rod, write_photos
 
 import pcore
 from pcore.asset.asset import Asset
@@ -21,7 +21,7 @@ from pcore.editing.script import load_edit
 from pcore.errors import InputError
 from pcore.fitting.anchor_motion import AnchorSpace, rotation_matrices, rotation_vectors
 from pcore.fitting.appearance_fit import fit_appearance
-from pcore.fitting.fit_config import AppearanceConfig, FitConfig, FitStage
+from pcore.fitting.fit_config import AppearanceConfig, FitConfig, FitStage, SearchConfig
 from pcore.fitting.fit_photos import photos_of
 from pcore.fitting.fit_sequence import fit_sequence
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, keyframed, pose_of_edit
@@ -33,7 +33,7 @@ TWELVE = {"anchors": 12}
 QUICK = FitConfig(
     **TWELVE,
     coarse=1,
-    tries=1,
+    search=SearchConfig(sweeps=1, pixels=16),
     stages=(
         FitStage(pixels=16, steps=50, rate=0.1, stiffness=0.05, spread=2.0),
         FitStage(pixels=32, steps=60, rate=0.05, stiffness=0.02, spread=1.0),
@@ -114,6 +114,42 @@ def test_a_bent_rod_is_found(asset: Asset, bent: Path) -> None:
     true, found = asset.pose(BEND), asset.pose(fit.edit)
     rest = (true.points - asset.points).norm(dim=1).mean()
     assert float((true.points - found.points).norm(dim=1).mean()) < 0.35 * float(rest)
+
+
+def test_an_arm_that_left_all_it_overlapped_is_found(tmp_path: Path) -> None:
+    asset, raised = armed(0.0), armed(2.6)
+    photos = write_photos(tmp_path / "raised", raised, None, cameras(6))
+    config = replace(
+        QUICK,
+        anchors=40,
+        search=SearchConfig(sweeps=3, pixels=16, points=400),
+        stages=(FitStage(pixels=32, steps=40, rate=0.05, stiffness=0.02, spread=1.0),),
+    )
+    arm = (raised.points - asset.points).norm(dim=1) > 0.8
+    misses = []
+    for search in (replace(config.search, sweeps=0), config.search):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("pcore.fitting.pose_fit.check_same_object", lambda *_, **__: None)
+            fit = fit_pose(asset, views_of(photos), replace(config, search=search))
+        moved = asset.pose(fit.edit).points
+        misses.append(float((moved - raised.points)[arm].norm(dim=1).mean()))
+    assert misses[0] > 0.5
+    assert misses[1] < 0.25
+
+
+def test_a_moving_object_becomes_keyframes(asset: Asset, tmp_path: Path) -> None:
+    states = []
+    for number, degrees in enumerate((30.0, 60.0)):
+        bend = {"version": 2, "edits": [{"type": "bend", "axis": "z", "angle_deg": degrees}]}
+        posed = asset.pose(bend)
+        folder = write_photos(tmp_path / str(number), asset, posed, cameras(5))
+        states.append((views_of(folder), posed.points))
+    found = fit_sequence(asset, [views for views, _ in states], QUICK, times=(0.0, 2.0))
+    assert found.fits[1].before.psnr > found.fits[0].before.psnr - 3
+    for time, (_, true) in zip((0.0, 2.0), states, strict=True):
+        moved = asset.pose(found.animation.at(time)).points
+        way = (true - asset.points).norm(dim=1).mean()
+        assert float((moved - true).norm(dim=1).mean()) < 0.35 * float(way)
 
 
 def test_from_the_truth_it_stays_there(asset: Asset, tmp_path: Path) -> None:
@@ -222,7 +258,7 @@ def test_the_command(
     out = tmp_path / "edit.json"
     words = ["fit", tmp_path / "run", "--photos", bent, "-o", out, "--factor", "1"]
     with pytest.MonkeyPatch.context() as patch:
-        quick = partial(FitConfig, stages=QUICK.stages, coarse=2, tries=2)
+        quick = partial(FitConfig, stages=QUICK.stages, coarse=1, search=QUICK.search)
         patch.setattr("pcore.fitting.fit_config.FitConfig", quick)
         code = main([str(word) for word in [*words, "--anchors", 12]])
     said = capsys.readouterr()

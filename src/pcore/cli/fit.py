@@ -61,8 +61,8 @@ class FitCommand:
     factor: Count = None
     """Down-scaling of the photos; default: that of the training."""
 
-    anchors: Annotated[int, arg(metavar="N")] = 128
-    """Anchors that carry the object."""
+    anchors: Annotated[int, arg(metavar="N")] = 512
+    """Anchors that carry the object at last; at most one for every point."""
 
     seed: Annotated[int, arg(metavar="N")] = 0
     """Of the choice of anchors and the order of photos."""

@@ -221,7 +221,8 @@ class Workshop:
         if begun(run):
             # What a killed training asked for; another pace would be another training.
             stored = RunRecord.read(run).config["gaussians"]
-            config = replace(base, steps=stored["steps"], seed=seed, points=stored["points"])
+            names = ("steps", "points", "validate_every", "save_every")
+            config = replace(base, seed=seed, **{name: stored[name] for name in names})
             return replace(
                 config, density=replace(config.density, limit=stored["density"]["limit"])
             )

@@ -12,7 +12,8 @@ from pcore.asset.posing import EditLike
 from pcore.data.scene import View
 from pcore.fitting.fit_config import AppearanceConfig
 from pcore.fitting.fit_photos import in_turns, photos_of
-from pcore.fitting.pose_fit import gaussian_content, picture_loss
+from pcore.fitting.fitter import picture_loss
+from pcore.fitting.pose_fit import gaussian_content
 
 Progress = Callable[[int, int], None]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pcore.errors import InputError
 from pcore.geometry.farthest_points import ANCHORS
@@ -38,6 +38,27 @@ STAGES = (
     FitStage(pixels=100, steps=400, rate=0.05, stiffness=0.001, spread=0.1),
 )
 """Chosen on figures of limbs (docs/research/fit.md)."""
+SEARCHED = 2
+"""Last coarse stages that follow a search from the start."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchConfig:
+    """How limbs that moved far are looked for.
+
+    Attributes:
+        sweeps: over all limbs, at most; 0 searches nothing.
+        pixels: longest side of the pictures at most.
+        points: that are drawn in them.
+    """
+
+    sweeps: int = 8
+    pixels: int = 25
+    points: int = 3000
+
+    def __post_init__(self) -> None:
+        check_count("fit: sweeps", self.sweeps, minimum=0)
+        check_count("fit: points", self.points)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,42 +66,45 @@ class FitConfig:
     """How a pose is fitted.
 
     Attributes:
-        anchors: how many carry the object; all of them are handles of the edit that is found.
-        seed: of the choice of the anchors and of the order of photos.
+        anchors: how many carry the object at last; all of them are handles of the edit.
+        coarse_anchors: how many carry it in the search and the coarse stages, at most.
+        seed: of the choice of the anchors, of the order of photos and of the search.
         views: photos per step.
         silhouettes: compare outlines only, not colours: photos that are masks.
         stages: from coarse to fine.
-        coarse: how many of the stages every try goes through; the best try goes on.
-        tries: the first begins with the first stage, the second with the second, and so on: small
-            pictures find what has moved far, and can lose what has not.
+        coarse: how many of the stages are coarse.
+        search: for limbs that moved far.
         relight: steps after which the light on the moved object is computed anew.
     """
 
-    anchors: int = ANCHORS
+    anchors: int = 512
+    coarse_anchors: int = ANCHORS
     seed: int = 0
     views: int = 2
     silhouettes: bool = False
     stages: tuple[FitStage, ...] = STAGES
     coarse: int = 4
-    tries: int = 3
+    search: SearchConfig = field(default_factory=SearchConfig)
     relight: int = 40
 
     def __post_init__(self) -> None:
         check_count("fit: anchors", self.anchors, minimum=2)
+        check_count("fit: coarse anchors", self.coarse_anchors, minimum=2)
         check_count("fit: photos per step", self.views)
         check_count("fit: stages", len(self.stages))
         check_count("fit: steps between lights", self.relight)
-        if not 1 <= self.tries <= self.coarse <= len(self.stages):
+        if not 1 <= self.coarse <= len(self.stages):
             raise InputError(
-                "fit: expected 1 <= tries <= coarse stages <= stages, got "
-                f"{self.tries}, {self.coarse} and {len(self.stages)}"
+                f"fit: expected 1 <= coarse stages <= stages, got {self.coarse} and "
+                f"{len(self.stages)}"
             )
 
     @property
     def steps(self) -> int:
-        """Steps of all stages of all tries."""
-        tries = [self.stages[first : self.coarse] for first in range(self.tries)]
-        return sum(stage.steps for part in (*tries, self.stages[self.coarse :]) for stage in part)
+        """Steps of all stages of all tries, and sweeps of both searches."""
+        coarse = self.stages[: self.coarse]
+        parts = (self.stages, coarse[-SEARCHED:], coarse[-1:])
+        return 2 * self.search.sweeps + sum(stage.steps for part in parts for stage in part)
 
 
 @dataclass(frozen=True, kw_only=True)

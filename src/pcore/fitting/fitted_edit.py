@@ -31,7 +31,7 @@ def edit_of(pose: AnchorPose, config: FitConfig) -> EditScript:
             zip(pose.moved.detach().double().tolist(), map(_axis_angle, vectors), strict=True)
         )
     ]
-    edit = AnchorsEdit(handles=tuple(handles), count=config.anchors, seed=config.seed)
+    edit = AnchorsEdit(handles=tuple(handles), count=len(handles), seed=config.seed)
     return EditScript(edits=(edit,))
 
 
@@ -62,7 +62,7 @@ def pose_of_edit(
     if len(edits) == 1 and not script.freeze and isinstance(edits[0], AnchorsEdit):
         edit = edits[0]
         named = all(handle.anchor is not None for handle in edit.handles)
-        same = (edit.count, edit.seed) == (config.anchors, config.seed)
+        same = edit.count == len(rig.indices) and edit.seed == config.seed
         if named and same and edit.region is None and not edit.freeze:
             dragger, handles = edit.dragger(rig)
             return dragger.pose(handles)
@@ -70,11 +70,24 @@ def pose_of_edit(
     return pose_of(bound, rig.graph.rest)
 
 
-def anchor_rig(points: Tensor, learned: AnchorRig | None, config: FitConfig) -> AnchorRig:
-    """Return the anchors that the edit will ask for: the learned ones where they are the same."""
+def anchor_rig(
+    points: Tensor, learned: AnchorRig | None, config: FitConfig, most: int | None = None
+) -> AnchorRig:
+    """Return the anchors that the edit will ask for, no more than there are points.
+
+    The learned ones are taken where they are the same.
+
+    Args:
+        points: (N, 3) canonical points, world units.
+        learned: anchors of the run.
+        config: their count and seed.
+        most: so many of them at most.
+    """
     points = points.detach().cpu().double()
     asked = AnchorsEdit(
-        handles=(HandleEdit(anchor=0, to=(0.0, 0.0, 0.0)),), count=config.anchors, seed=config.seed
+        handles=(HandleEdit(anchor=0, to=(0.0, 0.0, 0.0)),),
+        count=min(config.anchors, len(points), most or config.anchors),
+        seed=config.seed,
     )
     return asked.rig(Setting(points=points, rest=points, rig=learned))
 

@@ -20,7 +20,8 @@ from pcore.editing.script import EditScript, parse_edit
 from pcore.errors import EditError, InputError
 from pcore.fitting.agreement import agreement, check_same_object
 from pcore.fitting.fit_photos import Photo, photos_of
-from pcore.fitting.pose_fit import PoseFit, Progress, gaussian_content, picture_loss
+from pcore.fitting.fitter import picture_loss
+from pcore.fitting.pose_fit import PoseFit, Progress, gaussian_content
 from pcore.geometry.extent import size_of
 
 _DEGREES = 20.0
