@@ -21,7 +21,14 @@ import numpy as np
 from PIL import Image
 
 from pcore.benchmark.blender_renderer import blender
-from pcore.benchmark.look import FloatArray, Look, Material, linear_rgba, smooth_patches
+from pcore.benchmark.look import (
+    FloatArray,
+    Look,
+    Material,
+    display,
+    linear_rgba,
+    smooth_patches,
+)
 from pcore.benchmark.renderers import Job, embedded
 from pcore.benchmark.true_picture import Shape, light_on
 
@@ -46,7 +53,8 @@ def main() -> None:
         smooth=smooth_patches(vertices, None),
     )
     rest = Shape.of(vertices, faces, look)
-    look = replace(look, colors=painted(given.data, rest))
+    colors, exposure = painted(given.data, rest)
+    look = replace(look, colors=colors)
     for state in given.states:
         folder = given.data if state == "test" else given.data / state
         shape = rest
@@ -57,7 +65,7 @@ def main() -> None:
         chosen = embedded(look, resolution=size, lit=None)
         if given.renderer == "blender":
             chosen = blender(look, resolution=size)
-        made = [shot.rgba for shot in chosen(jobs)]
+        made = [exposed(shot.rgba, exposure) for shot in chosen(jobs)]
         print(f"{given.data.name} {state} {given.renderer}: {told(made, truth)}", flush=True)
 
 
@@ -74,8 +82,19 @@ def views(folder: Path, shape: Shape, count: int, split: str = "test") -> tuple[
     return jobs, [np.asarray(Image.open(path).convert("RGBA")) for path in paths]
 
 
-def painted(folder: Path, shape: Shape) -> FloatArray:
-    """Linear RGBA (V, 4) of vertices, from training pictures that show them, without our light."""
+def exposed(rgba: Any, exposure: float) -> Any:
+    """A picture (H, W, 4) uint8 of more light."""
+    linear = linear_rgba(rgba)
+    rgb = display(exposure * linear[..., :3])
+    return np.rint(255 * np.dstack([rgb, linear[..., 3]])).astype(np.uint8)
+
+
+def painted(folder: Path, shape: Shape) -> tuple[FloatArray, float]:
+    """Linear RGBA (V, 4) of vertices, from training pictures that show them, without our light.
+
+    Returns:
+        The paint, at most white, and how much brighter the pictures' light was.
+    """
     vertices, faces = shape.caster.vertices, shape.caster.faces
     normal = np.zeros_like(vertices)
     for k in range(3):
@@ -103,7 +122,9 @@ def painted(folder: Path, shape: Shape) -> FloatArray:
     light = light_on(shape, first, np.eye(3)[corner], facing=np.ones(len(vertices)))
     colors = total / count.clip(1)[:, None] / light[:, None]
     colors[count == 0] = np.median(colors[count > 0], axis=0)
-    return np.column_stack([colors.clip(0, 1), np.ones(len(vertices))])
+    exposure = max(1.0, float(np.percentile(colors, 99.5)))
+    paint = (colors / exposure).clip(0, 1)
+    return np.column_stack([paint, np.ones(len(vertices))]), exposure
 
 
 def told(made: list[Any], truth: list[Any]) -> str:

@@ -46,10 +46,24 @@ def run(wanted: argparse.Namespace) -> int:
     for name in wanted.only or WORKLOADS:
         for key, metric in WORKLOADS[name](plan):
             found[key] = metric
-            print(f"{key:50} {metric.value:12.4g}{metric.unit}", flush=True)
+            print(_line(key, metric), flush=True)
     if wanted.out is not None:
         metrics.write(wanted.out, found, machine(plan.device, wanted.threads))
-    return gate(found, wanted.baseline, wanted.only) if wanted.gate else 0
+    if wanted.gate:
+        return gate(found, wanted.baseline, wanted.only)
+    lines = metrics.missed(found)
+    for line in lines:
+        print(f"missed: {line}", file=sys.stderr)
+    return 1 if lines else 0
+
+
+def _line(name: str, metric: metrics.Metric) -> str:
+    """A measured number, with what was promised beside it."""
+    measured = f"{name:50} {metric.value:12.4g}{metric.unit}"
+    if metric.bar is None:
+        return measured
+    verdict = "missed" if metrics.missed({name: metric}) else "kept"
+    return f"{measured:70} bar {metric.bar:.4g}{metric.unit}, {verdict}"
 
 
 def gate(found: Mapping[str, metrics.Metric], baseline: Path, only: Sequence[str]) -> int:

@@ -10,6 +10,7 @@ from benchmarks.metrics import Metric
 from benchmarks.papr_workloads import measure_render, measure_step
 from benchmarks.plan import Plan
 from benchmarks.search_workload import measure_search
+from benchmarks.studio_workload import measure_studio
 
 WORKLOADS: dict[str, Callable[[Plan], Iterator[tuple[str, Metric]]]] = {
     "search": measure_search,
@@ -17,4 +18,5 @@ WORKLOADS: dict[str, Callable[[Plan], Iterator[tuple[str, Metric]]]] = {
     "step": measure_step,
     "render": measure_render,
     "drag": measure_drag,
+    "studio": measure_studio,
 }

@@ -9,20 +9,32 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy.types import AddonPreferences, Operator, Panel
 
 from .bundle import BridgeError, open_bundle
-from .cameras import add_cameras, export_cameras, import_frames
+from .cameras import add_cameras, export_cameras
 from .edits import export_edit
+from .frames import BEHIND, COMPOSITOR, PLANE, import_frames
 from .rendering import command_of, last_words, start
-from .scene import add_bundle, bundle_of, root_of
+from .rigging import add_cage, add_handle, add_lattice, bind_armature
+from .scene import CAGE, POINTS, PROXY, add_bundle, bundle_of, root_of
 
 _MODES = (
     ("anchors", "Anchors", "Empties that were dragged or turned"),
     ("cage", "Cage", "The cage, however it was bent"),
     ("mesh", "Proxy", "The proxy mesh, however it was posed"),
     ("points", "Points", "The points themselves, moved by modifiers"),
+)
+_BENT = (
+    (CAGE, "Cage", "The cage, for an edit by it"),
+    (PROXY, "Proxy", "The proxy mesh, for an edit by it"),
+    (POINTS, "Points", "The points themselves"),
+)
+_WHERE = (
+    (BEHIND, "Behind the camera", "In the viewport, behind what the camera sees"),
+    (PLANE, "On a plane", "Before the camera, at the distance of the object; it renders"),
+    (COMPOSITOR, "Compositor", "Under the render"),
 )
 
 
@@ -112,20 +124,83 @@ class PCORE_OT_export_cameras(_Guarded):
 
 
 class PCORE_OT_import_frames(_Guarded):
-    """Show pictures of pcore behind what the camera sees"""
+    """Show pictures of pcore with what the camera sees"""
 
     bl_idname = "pcore.import_frames"
     bl_label = "Import frames"
 
     directory: StringProperty(subtype="DIR_PATH")
+    where: EnumProperty(name="Where", items=_WHERE)
 
     def invoke(self, context, _event):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def work(self, context):
-        image = import_frames(context, Path(bpy.path.abspath(self.directory)))
-        return f"{image.name} behind {context.scene.camera.name}"
+        folder = Path(bpy.path.abspath(self.directory))
+        image, notes = import_frames(context, folder, self.where)
+        for note in notes:
+            self.report({"WARNING"}, note)
+        return f"{image.name}: {self.where}, with {context.scene.camera.name}"
+
+
+class PCORE_OT_add_handle(_Guarded):
+    """Put an empty to drag on the object, at the 3D cursor"""
+
+    bl_idname = "pcore.add_handle"
+    bl_label = "Add handle"
+
+    def work(self, context):
+        return add_handle(context, pin=False)[1]
+
+
+class PCORE_OT_pin(_Guarded):
+    """Hold the object where the 3D cursor is"""
+
+    bl_idname = "pcore.pin"
+    bl_label = "Pin"
+
+    def work(self, context):
+        return add_handle(context, pin=True)[1]
+
+
+class PCORE_OT_add_cage(_Guarded):
+    """Put the cage back that was deleted"""
+
+    bl_idname = "pcore.add_cage"
+    bl_label = "Add cage"
+
+    def work(self, context):
+        return f"{add_cage(context).name} is back"
+
+
+class PCORE_OT_add_lattice(_Guarded):
+    """Put a lattice around the cage, the proxy or the points"""
+
+    bl_idname = "pcore.add_lattice"
+    bl_label = "Add lattice"
+
+    what: EnumProperty(name="Around", items=_BENT)
+    resolution: IntProperty(name="Points a side", default=3, min=2, max=32)
+
+    def invoke(self, context, _event):
+        return context.window_manager.invoke_props_dialog(self)
+
+    def work(self, context):
+        return f"{add_lattice(context, self.what, self.resolution).name} bends the {self.what}"
+
+
+class PCORE_OT_bind_armature(_Guarded):
+    """Make bones at the selected anchors, which carry them and bend the proxy"""
+
+    bl_idname = "pcore.bind_armature"
+    bl_label = "Bind armature"
+
+    chain: BoolProperty(name="One after the other", default=True)
+
+    def work(self, context):
+        armature = bind_armature(context, chain=self.chain)
+        return f"{armature.name}: {len(armature.data.bones)} bones"
 
 
 class PCORE_OT_render(Operator):
@@ -204,6 +279,11 @@ class PCORE_PT_panel(Panel):
 
 _OPERATORS = (
     PCORE_OT_import_bundle,
+    PCORE_OT_add_handle,
+    PCORE_OT_pin,
+    PCORE_OT_add_cage,
+    PCORE_OT_add_lattice,
+    PCORE_OT_bind_armature,
     PCORE_OT_export_edit,
     PCORE_OT_export_cameras,
     PCORE_OT_render,

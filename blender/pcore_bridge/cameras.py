@@ -69,38 +69,6 @@ def export_cameras(context: bpy.types.Context, name: str, *, moving: bool) -> Pa
     return path
 
 
-def import_frames(context: bpy.types.Context, folder: Path) -> bpy.types.Image:
-    """Put pictures frame_NNN.png behind what the scene's camera sees, one for every frame.
-
-    Raises:
-        BridgeError: no such pictures, or no camera.
-    """
-    numbers = {_number(path): path for path in folder.glob("frame_*.png")}
-    numbers.pop(None, None)
-    if not numbers:
-        raise BridgeError(f"{folder}: expected pictures frame_000.png, ..., got none")
-    if context.scene.camera is None:
-        raise BridgeError("expected an active camera in the scene to show the pictures behind")
-    first = min(numbers)
-    image = bpy.data.images.load(str(numbers[first]), check_existing=False)
-    image.source = "SEQUENCE"
-    camera = context.scene.camera.data
-    camera.show_background_images = True
-    behind = camera.background_images.new()
-    behind.image = image
-    behind.alpha = 1.0
-    user = behind.image_user
-    user.frame_duration = len(numbers)
-    user.frame_start = context.scene.frame_start
-    user.frame_offset = first - 1
-    return image
-
-
-def _number(path: Path) -> int | None:
-    digits = path.stem.removeprefix("frame_")
-    return int(digits) if digits.isdecimal() else None
-
-
 def _taken(bundle: Bundle) -> set[str]:
     return {"bundle.json", *bundle.about["files"].values()}
 

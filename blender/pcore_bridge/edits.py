@@ -17,10 +17,10 @@ from .scene import (
     PIN,
     POINTS,
     PROXY,
-    ROLE,
     bundle_of,
     frames_of,
     member,
+    members,
     place_and_turn,
     place_of,
     rest_places,
@@ -72,7 +72,7 @@ def export_edit(
 
 
 def _anchors(context, root, bundle: Bundle, fps, notes, *, moving) -> dict:
-    anchors = [item for item in root.children_recursive if item.get(ROLE) == ANCHOR]
+    anchors = members(root, ANCHOR)
     places: list[list[np.ndarray]] = [[] for _ in anchors]
     turns: list[list[np.ndarray]] = [[] for _ in anchors]
     scaled = set()

@@ -27,17 +27,34 @@ def add_bundle(context: bpy.types.Context, bundle: Bundle) -> bpy.types.Object:
     _add_mesh(collection, root, "points", POINTS, bundle.mesh("points"))
     proxy = _add_mesh(collection, root, "proxy", PROXY, bundle.mesh("proxy"))
     proxy.data.materials.append(_painted())
-    cage = _add_mesh(collection, root, "cage", CAGE, bundle.mesh("cage"))
+    add_cage_mesh(root, bundle)
+    for number, near in enumerate(bundle.json("anchors")["near"]):
+        add_anchor(root, bundle, f"anchor {number:03}", near)
+    return root
+
+
+def add_cage_mesh(root: bpy.types.Object, bundle: Bundle) -> bpy.types.Object:
+    """Put the cage of a bundle under its empty; return it."""
+    cage = _add_mesh(root.users_collection[0], root, "cage", CAGE, bundle.mesh("cage"))
     cage.display_type = "WIRE"
     cage.hide_render = True
-    for number, near in enumerate(bundle.json("anchors")["near"]):
-        anchor = _add(collection, root, f"anchor {number:03}", ANCHOR)
-        anchor.location = near
-        anchor[NEAR] = [float(x) for x in near]
-        anchor.rotation_mode = "QUATERNION"
-        anchor.empty_display_type = "SPHERE"
-        anchor.empty_display_size = 0.008 * bundle.about["size"]
-    return root
+    return cage
+
+
+def add_anchor(root: bpy.types.Object, bundle: Bundle, name: str, near) -> bpy.types.Object:
+    """Put an empty at a place of the run, under the empty of its bundle; return it."""
+    anchor = add_object(root, name, ANCHOR)
+    anchor.location = near
+    anchor[NEAR] = [float(x) for x in near]
+    anchor.rotation_mode = "QUATERNION"
+    anchor.empty_display_type = "SPHERE"
+    anchor.empty_display_size = 0.008 * bundle.about["size"]
+    return anchor
+
+
+def add_object(root: bpy.types.Object, name: str, role: str, data=None) -> bpy.types.Object:
+    """Put an object under the empty of a bundle; None as data makes an empty."""
+    return _add(root.users_collection[0], root, name, role, data)
 
 
 def root_of(context: bpy.types.Context) -> bpy.types.Object:
@@ -63,9 +80,14 @@ def bundle_of(root: bpy.types.Object) -> Bundle:
     return open_bundle(Path(root[FOLDER]))
 
 
+def members(root: bpy.types.Object, role: str) -> list[bpy.types.Object]:
+    """Return all objects of a bundle with this role."""
+    return [item for item in root.children_recursive if item.get(ROLE) == role]
+
+
 def member(root: bpy.types.Object, role: str) -> bpy.types.Object:
     """Return the object of a bundle with this role."""
-    found = [item for item in root.children_recursive if item.get(ROLE) == role]
+    found = members(root, role)
     if len(found) != 1:
         raise BridgeError(f"expected one object that is the {role} of the bundle, got {len(found)}")
     return found[0]

@@ -16,6 +16,7 @@ from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.saving import load
 from pcore.asset.training import RunOptions, train
 from pcore.capture.load import load_scene
+from pcore.cli.main import main
 from pcore.deform.simple import uniform_scale
 from pcore.errors import InputError
 from pcore.gaussians.carry import carried
@@ -151,3 +152,16 @@ def test_an_edit_file_carries_gaussians() -> None:
     truth = replace(asset, content=written).render(None, camera())
     assert float((asset.render(posed, camera()).rgb - truth.rgb).abs().mean()) < 1e-4
     assert float((asset.render(None, camera()).rgb - truth.rgb).abs().mean()) > 1e-3
+
+
+def test_a_bare_file_of_gaussians_is_an_object_under_any_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asset = an_asset()
+    asset.save(tmp_path / "run")
+    file = (tmp_path / "run" / "gaussians.safetensors").rename(tmp_path / "ball.safetensors")
+    found = load(file)
+    assert torch.equal(found.points, asset.points)
+    assert torch.equal(found.render(None, camera()).rgb, asset.render(None, camera()).rgb)
+    assert main(["info", str(file)]) == 0
+    assert f"{len(asset):,}" in capsys.readouterr().out

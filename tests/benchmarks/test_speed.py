@@ -16,6 +16,8 @@ from benchmarks.measure import in_turns
 from benchmarks.papr_workloads import measure_render, measure_step
 from benchmarks.plan import Plan
 from benchmarks.speed import BASELINE, gate
+from benchmarks.studio_server import megabytes
+from benchmarks.studio_workload import measure_studio
 
 from benchmarks import dense, metrics, scenes
 from pcore.geometry.point_cloud import PointCloud
@@ -169,6 +171,49 @@ def test_drags_are_measured() -> None:
     }
     for kind in ("cage", "anchor"):
         assert found[f"drag/{kind}/300/seconds"].value < found[f"drag/{kind}/300/bind"].value
+
+
+def test_the_budgets_of_the_page_are_measured() -> None:
+    found = dict(measure_studio(Plan(device=torch.device("cpu"), quick=True, turns=1)))
+    names = {name.removesuffix("/seconds") for name in found}
+    kinds = ("twist", "anchors", "part", "cage", "mesh", "displacement")
+    assert {f"studio/{what}/{kind}/300" for what in ("drag", "commit") for kind in kinds} <= names
+    assert found["studio/stack/300/differing"].value == 0
+    assert 0 < found["studio/frames/300/quick_error"].value < 0.1
+    assert 0 < found["studio/start/seconds"].value < 60
+    # Five hundred commands of a person; twenty thousand are asked for without --quick.
+    assert found["studio/server/growth"].value < 0.05
+    assert 100 < found["studio/server/memory"].value < 2000
+    assert not metrics.missed(found)
+
+
+def test_memory_that_is_kept_is_seen() -> None:
+    before = megabytes()
+    kept = torch.ones(25 * 2**20 // 4)
+    assert megabytes() - before > 15
+    del kept
+
+
+def test_a_missed_bar_is_named_and_is_the_exit_status(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slow = metrics.Metric(value=2.0, direction="lower", tolerance=0.1, bar=1.0, unit=" s")
+    workloads = {
+        "studio": lambda plan: iter(
+            [
+                ("studio/x", slow),
+                ("studio/y", slow.__class__(value=0.5, direction="lower", tolerance=0.1, bar=1.0)),
+            ]
+        )
+    }
+    monkeypatch.setattr("benchmarks.speed.WORKLOADS", workloads)
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "speed", "--only", "studio"])
+    monkeypatch.setattr(torch, "set_num_threads", lambda count: None)
+    assert main() == 1
+    said = capsys.readouterr()
+    assert "missed: studio/x: 2 s misses the bar of 1" in said.err
+    assert "studio/y" not in said.err
+    assert "kept" in said.out
 
 
 def test_rays_near_the_surface_have_origins_of_their_own_and_hit_it() -> None:

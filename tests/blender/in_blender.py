@@ -8,6 +8,8 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Vector
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "blender"))
 import pcore_bridge
@@ -23,6 +25,7 @@ def fresh(end: int):
     roots = [item for item in bpy.data.objects if item.get("pcore_role") == "root"]
     # The user may put the whole anywhere, at any size.
     roots[0].location, roots[0].scale = (3.0, -1.0, 2.0), (2.0, 2.0, 2.0)
+    bpy.context.view_layer.update()
     return roots[0]
 
 
@@ -35,7 +38,7 @@ def shown(name: str, frame: int) -> np.ndarray:
     return places
 
 
-def refused(what: str, operator, **options) -> None:
+def refused(what: str, operator, /, **options) -> None:
     try:
         operator(**options)
         SEEN[what] = "not refused"
@@ -98,6 +101,98 @@ def shapes() -> None:
     refused("program", bpy.ops.pcore.render, program="/no/such/program", edit="cage.json")
 
 
+def rigs() -> None:
+    root = fresh(1)
+    scene = bpy.context.scene
+    near = np.array(bpy.data.objects["anchor 005"]["pcore_near"])
+    scene.cursor.location = root.matrix_world @ Vector(3 * near)
+    refused("far", bpy.ops.pcore.add_handle)
+    scene.cursor.location = root.matrix_world @ Vector(1.02 * near)
+    refused("taken", bpy.ops.pcore.add_handle)
+    bpy.ops.pcore.pin()
+    SEEN["held"] = [item.name for item in bpy.data.objects if item.get("pcore_pin")]
+    points = np.array([v.co[:] for v in bpy.data.objects["points"].data.vertices])
+    anchors = [item["pcore_near"] for item in bpy.data.objects if item.get("pcore_near")]
+    free = points[[np.abs(np.array(anchors) - one).max(axis=1).min() > 0.05 for one in points]][0]
+    scene.cursor.location = root.matrix_world @ Vector(free)
+    bpy.ops.pcore.add_handle()
+    handle = bpy.context.view_layer.objects.active
+    handle.location.z += 0.2
+    bpy.ops.pcore.export_edit(mode="anchors", name="handle.json", moving=False)
+    SEEN["handle"] = [[float(x) for x in free], [*handle.location]]
+    refused("cage there", bpy.ops.pcore.add_cage)
+    bpy.data.objects.remove(bpy.data.objects["cage"])
+    bpy.ops.pcore.add_cage()
+    bpy.ops.pcore.add_lattice(what="cage", resolution=2)
+    refused("lattice there", bpy.ops.pcore.add_lattice, what="cage")
+    lattice = bpy.context.view_layer.objects.active
+    for corner in lattice.data.points:
+        corner.co_deform.x += 0.1 * corner.co.z
+    bpy.ops.pcore.export_edit(mode="cage", name="lattice.json", moving=False)
+    np.save(BUNDLE / "seen_lattice.npy", shown("cage", 1))
+
+
+def bones() -> None:
+    root = fresh(1)
+    refused("no anchors", bpy.ops.pcore.bind_armature)
+    anchors = [item for item in bpy.data.objects if item.get("pcore_role") == "anchor"]
+    low, high = (pick(anchors, key=lambda item: item.location.z) for pick in (min, max))
+    root.select_set(False)
+    low.select_set(True)
+    high.select_set(True)
+    bpy.context.view_layer.objects.active = low
+    bpy.ops.pcore.bind_armature()
+    armature = bpy.context.view_layer.objects.active
+    SEEN["bones"] = [bone.name for bone in armature.data.bones]
+    SEEN["rest"] = float(np.abs(shown("proxy", 1) - proxy_rest()).max())
+    bend = armature.pose.bones[low.name]
+    bend.rotation_mode = "QUATERNION"
+    bend.rotation_quaternion = (0.98, 0.2, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    bpy.ops.pcore.export_edit(mode="anchors", name="bones.json", moving=False)
+    local = root.matrix_world.inverted() @ high.matrix_world
+    SEEN["carried"] = [[*high["pcore_near"]], [*local.translation]]
+    bpy.ops.pcore.export_edit(mode="mesh", name="bent.json", moving=False)
+    SEEN["moved"] = float(np.abs(shown("proxy", 1) - proxy_rest()).max())
+
+
+def proxy_rest() -> np.ndarray:
+    return np.array([v.co[:] for v in bpy.data.objects["proxy"].data.vertices])
+
+
+def pictures() -> None:
+    fresh(3)
+    scene = bpy.context.scene
+    folder = BUNDLE / "rendered"
+    folder.mkdir()
+    refused("no frames", bpy.ops.pcore.import_frames, directory=str(folder))
+    content = json.loads((BUNDLE / "cameras.json").read_text())
+    scene.render.resolution_x, scene.render.resolution_y = content["w"], content["h"]
+    for number in range(3):
+        image = bpy.data.images.new("frame", content["w"], content["h"], alpha=True)
+        one = np.float32([0.2 * number, 0.5, 0.1, 1.0])
+        image.pixels.foreach_set(np.tile(one, content["w"] * content["h"]))
+        image.filepath_raw, image.file_format = str(folder / f"frame_{number:03}.png"), "PNG"
+        image.save()
+    for where in ("behind", "plane", "compositor"):
+        bpy.ops.pcore.import_frames(directory=str(folder), where=where)
+    plane = bpy.data.objects["pcore picture"]
+    bpy.context.view_layer.update()
+    seen = [
+        world_to_camera_view(scene, scene.camera, plane.matrix_world @ vertex.co)[:2]
+        for vertex in plane.data.vertices
+    ]
+    SEEN["corners"] = [list(corner) for corner in seen]
+    image = next(n for n in plane.active_material.node_tree.nodes if n.type == "TEX_IMAGE")
+    SEEN["sequence"] = [image.image_user.frame_duration, image.image.source, image.image.alpha_mode]
+    tree = getattr(scene, "compositing_node_group", None) or scene.node_tree
+    over = next(node for node in tree.nodes if node.bl_idname == "CompositorNodeAlphaOver")
+    linked = [s.links[0].from_node.bl_idname for s in over.inputs if s.is_linked]
+    SEEN["composited"] = [linked, bool(over.outputs[0].links), scene.render.film_transparent]
+    (folder / "frame_001.png").unlink()
+    refused("gap", bpy.ops.pcore.import_frames, directory=str(folder))
+
+
 def cameras() -> None:
     fresh(3)
     scene = bpy.context.scene
@@ -110,6 +205,9 @@ try:
     pcore_bridge.register()
     anchors()
     shapes()
+    rigs()
+    bones()
+    pictures()
     cameras()
     (BUNDLE / "seen.json").write_text(json.dumps(SEEN))
     sys.stdout.write("done\n")

@@ -110,10 +110,66 @@ def test_a_camera_comes_back_as_it_went(bundle: Path):
         ("topology", "changes its topology"),
         ("edited", "were edited themselves"),
         ("program", "no such program"),
+        ("far", "put it on the object"),
+        ("taken", "is at this very place already"),
+        ("cage there", "the cage is there"),
+        ("lattice there", "a lattice bends it already"),
+        ("no anchors", "at least two selected anchors"),
+        ("no frames", "got none"),
+        ("gap", "the first is frame_001.png"),
     ],
 )
 def test_what_cannot_come_back_is_refused(bundle: Path, what: str, reason: str):
     assert reason in json.loads((bundle / "seen.json").read_text())[what]
+
+
+def test_handles_and_pins_go_on_the_point_at_the_cursor(bundle: Path):
+    seen = json.loads((bundle / "seen.json").read_text())
+    assert seen["held"] == ["anchor 005"]
+    near, to = seen["handle"]
+    handles = json.loads((bundle / "handle.json").read_text())["edits"][0]["handles"]
+    assert len(handles) == 2
+    (mine,) = [one for one in handles if np.allclose(one["near"], near)]
+    assert np.allclose(mine["to"], to, atol=1e-6)
+    points = load(bundle.parent / "ball").points
+    assert any(np.array_equal(np.float32(near), point) for point in points.numpy())
+
+
+def test_a_lattice_bends_the_cage_and_so_the_points(bundle: Path):
+    size = json.loads((bundle / "bundle.json").read_text())["size"]
+    vertices = read_mesh(bundle / "lattice_0001.ply").vertices.numpy()
+    assert np.abs(vertices - np.load(bundle / "seen_lattice.npy")).max() < 1e-6 * size
+    asset = load(bundle.parent / "ball")
+    moved = asset.pose(bundle / "lattice.json").points - asset.points
+    high = asset.points[:, 2] > 0.5 * asset.points[:, 2].max()
+    assert float(moved[high, 0].min()) > 0.01 * size
+
+
+def test_bones_carry_anchors_and_bend_the_proxy(bundle: Path):
+    seen = json.loads((bundle / "seen.json").read_text())
+    size = json.loads((bundle / "bundle.json").read_text())["size"]
+    assert len(seen["bones"]) == 2
+    assert seen["rest"] < 1e-5 * size
+    assert seen["moved"] > 0.05 * size
+    near, to = (np.array(one) for one in seen["carried"])
+    assert np.linalg.norm(to - near) > 0.05 * size
+    handles = json.loads((bundle / "bones.json").read_text())["edits"][0]["handles"]
+    (mine,) = [one for one in handles if np.allclose(one["near"], near)]
+    assert np.allclose(mine["to"], to, atol=1e-5)
+    assert "rotation" in mine
+    mesh = read_mesh(bundle / "bent_0001.ply").vertices - read_mesh(bundle / "proxy.ply").vertices
+    assert float(mesh.norm(dim=1).max()) > 0.05 * size
+
+
+def test_pictures_come_back_behind_on_a_plane_and_in_the_compositor(bundle: Path):
+    seen = json.loads((bundle / "seen.json").read_text())
+    corners = np.array(sorted(seen["corners"]))
+    assert np.allclose(corners, [[0, 0], [0, 1], [1, 0], [1, 1]], atol=1e-4)
+    assert seen["sequence"] == [3, "SEQUENCE", "STRAIGHT"]
+    linked, ends, transparent = seen["composited"]
+    assert linked == ["CompositorNodeImage", "CompositorNodeRLayers"]
+    assert ends
+    assert transparent
 
 
 def test_the_extension_builds_and_is_valid(tmp_path: Path):

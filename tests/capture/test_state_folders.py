@@ -6,6 +6,7 @@ import pytest
 
 import published_sets
 from pcore.capture.load import find_states, load_scene, load_state
+from pcore.cli.fit import photos_in
 from pcore.errors import SceneError
 from scene_files import change, change_frame, write_split
 
@@ -19,6 +20,7 @@ def test_of_a_sequence_in_time_the_first_stamp_is_learned(tmp_path: Path) -> Non
     later = load_state(tmp_path / "jumping", "t0.25")
     assert [len(later.split(name)) for name in ("train", "test")] == [6, 2]
     assert {view.image.path.parent.parent.name for view in later.split("test")} == {"of_1"}
+    assert len(photos_in(tmp_path / "jumping" / "t1", 1)) == 6  # What `pcore fit --photos` takes.
 
 
 def test_one_time_stamp_is_no_sequence(tmp_path: Path) -> None:
@@ -43,6 +45,13 @@ def test_stamps_that_a_computer_wrote_apart_are_one(tmp_path: Path) -> None:
         change_frame(path, index, time=time)
     assert len(load_scene(tmp_path).split("train")) == 2
     assert find_states(tmp_path) == ("t0.7",)
+
+
+def test_a_time_that_no_number_holds_is_none(tmp_path: Path) -> None:
+    path = write_split(tmp_path, "train", count=3)
+    change_frame(path, 0, time=10**400)
+    change_frame(path, 1, time="later")
+    assert load_scene(tmp_path).states == ()
 
 
 def test_a_deformed_scene_of_neural_editor_is_a_state(tmp_path: Path) -> None:

@@ -1,16 +1,20 @@
 """`pcore check`: what it says, what it writes, what it refuses."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
+from pcore.capture import triangulation
 from pcore.capture.load import load_scene
+from pcore.capture.triangulation import PoseAgreement, Triangulated
 from pcore.cli.main import main
 from pcore.data.pictures import write_mask
 from pcore.evaluation.check_page import check_page
 from pcore.evaluation.scene_check import SceneCheck, check_scene
-from room_scene import cameras, picture, write_room
+from room_scene import RADIUS, cameras, picture, sparse_points, write_room
 
 pytest.importorskip("cv2", reason="automatic masks need OpenCV")
 BOX = ["--box", "-0.9", "-0.9", "-0.9", "0.9", "0.9", "0.9"]
@@ -136,3 +140,76 @@ def test_a_wrong_mask_among_given_ones_is_named(
     assert main(["check", str(room), *BOX, "--masks", str(folder)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "1 of 24 photos (0005) is doubtful" in said
+
+
+def test_an_edit_of_a_scene_with_its_background_is_told_to_need_a_region(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = write_room(tmp_path / "room", 9)
+    assert main(["check", str(room), "--masks", "none", *BOX]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert (
+        '"region": {"shape": "box", "lower": [-0.9, -0.9, -0.9], "upper": [0.9, 0.9, 0.9]}' in said
+    )
+
+
+def test_masks_in_the_region_of_the_axes_say_where_the_object_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = write_room(tmp_path / "room", 12)
+    (tmp_path / "masks").mkdir()
+    for number, camera in enumerate(cameras(12)):
+        write_mask(tmp_path / "masks" / f"{number:04d}.png", picture(camera)[1])
+    assert main(["check", str(room), "--masks", str(tmp_path / "masks")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    found = re.search(r"the hull of the masks in it reaches over \((.*?)\) to", said)
+    assert found is not None
+    lower = [float(x) for x in found[1].split(",")]
+    assert max(abs(x + RADIUS) for x in lower[:2]) < 0.15
+
+
+def test_pictures_of_a_corrected_copy_have_one_size(tmp_path: Path) -> None:
+    room = write_room(tmp_path / "room", 12)
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    for number, camera in enumerate(cameras(12)):
+        mask = picture(camera)[1]
+        mask[:, : 20 + number] = 0  # Every mask has another width.
+        write_mask(masks / f"{number:04d}.png", mask)
+    fixed = tmp_path / "fixed"
+    assert main(["check", str(room), "--masks", str(masks), "--fix", str(fixed)]) == 0
+    scene = load_scene(fixed)
+    views = [view for name in scene.splits for view in scene.split(name)]
+    assert len({(view.camera.width, view.camera.height) for view in views}) == 1
+    before = {v.name: v for name in ("train", "test") for v in load_scene(room).split(name)}
+    for view in views:
+        column, row, _ = view.camera.project(torch.zeros(1, 3))
+        there = before[view.name].camera.project(torch.zeros(1, 3))
+        assert float(column - there[0]) == pytest.approx(round(float(column - there[0])), abs=1e-3)
+        assert float(row - there[1]) == pytest.approx(round(float(row - there[1])), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("median", "words"), [(0.2, "ok pose check"), (3.0, "The poses are not those of these photos")]
+)
+def test_poses_are_held_against_features(
+    tmp_path: Path,
+    median: float,
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    found = PoseAgreement(median=median, of_views=(median,) * 9, pairs=20, points=600)
+    monkeypatch.setattr(
+        triangulation,
+        "triangulated",
+        lambda scene, _: Triangulated(
+            scene=replace(scene, sparse=sparse_points()), agreement=found
+        ),
+    )
+    room = write_room(tmp_path / "room", 9)
+    assert main(["check", str(room), "--masks", "none", "--triangulate"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert words in said
+    assert "the dense part of the sparse points" in said
+    assert "reprojection" not in said

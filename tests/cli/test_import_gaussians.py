@@ -1,6 +1,7 @@
 """`pcore import gaussians` and `pcore export`: files of Gaussians and runs."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,10 +14,12 @@ from tests.gaussians.some import some_gaussians
 from pcore.cli.deform import DeformCommand, deform
 from pcore.cli.export import ExportCommand, export
 from pcore.cli.import_gaussians import ImportGaussiansCommand, import_gaussians
-from pcore.data.splat_formats import read_splats
+from pcore.data.splat_file import splats_of
+from pcore.data.splat_formats import read_splats, save_splats
 from pcore.errors import CheckpointError, InputError
 from pcore.files.gaussian_file import load_gaussians
 from pcore.files.run_folder import RunFolder
+from pcore.gaussians.render import Footprint
 
 
 @pytest.fixture
@@ -74,6 +77,20 @@ def test_what_goes_out_is_what_came_in(folder: Path):
         torch.testing.assert_close(got, value, atol=1e-6, rtol=1e-5, msg=name)
     assert len(exported(run, "out.splat").read_bytes()) == 40 * 32
     assert exported(run, "out.glb").read_bytes()[:4] == b"glTF"
+
+
+def test_flat_ones_come_in_as_discs_and_go_out_with_two_scales(folder: Path):
+    gaussians = some_gaussians(40)
+    flat = replace(splats_of(gaussians, "flat"), flat=True)
+    save_splats(folder / "gs.ply", flat)
+    run = imported(folder)
+    saved = load_gaussians(run)
+    assert saved.footprint == Footprint(variance=0.5, antialiased=False, flat=True)
+    torch.testing.assert_close(saved.gaussians.scales[:, :2], gaussians.scales[:, :2])
+    back = exported(run, "back.ply", to="splats")
+    assert b"scale_1" in back.read_bytes()
+    assert b"scale_2" not in back.read_bytes()
+    assert read_splats(back).flat
 
 
 def test_an_edited_run_is_exported_as_the_file_is_deformed(folder: Path):

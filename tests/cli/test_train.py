@@ -332,6 +332,18 @@ def test_options_that_only_papr_has_are_refused_for_gaussians(
         assert not run.exists()
 
 
+def test_flat_gaussians_are_trained_and_refused_for_papr(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    assert call(scene, run, "--model", "papr", "--flat") == 2
+    assert "--model gaussians" in capsys.readouterr().err
+    assert not run.exists()
+    assert call(scene, run, "--model", "gaussians", "--flat", steps=2) == 0
+    assert load_gaussians(run).footprint.flat
+    assert main(["info", str(run)]) == 0
+
+
 def test_a_promise_of_minutes_says_its_plan_and_resumes_it(
     scene: Path,
     tmp_path: Path,

@@ -164,3 +164,40 @@ def test_slopes_of_a_value():
 def test_misfits_are_refused():
     with pytest.raises(InputError, match="expected one of each for 5 sites"):
         Scattered(sites=filled(5), values=torch.zeros(4, 3), slopes=torch.zeros(5, 3, 3))
+
+
+@pytest.mark.parametrize("make", [sheet, filled])
+def test_quick_maps_are_nearly_those_fitted_with_care(make):
+    points = make()
+    after = points + 0.1 * torch.sin(3 * points.roll(1, dims=1))
+    # What is known with care already is not made quickly.
+    quick, careful, again = (PointMotion(points, after, quick=one) for one in (True, False, True))
+    assert torch.equal(again.jacobian(points), careful.jacobian(points))
+    assert torch.equal(careful(points), quick(points))
+    error = (careful.jacobian(points) - quick.jacobian(points)).norm(dim=(1, 2))
+    assert 0 < float(error.median()) < 0.05
+    assert float(error.max()) < 0.25
+    turned = MOTION(points)
+    found = PointMotion(points, turned, quick=True).jacobian(points)
+    torch.testing.assert_close(found, MOTION.jacobian(points), rtol=0, atol=1e-3)
+
+
+def test_quick_maps_make_no_spikes_beside_a_tear_and_mirror_nothing():
+    points = filled()
+    after = points.clone()
+    after[points[:, 0] > 0.5] += 5.0
+    linear = PointMotion(points, after, quick=True).jacobian(points)
+    assert float(torch.linalg.svdvals(linear).max()) < 5.0
+    flat = points * torch.tensor([1.0, 1.0, -1.0]).double()
+    assert float(torch.linalg.det(PointMotion(points, flat, quick=True).jacobian(points)).min()) > 0
+    one = torch.ones(1, 3).double()
+    assert torch.equal(
+        PointMotion(one, 2 * one, quick=True).jacobian(one)[0], torch.eye(3).double()
+    )
+
+
+def test_two_values_at_one_place_do_not_depend_on_who_asks():
+    points = filled(20)
+    points[1] = points[0]
+    motion = PointMotion(points, points + torch.arange(20.0).double()[:, None])
+    assert torch.equal(motion(points)[:1], motion(points[:1]))

@@ -272,3 +272,19 @@ def test_a_saved_name_and_a_muted_edit_are_read_back(tmp_path: Path):
     assert script == made.state.script
     assert [edit.enabled for edit in script.edits] == [True, False]
     assert torch.equal(afresh(made.state).points, made.state.points)
+
+
+def test_hours_of_commands_do_not_add_up(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("pcore.editing.history.LONGEST", 20)
+    made = session()
+    for number in range(50):
+        made.do({**SHIFT, "translation": [0, 0, 0.001 * number]}, merge=None)
+        made.remove(0)
+    assert len(made.history.moments) == 20
+    last = made.state
+    while made.can_undo:
+        made.undo()
+    assert made.history.now == 0
+    while made.can_redo:
+        made.redo()
+    assert torch.equal(made.state.points, last.points)

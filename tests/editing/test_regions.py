@@ -11,6 +11,8 @@ from pcore.deform.weighted import Held
 from pcore.editing.reading import parse_region
 from pcore.editing.regions import Setting, bind_region
 from pcore.editing.script import EditScript, load_edit, parse_edit
+from pcore.editing.session import EditSession
+from pcore.editing.widening import widened
 from pcore.errors import EditError
 
 SPHERE = {"shape": "sphere", "center": [0.3, 0, 0], "radius": 0.15, "falloff": 0.2}
@@ -331,3 +333,25 @@ def test_a_geodesic_ball_far_from_the_object_is_refused():
     assert "at most 15% of it); is it in world units?" in text
     near = {**far, "center": [0.6, 0, 0], "radius": 0.2}
     script({**SHIFT, "region": near}).bind(cloud())
+
+
+def test_the_next_falloff_that_does_not_fold_is_found():
+    points = torch.rand(400, 3, generator=torch.Generator().manual_seed(2)) - 0.5
+    low = {"shape": "half_space", "origin": [0, 0, -0.1], "normal": [0, 0, -1], "falloff": 0.1}
+    push = {"type": "rigid", "translation": [0, 0, -0.2]}
+    session = EditSession(points)
+    session.freeze(low)
+    with pytest.raises(EditError, match="widen the falloff"):
+        session.do(push)
+    found = widened(session, push)
+    # A quintic falls by 1.875 of its height per length at most.
+    assert 0.8 * 0.2 * 1.875 < found.falloff < 1.25 * 0.2 * 1.875
+    session.freeze(*found.freeze)
+    state = session.do(found.edit)
+    assert torch.equal(state.points[points[:, 2] < -0.1], points[points[:, 2] < -0.1])
+    own = widened(EditSession(points), {**push, "freeze": [low]})
+    assert own.freeze == ()
+    assert own.falloff == found.falloff
+    assert EditSession(points).do(own.edit).script.edits[0].freeze[0].falloff == own.falloff
+    with pytest.raises(EditError, match="lower the amount"):
+        widened(EditSession(points), {"type": "bend", "axis": "z", "angle_deg": 400})

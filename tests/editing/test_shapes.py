@@ -15,6 +15,7 @@ from pcore.editing.script import EditScript, load_edit, parse_edit
 from pcore.editing.session import EditSession
 from pcore.errors import EditError
 
+TWIST = {"type": "twist", "axis": "z", "angle_deg": 20}
 TURN = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
 
 
@@ -428,3 +429,68 @@ def test_texts_that_are_no_paths(kind: str, path: str):
     for key, pair in (("before", (path, "after.ply")), ("after", ("before.ply", path))):
         with pytest.raises(EditError, match=f'key "{key}": expected the path of a mesh'):
             script(type=kind, before=pair[0], after=pair[1])
+
+
+def wave_and_mesh() -> list[dict]:
+    np.save("wave.npy", (cloud() + 0.2 * torch.sin(2 * cloud().roll(1, dims=1))).numpy())
+    mesh = trimesh.load_mesh("before.ply", process=False)
+    after = (mesh.vertices + 0.2 * np.sin(2 * np.roll(mesh.vertices, 1, axis=1))).tolist()
+    return [
+        {"type": "displacement", "before": "before.npy", "after": "wave.npy"},
+        {"type": "mesh", "before": "before.ply", "after": after},
+    ]
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_quick_frames_go_with_the_very_points_of_the_command(number: int):
+    edit = wave_and_mesh()[number]
+    session = EditSession(cloud())
+    quick = session.preview({**edit, "amount": 0.8}, frames="quick")
+    exact = session.preview({**edit, "amount": 0.8})
+    assert torch.equal(quick.points, exact.points)
+    error = (quick.bound.linear - exact.bound.linear).norm(dim=(1, 2))
+    assert float(error.max()) < 0.3
+    assert float(error.median()) < 0.1
+    # With a mesh its triangles say it; of a motion that is known with care nothing is quick.
+    assert (float(error.max()) == 0) == (edit["type"] == "mesh")
+    again = session.preview({**edit, "amount": 0.8}, frames="quick")
+    assert torch.equal(again.bound.linear, exact.bound.linear)
+    session.do(edit)
+    assert torch.equal(
+        session.preview(TWIST, frames="quick").bound.before.linear, session.state.bound.linear
+    )
+
+
+def test_a_film_is_looked_through_quickly_and_the_state_stays_exact():
+    edit = wave_and_mesh()[0]
+    tracks = {"amount": {"keyframes": [[0, 0.0], [2, 1.0]]}}
+    session = EditSession(cloud())
+    session.do({**edit, **tracks})
+    seen = session.at(1.0, frames="quick")
+    assert session.time == 1.0
+    assert torch.equal(seen.points, session.state.points)
+    fresh = EditSession(cloud(), session.state.script).state
+    assert torch.equal(session.state.bound.linear, fresh.bound.linear)
+
+
+def test_points_that_were_written_anew_are_read_anew():
+    edit = wave_and_mesh()[0]
+    first = script(**edit).bind(cloud())(cloud())
+    np.save("wave.npy", cloud().numpy())
+    assert not torch.equal(script(**edit).bind(cloud())(cloud()), first)
+
+
+def test_quick_frames_of_a_cage_need_no_formula(counted: dict[str, int]):
+    mesh = trimesh.load_mesh("before.ply", process=False)
+    after = (1.2 * mesh.vertices + 0.1 * np.sin(mesh.vertices[:, ::-1])).tolist()
+    edit = {"type": "cage", "before": "before.ply", "after": after}
+    session = EditSession(0.8 * cloud())
+    session.warm({**edit, "after": mesh.vertices.tolist()})
+    before = counted["carry"]
+    quick = session.preview(edit, frames="quick")
+    linear = quick.bound.linear
+    assert counted["carry"] == before
+    exact = session.preview(edit)
+    assert torch.equal(quick.points, exact.points)
+    error = (linear - exact.bound.linear).norm(dim=(1, 2))
+    assert 0 < float(error.median()) < 0.2

@@ -12,6 +12,7 @@ from tests.asset.test_lit_gaussians import lit_asset
 
 import tiny_scene
 from pcore.asset.asset import Asset
+from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.saving import asset_of
 from pcore.errors import EditError
 from pcore.evaluation.asset_method import AssetMethod
@@ -177,9 +178,25 @@ def test_every_rule_draws_gaussians(states: SceneStates, tmp_path: Path) -> None
     )
     assert [one.name for one in found] == [f"{name} (x)" for name in RULES.values()]
     outcomes = Contest(folder=tmp_path, states=states.select(["grown"]), stamp="x").run(found)
-    assert [one.failed for one in outcomes] == [None] * 10
+    assert [one.failed for one in outcomes] == [None] * 2 * len(RULES)
     psnr = {one.name: one.rows[0].scores["psnr"] for one in outcomes if one.state == "canonical"}
     assert len({*psnr.values()}) == 1
+
+
+def test_a_run_of_flat_gaussians_is_drawn_by_the_rules_for_them(states: SceneStates) -> None:
+    asset = lit_asset()
+    assert isinstance(asset.content, GaussianContent)
+    flat = replace(asset.content, footprint=replace(asset.content.footprint, flat=True))
+
+    def names(*assets: Asset) -> list[str]:
+        runs = [Given(asset=one, stamp=str(number)) for number, one in enumerate(assets)]
+        wanted = ["3dgs-affine", "2dgs-affine", "2dgs-light"]
+        return [one.name for one in given_entries(runs, states.scene, wanted)]
+
+    discs = ["2DGS (ours), affine tangents", "2DGS (ours), affine + light"]
+    assert names(replace(asset, content=flat)) == discs
+    solid = "3DGS (ours), local affine covariances"
+    assert names(asset, replace(asset, content=flat)) == [solid, *discs]
 
 
 def test_runs_that_differ_in_their_seed_are_one_method(states: SceneStates) -> None:

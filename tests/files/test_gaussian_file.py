@@ -42,6 +42,19 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert (found.footprint, found.provenance) == (SAVED.footprint, SAVED.provenance)
 
 
+def test_flat_ones_are_told_from_others_and_from_older_files(tmp_path: Path) -> None:
+    path = tmp_path / "gaussians.safetensors"
+    save_gaussians(path, replace(SAVED, footprint=Footprint(flat=True)))
+    assert load_gaussians(path).footprint == Footprint(flat=True)
+    save_gaussians(path, SAVED)
+    # Older files do not say so; spaces keep the length of the header.
+    content = path.read_bytes()
+    entry = b', \\"flat\\": false'
+    assert content.count(entry) == 1
+    path.write_bytes(content.replace(entry, b" " * len(entry)))
+    assert load_gaussians(path).footprint == SAVED.footprint
+
+
 def test_damage_is_named(tmp_path: Path) -> None:
     path = tmp_path / "gaussians.safetensors"
     with pytest.raises(CheckpointError, match="no gaussians at"):

@@ -5,7 +5,7 @@ import torch
 from tests.gaussians.some import some_gaussians
 
 from pcore.errors import EditError
-from pcore.gaussians.carry import carried, carried_covariances, polar
+from pcore.gaussians.carry import carried, carried_axes, polar
 from pcore.gaussians.covariance import covariances
 from pcore.gaussians.spherical_harmonics import basis
 
@@ -88,6 +88,6 @@ def test_another_number_of_maps_is_refused():
         carried(gaussians, gaussians.means, torch.eye(3).expand(4, 3, 3))
 
 
-def test_covariances_are_differentiable_in_the_maps():
+def test_axes_are_differentiable_in_the_maps():
     gaussians, maps = some_gaussians(3, dtype=torch.float64), maps_of(3).requires_grad_()
-    assert torch.autograd.gradcheck(lambda m: carried_covariances(gaussians, m), (maps,))
+    assert torch.autograd.gradcheck(lambda m: carried_axes(gaussians, m), (maps,))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import pytest
 import torch
 from some import some_gaussians
 from torch import Tensor
@@ -73,7 +74,16 @@ def test_what_lies_behind_the_origin_is_not_seen() -> None:
     torch.testing.assert_close(lines(gaussians, along_x([0.0])).alpha, torch.tensor([0.6]))
 
 
-def test_rays_as_wide_as_pixels_see_what_the_camera_sees() -> None:
+@pytest.mark.parametrize(
+    ("footprint", "most"),
+    [
+        (Footprint(), 0.02),
+        (Footprint(flat=True), 0.02),
+        # Sharp: a disc that stands across the view shows where perspective ends.
+        (Footprint(flat=True, antialiased=False, variance=0.5), 0.05),
+    ],
+)
+def test_rays_as_wide_as_pixels_see_what_the_camera_sees(footprint: Footprint, most: float) -> None:
     (camera,) = orbit_cameras(
         torch.zeros(3), 6.0, 1, elevation=0.3, width=24, height=20, angle_x=0.1
     )
@@ -81,13 +91,16 @@ def test_rays_as_wide_as_pixels_see_what_the_camera_sees() -> None:
     gaussians = some_gaussians(60)
     gaussians = replace(gaussians, means=0.4 * gaussians.means, scales=0.5 * gaussians.scales)
     posed = PosedGaussians(gaussians=gaussians)
-    picture = render(posed, [camera], footprint=Footprint())
+    if footprint.flat:
+        thin = gaussians.scales * torch.tensor([1.0, 1.0, 0.0]) + 1e-7
+        posed = PosedGaussians(gaussians=replace(gaussians, scales=thin))
+    picture = render(posed, [camera], footprint=footprint)
     rays = camera.rays().flat()
     widths = (6.0 / camera.fx) ** 2 * torch.eye(3).expand(24 * 20, 3, 3)
-    found = trace(posed, rays, background=WHITE, footprint=Footprint(), pixels=widths)
+    found = trace(posed, rays, background=WHITE, footprint=footprint, pixels=widths)
     apart = (found.rgb - picture.rgb[0].reshape(-1, 3)).abs()
     # A camera projects towards its centre, a ray along itself.
-    assert float(apart.amax()) < 0.02
+    assert float(apart.amax()) < most
     assert float(apart.mean()) < 4e-3
     assert float((found.alpha - picture.alpha[0].reshape(-1)).abs().mean()) < 4e-3
 

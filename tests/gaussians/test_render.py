@@ -142,6 +142,26 @@ def test_units_do_not_matter() -> None:
         torch.testing.assert_close(after.depth / factor, before.depth, rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    "footprint", [Footprint(flat=True), Footprint(flat=True, variance=0.5, antialiased=False)]
+)
+def test_flat_ones_are_posed_by_their_tangents_and_have_normals(footprint: Footprint) -> None:
+    """What is drawn of an edit is what is drawn of the discs that are written out."""
+    gaussians = some_gaussians()
+    thin = gaussians.scales * torch.tensor([1.0, 1.0, 1e-4])
+    gaussians = replace(gaussians, scales=thin)
+    maps = torch.eye(3) + 0.3 * torch.randn(len(gaussians), 3, 3)
+    positions = gaussians.means + 0.1
+    drawn = render(pose(gaussians, positions, maps), cameras(), footprint=footprint)
+    written = PosedGaussians(gaussians=carried(gaussians, positions, maps))
+    truth = render(written, cameras(), footprint=footprint)
+    assert float((drawn.rgb - truth.rgb).abs().mean()) < 1e-4
+    assert drawn.normals is not None
+    assert truth.normals is not None
+    assert float((drawn.normals - truth.normals).abs().mean()) < 1e-3
+    assert float((drawn.normals.norm(dim=-1) - drawn.alpha).max()) < 1e-4
+
+
 def test_posing_is_carrying() -> None:
     """The fast way of drawing edits shows what the Gaussians that are written out show."""
     gaussians = some_gaussians()
@@ -195,7 +215,7 @@ def test_gradients_reach_everything() -> None:
         lens = torch.cat([lens[..., :2], intrinsics[..., 2:]], dim=-1)
         posed = PosedGaussians(
             gaussians=replace(moved, means=means),
-            covariances=pose(moved, means, maps).covariances,
+            axes=pose(moved, means, maps).axes,
             gains=gains,
         )
         found = render_views(posed, views, lens, (12, 7), footprint=FOOTPRINT)

@@ -132,3 +132,14 @@ def test_growth_is_how_much_farther_points_reach() -> None:
     assert growth(points, CENTER + 3 * (points - CENTER), CENTER) == pytest.approx(3, abs=1e-5)
     assert growth(points, CENTER + 0.3 * (points - CENTER), CENTER) == 1
     assert growth(points[:1], points[:1], points[0]) == 1
+
+
+def test_an_arc_goes_there_and_back_and_no_farther() -> None:
+    given = orbit_cameras(CENTER, 3.0, 5, elevation=0.4, width=8, height=6, angle_x=0.7)
+    middle, width = 0.5, 1.2
+    found = orbit_like(given, CENTER, 8, arc=(middle, width))
+    offsets = torch.stack([camera.center for camera in found]) - CENTER
+    azimuth = torch.atan2(offsets[:, 1], offsets[:, 0]) - middle
+    assert float(azimuth.abs().max()) == pytest.approx(width / 2, abs=1e-5)
+    assert torch.allclose(azimuth[[0, 4]], torch.zeros(2), atol=1e-5)
+    assert torch.allclose(azimuth[2], -azimuth[6], atol=1e-5)

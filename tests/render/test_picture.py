@@ -285,6 +285,35 @@ def test_a_tile_without_its_surroundings_would_differ(
     assert float((render(papr, posed, cam, tile=16).rgb - exact.rgb).abs().max()) > 1e-5
 
 
+@pytest.mark.parametrize(("size", "pixel"), [((61, 45), None), ((120, 96), 0.06)])
+def test_the_unet_sees_only_where_something_is_and_that_changes_no_colour(
+    posed: PosedCloud,
+    monkeypatch: pytest.MonkeyPatch,
+    size: tuple[int, int],
+    pixel: float | None,
+) -> None:
+    papr = network(cutoff=0.1, pixel=pixel)
+    small = PosedCloud.at_rest(
+        replace(posed.cloud, positions=0.2 * posed.positions + torch.tensor([0.3, 0.0, 0.1]))
+    )
+    areas: list[int] = []
+    forward = Papr.forward
+
+    def counting(self: Papr, features: Tensor) -> Tensor:
+        areas.append(features[..., 0].numel())
+        return forward(self, features)
+
+    monkeypatch.setattr(Papr, "forward", counting)
+    found = render(papr, small, camera(*size), tile=24)
+    used = sum(areas)
+    areas.clear()
+    monkeypatch.setattr(tiles_module, "shown_part", lambda alpha, window, step: window)
+    whole = render(papr, small, camera(*size), tile=24)
+    assert 0 < float((whole.alpha > 0).double().mean()) < 0.5
+    torch.testing.assert_close(found.rgb, whole.rgb, rtol=0, atol=2e-6)
+    assert used < 0.8 * sum(areas)
+
+
 def test_nothing_is_there_where_no_point_answers(posed: PosedCloud) -> None:
     papr, cam = network(cutoff=0.05), camera(40, 30)
     picture = render(papr, posed, cam, tile=8)

@@ -13,7 +13,7 @@ from pcore.cli.main import main
 
 pytest.importorskip("viser", reason="the extra studio is not installed")
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 
 
 def test_the_whole_story(browser: Any, run: Path, free_port: int) -> None:

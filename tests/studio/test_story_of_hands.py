@@ -10,7 +10,7 @@ from page import Page, kept, until
 
 pytest.importorskip("viser", reason="the extra studio is not installed")
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 MIDDLE = (355, 350)
 
 

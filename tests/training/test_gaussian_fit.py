@@ -18,6 +18,7 @@ from pcore.data.scene import Scene
 from pcore.errors import CheckpointError, InputError
 from pcore.files.gaussian_file import load_gaussians
 from pcore.files.run_folder import RunFolder
+from pcore.gaussians.render import Footprint
 from pcore.training.events import Event, PopulationReport, StepReport, ValidationReport
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from pcore.training.gaussian_fit import fit_gaussians
@@ -72,6 +73,18 @@ def test_it_learns_a_box(scene: Scene) -> None:
     # On the object's surface, not around it.
     solid = found.gaussians.opacities > 0.5
     assert float(found.gaussians.means[solid].abs().amax()) < 0.75
+
+
+def test_flat_ones_learn_a_box_and_face_its_sides(scene: Scene) -> None:
+    footprint = Footprint(flat=True)
+    heard = Heard()
+    settings = config(steps=200, validate_every=200, footprint=footprint)
+    found = fit_gaussians(scene, settings, listener=heard)
+    (validation,) = heard.of(ValidationReport)
+    assert validation.psnr > 17
+    assert found.footprint == footprint
+    own = found.gaussians
+    assert bool((own.scales[:, 2] < 0.1 * own.scales[:, :2].amin(dim=1)).all())
 
 
 def test_the_same_seed_gives_the_same_gaussians(scene: Scene) -> None:
@@ -180,7 +193,11 @@ def test_units_do_not_matter(tmp_path: Path) -> None:
     assert max(psnr) - min(psnr) < 1.0
 
 
-def test_photos_without_masks_start_before_the_cameras(scene: Scene) -> None:
+def test_photos_without_masks_start_before_the_cameras(tmp_path: Path) -> None:
+    root = write_scene(tmp_path / "box", states=False)
+    for path in (root / "train").glob("*.png"):
+        iio.imwrite(path, iio.imread(path)[..., :3])
+    scene = load_scene(root)
     views, settings = scene.split("train"), config(start="views", points=3000)
     start = start_gaussians(scene, views, settings, torch.Generator().manual_seed(0))
     seen = torch.zeros(len(start), dtype=torch.bool)

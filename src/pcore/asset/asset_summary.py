@@ -8,6 +8,7 @@ from pathlib import Path
 from pcore.asset.saving import load
 from pcore.errors import CheckpointError
 from pcore.files.gaussian_file import GAUSSIANS_FILE, GaussianSummary, describe_gaussians
+from pcore.files.headers import name_in_folder
 from pcore.files.model_file import MODEL_FILE, ModelSummary, describe_model
 from pcore.files.run_record import RunRecord
 from pcore.files.skinning_file import SKINNING_FILE, SkinningSummary, describe_skinning
@@ -50,11 +51,13 @@ def summarize(path: Path | str) -> AssetSummary:
     """
     path = Path(path)
     if not path.is_dir():
+        drawn = path.is_file() and name_in_folder(path) == GAUSSIANS_FILE
         return AssetSummary(
             record=None,
             saved_step=None,
             model_file=path,
-            model=describe_model(path),
+            model=None if drawn else describe_model(path),
+            gaussians=describe_gaussians(path) if drawn else None,
         )
     record, state, model = RunRecord.read(path), path / STATE_FILE, path / MODEL_FILE
     weights, made = path / SKINNING_FILE, path / GAUSSIANS_FILE

@@ -14,6 +14,7 @@ from pcore.asset.neural_points import NeuralPoints, read_neural_points
 from pcore.contrib.learned_skinning import Skinning
 from pcore.errors import InputError
 from pcore.files.gaussian_file import GAUSSIANS_FILE
+from pcore.files.headers import name_in_folder
 from pcore.files.model_file import MODEL_FILE
 from pcore.files.provenance import Provenance, Stage, provenance_of
 from pcore.files.run_folder import RunFolder, write_guard
@@ -58,7 +59,9 @@ def load(path: Path | str, *, device: str = "cpu") -> Asset:
 
 
 def _reader_for(path: Path) -> Reader:
-    known = [name for name in READERS if path.is_dir() and (path / name).is_file()]
+    if path.is_file():
+        return READERS.get(name_in_folder(path) or "", READERS[MODEL_FILE])
+    known = [name for name in READERS if (path / name).is_file()]
     return READERS[known[0]] if known else READERS[MODEL_FILE]
 
 

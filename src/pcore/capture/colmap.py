@@ -87,7 +87,7 @@ def read_colmap(root: Path, found: FoundModel, factor: int) -> Capture:
             _photo(model, image, path)
             for image, path in zip(model.images, photos.paths, strict=True)
         ],
-        sparse=_points(model),
+        sparse=raw_points(model),
         splits=_listed(root, model.images),
         notes=[note for note in (found.note, *photos.notes) if note],
         skipped=_without_pose(root, photos.paths),
@@ -129,7 +129,8 @@ def _photo(model: Model, image: ModelImage, path: Path | None) -> Photo:
     )
 
 
-def _points(model: Model) -> RawPoints | None:
+def raw_points(model: Model) -> RawPoints | None:
+    """Points of a model that are finite, with their sightings; None where there are none."""
     points = model.points
     if points is None or not len(points.numbers):
         return None

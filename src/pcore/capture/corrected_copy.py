@@ -7,7 +7,7 @@ never into the folder of the capture.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,8 @@ _MARGIN = 0.08
 """Room around the object in a crop, as a share of its size."""
 _LEAST = 16
 _TRACE = 0.05
+Part = tuple[int, int, int, int]
+"""Left, top, right, bottom, pixels."""
 
 
 def write_corrected(
@@ -63,11 +65,14 @@ def write_corrected(
     frames: list[dict[str, Any]] = []
     names: dict[str, list[str]] = {split: [] for split in scene.splits}
     taken: set[str] = set()
-    for number, (split, view) in enumerate(chosen):
+    parts = _parts([view for _, view in chosen], masks)
+    for number, ((split, view), part) in enumerate(zip(chosen, parts, strict=True)):
         name = f"images/{view.name if view.name not in taken else f'{split}_{view.name}'}.png"
         taken.add(view.name)
-        mask = None if masks is None else masks[view.name]
-        frames.append(_write_view(folder, name, view, mask))
+        left, top, right, bottom = part
+        kept = _picture(view, masks)[top:bottom, left:right]
+        write_photo(folder / name, kept, opaque=masks is None and not view.has_alpha)
+        frames.append(_frame(view.camera, part, name))
         names[split].append(name)
         if progress is not None:
             progress(number + 1, len(chosen))
@@ -81,19 +86,6 @@ def write_corrected(
         content[REGION_KEY] = {"center": region.center.tolist(), "radius": region.radius}
     replace_file(folder / "transforms.json", json.dumps(content, indent=1).encode())
     return len(chosen)
-
-
-def _write_view(folder: Path, name: str, view: View, mask: Tensor | None) -> dict[str, Any]:
-    """Write the picture of a view, cut to the object; its frame of the transforms file."""
-    rgba = view.rgba()
-    if mask is not None:
-        size = (view.camera.height, view.camera.width)
-        wide = F.interpolate(mask[None, None], size, mode="bilinear", align_corners=False)
-        rgba[..., 3] *= wide[0, 0]
-    masked = mask is not None or view.has_alpha
-    left, top, right, bottom = _part(view, rgba, masked=masked)
-    write_photo(folder / name, rgba[top:bottom, left:right], opaque=not masked)
-    return _frame(view.camera, (left, top, right, bottom), name)
 
 
 def check_outside(scene: Scene, folder: Path) -> None:
@@ -112,7 +104,41 @@ def _check_folder(scene: Scene, folder: Path) -> None:
         raise InputError(f"{folder}: expected a new or empty folder for the corrected copy")
 
 
-def _part(view: View, rgba: Tensor, *, masked: bool) -> tuple[int, int, int, int]:
+def _picture(view: View, masks: Mapping[str, Tensor] | None) -> Tensor:
+    rgba = view.rgba()
+    if masks is not None:
+        size = (view.camera.height, view.camera.width)
+        mask = F.interpolate(masks[view.name][None, None], size, mode="bilinear")[0, 0]
+        rgba[..., 3] *= mask
+    return rgba
+
+
+def _parts(views: Sequence[View], masks: Mapping[str, Tensor] | None) -> list[Part]:
+    """What is kept of each picture; one size for pictures of one size, as other tools want it.
+
+    With masks it holds the largest object; without, it is what all pictures show.
+    """
+    kept: list[Part] = []
+    for view in views:
+        masked = masks is not None or view.has_alpha
+        kept.append(_part(view, _picture(view, masks), masked=masked))
+    found: list[Part] = []
+    for view, (left, top, right, bottom) in zip(views, kept, strict=True):
+        alike = [
+            part
+            for part, other in zip(kept, views, strict=True)
+            if (other.camera.width, other.camera.height) == (view.camera.width, view.camera.height)
+        ]
+        choose = max if masks is not None or view.has_alpha else min
+        width = choose(part[2] - part[0] for part in alike)
+        height = choose(part[3] - part[1] for part in alike)
+        x = min(max(0, (left + right - width) // 2), view.camera.width - width)
+        y = min(max(0, (top + bottom - height) // 2), view.camera.height - height)
+        found.append((x, y, x + width, y + height))
+    return found
+
+
+def _part(view: View, rgba: Tensor, *, masked: bool) -> Part:
     """Left, top, right, bottom of what is kept: the object with room, or all that is shown."""
     height, width = rgba.shape[:2]
     valid = view.valid()
@@ -134,7 +160,7 @@ def _part(view: View, rgba: Tensor, *, masked: bool) -> tuple[int, int, int, int
     )
 
 
-def _inner(valid: Tensor) -> tuple[int, int, int, int]:
+def _inner(valid: Tensor) -> Part:
     """The picture without the borders that straightening left empty, side by side cut away."""
     height, width = valid.shape
     left, top, right, bottom = 0, 0, width, height
@@ -152,7 +178,7 @@ def _inner(valid: Tensor) -> tuple[int, int, int, int]:
     return left, top, right, bottom
 
 
-def _frame(camera: Camera, part: tuple[int, int, int, int], name: str) -> dict[str, Any]:
+def _frame(camera: Camera, part: Part, name: str) -> dict[str, Any]:
     left, top, right, bottom = part
     return {
         "file_path": name,

@@ -13,6 +13,8 @@ from pcore.geometry.camera import Camera
 
 _NEAR = 30.0
 """A direction is covered when a camera stands within so many degrees of it."""
+ONE_SIDE = 180.0
+"""Degrees of a gap from which on all cameras stand on one side."""
 _DIRECTIONS = 2000
 
 

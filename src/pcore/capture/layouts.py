@@ -9,6 +9,13 @@ from pathlib import Path
 from pcore.capture.archives import IDR_FILES, read_idr, read_llff
 from pcore.capture.colmap import FoundModel, find_model, read_colmap
 from pcore.capture.colmap_model import kind_of
+from pcore.capture.phone_folders import (
+    METADATA,
+    polycam_cameras,
+    read_polycam,
+    read_record3d,
+    record3d_metadata,
+)
 from pcore.capture.photos import VIDEOS, Capture, pictures_in
 from pcore.capture.pose_files import is_camera_list, read_camera_list, read_nsvf
 from pcore.capture.transforms_capture import read_transforms_capture
@@ -69,7 +76,8 @@ def layouts_of(root: Path) -> Sequence[Layout]:
         add("NSVF / Tanks and Temples", root / "intrinsics.txt")
     if is_camera_list(root / "cameras.json"):
         add("3DGS cameras.json", root / "cameras.json")
-    return found or _without_poses(root)
+    # What was made of a phone's folder lies beside it and is better.
+    return found or _of_phones(root) or _without_poses(root)
 
 
 def layout_of(path: Path) -> Layout:
@@ -112,6 +120,8 @@ _READERS: dict[str, Callable[[Path, Path, int], Capture]] = {
     "LLFF": read_llff,
     "NSVF / Tanks and Temples": read_nsvf,
     "3DGS cameras.json": read_camera_list,
+    "Polycam": read_polycam,
+    "Record3D": read_record3d,
 }
 _FILES = {
     "transforms_train.json": RENDERED,
@@ -119,6 +129,7 @@ _FILES = {
     "poses_bounds.npy": "LLFF",
     "intrinsics.txt": "NSVF / Tanks and Temples",
     "cameras.json": "3DGS cameras.json",
+    METADATA: "Record3D",
     **dict.fromkeys(IDR_FILES, "IDR / NeuS"),
 }
 
@@ -140,6 +151,13 @@ def _root_of_model(folder: Path) -> Path:
     above = list(folder.parents)[:_UP]
     named = [up for up in above if (up / "images").is_dir() or (up / "input").is_dir()]
     return named[0] if named else folder.parent
+
+
+def _of_phones(root: Path) -> Sequence[Layout]:
+    places = {"Polycam": polycam_cameras(root), "Record3D": record3d_metadata(root)}
+    return [
+        Layout(name=name, root=root, path=path) for name, path in places.items() if path is not None
+    ]
 
 
 def _without_poses(root: Path) -> Sequence[Layout]:
@@ -170,5 +188,6 @@ def _unknown(path: Path) -> str:
         "PAPR in Motion (start/transforms_train.json and end/transforms_train.json), nerfstudio "
         "and instant-ngp (transforms.json), COLMAP (sparse/0), IDR and NeuS (cameras_sphere.npz), "
         "LLFF (poses_bounds.npy), NSVF (intrinsics.txt and pose), 3D Gaussian splatting "
-        "(cameras.json), photos or a video. Give the folder that holds one of them"
+        "(cameras.json), Polycam (keyframes), Record3D (metadata.json and rgb), photos or a video. "
+        "Give the folder that holds one of them"
     )

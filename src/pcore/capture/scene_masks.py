@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from pcore.capture.auto_masks import FoundMasks, Photo, find_masks
+from pcore.capture.photos import natural_key
 from pcore.data.scene import Scene, View
 from pcore.geometry.object_region import Region
 
@@ -48,3 +49,13 @@ def photos_of(views: Sequence[View]) -> list[Photo]:
     """Photos of views, on white where they have an alpha channel."""
     white = torch.ones(3)
     return [Photo(name=view.name, camera=view.camera, rgb=view.rgb(white)) for view in views]
+
+
+def ordered_views(scene: Scene) -> tuple[View, ...]:
+    """Views of a capture by name; of scenes whose test views are true ones those of `train`.
+
+    Splits of a capture are every eighth photo of one walk around the object.
+    """
+    splits = ["train"] if scene.states or scene.layout == "NeRF-Synthetic" else scene.splits
+    views = [view for name in splits for view in scene.split(name)]
+    return tuple(sorted(views, key=lambda view: natural_key(view.name)))

@@ -239,7 +239,7 @@ def _cameras(
         note(console, scene.notes)
         # One distance for all frames: the farthest that any of them needs.
         reach = max(growth(asset.points, one.points, scene.center) for one in moved)
-        views = cameras.orbit_of_scene(scene, wish, scale=reach)
+        views = cameras.orbit_of_scene(scene, wish, console=console, scale=reach)
     return path_through([camera for _, camera in views], len(moved))
 
 

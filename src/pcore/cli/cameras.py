@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.text import Text
+
 from pcore.errors import InputError, SceneError
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from torch import Tensor
 
     from pcore.data.scene import Scene
@@ -84,18 +87,39 @@ def cameras_of_split(scene: Scene, split: str, size: Size | None) -> Named:
     return [(view.name, _resized(view.camera, size)) for view in scene.split(split)]
 
 
-def orbit_of_scene(scene: Scene, wish: OrbitWish, *, scale: float = 1.0) -> Named:
-    """Orbit that resembles the training cameras of a scene, `scale` times as far away."""
+def orbit_of_scene(
+    scene: Scene, wish: OrbitWish, *, scale: float = 1.0, console: Console | None = None
+) -> Named:
+    """Orbit that resembles the training cameras of a scene, `scale` times as far away.
+
+    Captures are upright as their cameras are. Where all stand on one side the orbit swings before
+    the object, and that is said: what no photo shows is a guess.
+    """
+    from pcore.capture.coverage import ONE_SIDE, coverage
     from pcore.geometry.orbit import orbit_like
 
     split = "train" if "train" in scene.splits else scene.splits[0]
+    taken = [view.camera for view in scene.split(split)]
+    cover = coverage(taken, scene.center)
+    up, arc = None, None
+    if scene.layout != "NeRF-Synthetic":
+        up = cover.up
+    if up is not None and cover.gap > ONE_SIDE:
+        width = 360 - cover.gap
+        arc = math.radians(cover.gap_middle + 180), math.radians(width)
+        if console is not None:
+            said = f"the orbit swings through the {width:.0f} degrees that they cover"
+            text = f"photos were taken from one side: {said}"
+            console.print(Text(text), soft_wrap=True)
     cameras = orbit_like(
-        [view.camera for view in scene.split(split)],
+        taken,
         scene.center,
         wish.count,
         elevation=_radians(wish.elevation_degrees),
         scale=scale,
         size=wish.size,
+        up=up,
+        arc=arc,
     )
     return _numbered(cameras)
 

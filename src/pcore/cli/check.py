@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.console import Console
 from rich.text import Text
@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 
 _LONGEST = 400
 """Photos are looked at in about this size unless --factor says otherwise."""
+_AUTOMATIC: dict[str | None, Literal["cut", "trained"]] = {
+    None: "cut",
+    "auto": "cut",
+    "trained": "trained",
+}
 _MARKS = {"warning": ("!!", "yellow"), "note": ("--", "cyan"), "good": ("ok", "green")}
 
 
@@ -27,7 +32,7 @@ _MARKS = {"warning": ("!!", "yellow"), "note": ("--", "cyan"), "good": ("ok", "g
 class CheckCommand:
     """Look at a scene before training: poses, photos, coverage, masks, region, time.
 
-    Nothing is trained, and nothing is written into the scene's folder.
+    Nothing is trained but for --masks trained, and nothing is written into the scene's folder.
     """
 
     scene: Annotated[Positional[Path], arg(metavar="SCENE")]
@@ -36,12 +41,17 @@ class CheckCommand:
     html: Annotated[Path | None, optional("FILE", "-o")] = None
     """Also write the report with pictures, one HTML file that needs nothing else."""
 
-    masks: Annotated[str | None, optional("auto|none|FOLDER")] = None
-    """Where photos show the object: auto (cut out of them), a folder of masks, or none. Default:
-    those that the scene brings; auto where it brings none."""
+    masks: Annotated[str | None, optional("auto|trained|none|FOLDER")] = None
+    """Where photos show the object: auto (cut out of them), trained (learn the whole room for one
+    or two minutes and draw the object alone), a folder of masks, or none. Default: those that the
+    scene brings; auto where it brings none."""
 
     box: Annotated[tuple[float, ...], arg(metavar="X Y Z X Y Z", help_behavior_hint="")] = ()
     """Lower and upper corner of the object in world units; default: found."""
+
+    triangulate: bool = False
+    """Match features of the photos and hold them against the poses, by COLMAP, some minutes; for
+    scenes without sparse points."""
 
     masks_out: Folder = None
     """Write the masks there, named like the photos, to look at and correct."""
@@ -71,6 +81,7 @@ def check(command: CheckCommand, console: Console) -> None:
         DependencyError: the report without jinja2.
         OSError: a file cannot be written.
     """
+    from pcore.capture.triangulation import triangulated
     from pcore.cli.results import counting
     from pcore.cli.runtime import prepare_torch
     from pcore.cli.scenes import corners_of
@@ -82,12 +93,19 @@ def check(command: CheckCommand, console: Console) -> None:
     prepare_torch(command.threads)
     factor = command.factor or _looking_factor(command.scene)
     scene, bare = _opened(command, factor)
+    agreement = None
+    if command.triangulate and scene.sparse is None:
+        done = triangulated(bare, console.print)
+        scene, agreement = replace(scene, sparse=done.scene.sparse), done.agreement
+        if agreement is None:
+            console.print("no two photos show common features, so nothing checks the poses")
     with counting(console, "masks") as tell:
         found = check_scene(
             scene,
             bare,
+            agreement=agreement,
             box=corners_of(command.box),
-            automatic=command.masks in (None, "auto"),
+            automatic=_AUTOMATIC.get(command.masks),
             progress=lambda what, done, total: tell(done, total),
         )
     _show(found, console)
@@ -110,9 +128,9 @@ def _opened(command: CheckCommand, factor: int) -> tuple[Scene, Scene]:
     bare = load_scene(command.scene, factor=factor, masks="none")
     if command.masks == "none":
         return bare, bare
-    folder = None if command.masks in (None, "auto") else Path(command.masks)
+    folder = None if command.masks is None or command.masks in _AUTOMATIC else Path(command.masks)
     scene = load_scene(command.scene, factor=factor, masks=folder)
-    if command.masks == "auto" or not scene.split("train")[0].has_alpha:
+    if command.masks in ("auto", "trained") or not scene.split("train")[0].has_alpha:
         return bare, bare
     return scene, bare
 
@@ -171,6 +189,8 @@ def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> 
 
     assert command.fix is not None, "asked for"
     bad = {*found.quality.blurred, *found.quality.odd_exposure}
+    if found.agreement is not None:
+        bad |= {*found.agreement.doubtful()}
     if found.reprojection is not None:
         bad |= {*found.reprojection.doubtful()}
     left_out = [found.views[i].name for i in sorted(bad)]
@@ -208,10 +228,11 @@ def commands_of(found: SceneCheck, command: CheckCommand, factor: int) -> list[s
     if command.box:
         given += ["--box", *(f"{x:g}" for x in command.box)]
     automatic = found.masks is not None and found.masks.automatic
-    masks = "auto" if automatic else command.masks
+    masks = "auto" if automatic and command.masks is None else command.masks
     if masks is not None:
         given += ["--masks", masks]
     lines = [["pcore", "train", str(command.scene), "-o", f"runs/{found.scene.name}", *given]]
     if automatic:
-        lines.append(["pcore", "check", str(command.scene), "--masks-out", "masks"])
+        again = ["--masks", "trained"] if masks == "trained" else []
+        lines.append(["pcore", "check", str(command.scene), *again, "--masks-out", "masks"])
     return [shlex.join(line) for line in lines]

@@ -25,10 +25,9 @@ if TYPE_CHECKING:
 class CompareCommand:
     """Compare methods on one object: same field, same photos, same evaluation.
 
-    Give the runs that you have; `pcore compare RUN` trains all rivals on their scene (two trainings
-    of --seconds each and more: `--methods papr aware` trains none), draws every state with every
-    method, and writes tables. The same command goes on where an interrupted one stopped; a method
-    that fails is a row that says why.
+    Give the runs that you have: rivals are trained on their scene (`--methods papr aware` trains
+    none), every state is drawn with every method, and tables are written. The same command goes on
+    where an interrupted one stopped; a method that fails is a row that says why.
     """
 
     runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN", help_behavior_hint="")] = ()
@@ -42,8 +41,9 @@ class CompareCommand:
     """What to compare; all, none (with --pictures), or some of these. Given runs of points: papr
     (plain rays), aware (rays that know of the deformation), light (the light stands still too).
     Rules on Gaussians, given ones and ones that are trained now: 3dgs-fixed, 3dgs-rotation,
-    3dgs-affine, 3dgs-light, sc-gs. Trained now: mani-gs (Gaussians on a mesh), voxels (a field in a
-    cage), motion (PAPR in Motion, for states that have training photos)."""
+    3dgs-affine, 3dgs-light, sc-gs; on flat ones 2dgs-affine, 2dgs-light. Trained now: mani-gs
+    (Gaussians on a mesh), voxels (a field in a cage), motion (PAPR in Motion, for states that have
+    training photos)."""
 
     settings: Annotated[
         tuple[Literal["primitives", "time"], ...], arg(metavar="NAME [NAME ...]")

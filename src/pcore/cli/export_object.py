@@ -110,9 +110,10 @@ def write_splats(command: ExportCommand, asset: Asset, console: Console) -> list
 
     times = _times(command)
     if isinstance(asset.content, GaussianContent):
-        file = splats_of(asset.content.gaussians, str(command.run_folder))
+        footprint = asset.content.footprint
+        file = splats_of(asset.content.gaussians, str(command.run_folder), flat=footprint.flat)
         posed, notes = _carried(command, file, times)
-        antialiased = asset.content.footprint.antialiased
+        antialiased = footprint.antialiased
     else:
         posed, notes = _fitted(command, asset, times, console)
         antialiased = True

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from pcore.gaussians.render import Footprint
     from pcore.training.splat_check import Agreement
 
+_OTHERS, _DISCS = 0.3, 0.5
+"""Screen filters of the published trainers, pixels squared."""
 _FAR = 1e4
 """Single precision has seven digits: so many times its size from the origin an object has three."""
 
@@ -42,8 +44,9 @@ class ImportGaussiansCommand:
     transform: Annotated[Path | None, optional("FILE")] = None
     """Trainers may move the world: nerfstudio's dataparser_transforms.json, whose map is undone."""
 
-    variance: Annotated[float, arg(metavar="X")] = 0.3
-    """Variance of the screen filter of its trainer, pixels squared."""
+    variance: Annotated[float | None, optional("X")] = None
+    """Variance of the screen filter of its trainer, pixels squared; default: 0.3, or 0.5 where the
+    file has two scales (2DGS)."""
 
     antialiased: bool = False
     """It was trained with opacities that make up for the filter (gsplat's "antialiased")."""
@@ -71,8 +74,12 @@ def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
     from pcore.gaussians.render import Footprint
 
     prepare_torch(command.threads)
-    footprint = Footprint(variance=command.variance, antialiased=command.antialiased)
     file = read_splats(command.file)
+    footprint = Footprint(
+        variance=command.variance or (_DISCS if file.flat else _OTHERS),
+        antialiased=command.antialiased,
+        flat=file.flat,
+    )
     gaussians = _single(_in_world(file.gaussians, command.transform))
     agreement = _compared(gaussians, footprint, command)
     save_imported(
@@ -124,7 +131,7 @@ def _compared(
 def _notes(file: SplatFile, gaussians: Gaussians) -> list[str]:
     notes: list[str] = []
     if file.flat:
-        notes.append("surfels (2DGS) become Gaussians that are as good as flat")
+        notes.append("two scales (2DGS): they are drawn as discs")
     lower, upper = gaussians.means.amin(dim=0), gaussians.means.amax(dim=0)
     if float((lower + upper).norm()) / 2 > _FAR * float((upper - lower).norm()):
         notes.append(

@@ -34,7 +34,7 @@ class InfoCommand:
     """
 
     run_or_file: Annotated[Positional[Path], arg(metavar="RUN|SCENE|FILE")]
-    """Folder of a run, a model.safetensors, folder of a scene, or an edit file (JSON)."""
+    """Folder of a run, its model file, folder of a scene, or an edit file (JSON)."""
 
     settings: bool = False
     """Also print every setting of the network and of the training."""

@@ -228,7 +228,7 @@ def _views(command: RenderCommand, asset: Asset, posed: Posed, console: Console)
     note(console, scene.notes)
     # An edit that makes the object larger moves the cameras back.
     reach = growth(asset.points, posed.points, scene.center)
-    return cameras.orbit_of_scene(scene, wish, scale=reach)
+    return cameras.orbit_of_scene(scene, wish, console=console, scale=reach)
 
 
 def _default_output(command: RenderCommand) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 from rich.text import Text
@@ -14,6 +14,8 @@ from pcore.errors import InputError
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from pcore.capture.auto_masks import FoundMasks
+    from pcore.data.scene import View
     from pcore.training.locate import Located
 
 
@@ -25,16 +27,19 @@ def located_scene(
     box: Sequence[float],
     made: Path,
     console: Console,
+    points: bool = False,
 ) -> Located:
     """Load a scene, with masks, and find the region of its object.
 
     Args:
         path: the scene.
         factor: whole number by which images are down-scaled.
-        masks: "auto", "none", a folder, or None: those that the scene brings.
+        masks: "auto" (cut, or by a short training where that fails), "trained", "none", a folder,
+            or None: those that the scene brings.
         box: six numbers of a lower and an upper corner, or none.
         made: folder that automatic masks are written to; those that lie there already are taken.
         console: told of what is done.
+        points: triangulate points where the scene has none (extra `colmap`).
 
     Raises:
         SceneError: the scene or a mask cannot be read.
@@ -43,19 +48,24 @@ def located_scene(
         OSError: a mask cannot be written.
     """
     from pcore.capture.load import load_scene
+    from pcore.capture.triangulation import triangulated
     from pcore.training.locate import locate
 
     corners = corners_of(box)
-    if masks == "none":
-        return locate(load_scene(path, factor=factor, masks="none", tell=console.print), corners)
-    if masks != "auto":
-        folder = None if masks is None else Path(masks)
-        return locate(load_scene(path, factor=factor, masks=folder, tell=console.print), corners)
+
+    def loaded(source: Path | Literal["none"] | None) -> Located:
+        scene = load_scene(path, factor=factor, masks=source, tell=console.print)
+        if points and scene.sparse is None:
+            scene = triangulated(scene, console.print).scene
+        return locate(scene, corners)
+
+    if masks not in ("auto", "trained"):
+        return loaded("none" if masks == "none" else None if masks is None else Path(masks))
     if not made.is_dir():
-        bare = locate(load_scene(path, factor=factor, masks="none", tell=console.print), corners)
-        _make_masks(bare, made, console)
-    masked = load_scene(path, factor=factor, masks=made)
-    return locate(masked, corners)
+        bare = loaded("none")
+        views, found = _cut_masks(bare, console) if masks == "auto" else _learned(bare, console)
+        _write_masks(views, found, made, console)
+    return loaded(made)
 
 
 def corners_of(box: Sequence[float]) -> Tensor | None:
@@ -70,13 +80,29 @@ def corners_of(box: Sequence[float]) -> Tensor | None:
     return torch.tensor(box).reshape(2, 3) if box else None
 
 
-def _make_masks(bare: Located, folder: Path, console: Console) -> None:
-    from pcore.capture.mask_folder import write_masks
+def _cut_masks(bare: Located, console: Console) -> tuple[Sequence[View], FoundMasks]:
     from pcore.capture.scene_masks import scene_masks
     from pcore.cli.results import counting
 
-    with counting(console, "masks") as tell:
-        views, found = scene_masks(bare.scene, bare.region, points=bare.points, progress=tell)
+    try:
+        with counting(console, "masks") as tell:
+            return scene_masks(bare.scene, bare.region, points=bare.points, progress=tell)
+    except InputError as problem:
+        console.print(Text(f"{problem}. So the room is learned first"), soft_wrap=True)
+        return _learned(bare, console)
+
+
+def _learned(bare: Located, console: Console) -> tuple[Sequence[View], FoundMasks]:
+    from pcore.cli.results import counting
+    from pcore.training.trained_masks import trained_masks
+
+    with counting(console, "learning the room for masks, steps") as tell:
+        return trained_masks(bare.scene, progress=tell)
+
+
+def _write_masks(views: Sequence[View], found: FoundMasks, folder: Path, console: Console) -> None:
+    from pcore.capture.mask_folder import write_masks
+
     partial = folder.with_name(f"{folder.name}.partial")
     write_masks(views, found.masks, partial)
     partial.rename(folder)  # Whole or not at all.

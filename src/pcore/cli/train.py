@@ -16,6 +16,7 @@ from pcore.cli.options import Count, optional
 from pcore.cli.runtime import DeviceName
 from pcore.cli.torchrun import is_first
 from pcore.cli.train_checks import EARLY, announce, check_shows, start_file, warn_of_start
+from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
@@ -40,6 +41,9 @@ class TrainCommand:
 
     model: Literal["gaussians", "papr"] = "gaussians"
     """gaussians: 3D Gaussians, minutes; papr: points and networks, the paper's object."""
+
+    flat: bool = False
+    """Flat Gaussians (2DGS): discs whose planes rays meet; on the CPU (gaussians)."""
 
     preset: Literal["tiny", "fast", "paper", "paper-lego"] = "tiny"
     """tiny: 2 CPU cores, minutes; fast: one GPU, not measured yet; paper: the original, hours;
@@ -71,13 +75,16 @@ class TrainCommand:
 
     init: Annotated[str | None, optional("hull|grid|sparse|views|FILE")] = None
     """Where points start: hull (of the masks), grid (the original's; papr), sparse (points of the
-    reconstruction that posed the photos, and far ones; gaussians), views (where neighbouring
+    reconstruction that posed the photos, or triangulated now by their poses (COLMAP), and far ones;
+    gaussians), views (where neighbouring
     photos agree, and far away; gaussians), or a PLY or NPY file. Default: hull; for images without
     alpha grid (papr), or sparse where there are such points, else views (gaussians)."""
 
-    masks: Annotated[str | None, optional("auto|none|FOLDER")] = None
-    """Where photos show the object: auto (cut out of them now, needs OpenCV), a folder of masks, or
-    none (learn the background too). Default: alpha, or masks that the scene brings."""
+    masks: Annotated[str | None, optional("auto|trained|none|FOLDER")] = None
+    """Where photos show the object: auto (cut out of them now, needs OpenCV; where that fails as
+    trained), trained (learn the whole room for one or two minutes and draw the object alone), a
+    folder of masks, or none (learn the background too). Default: alpha, or masks that the scene
+    brings."""
 
     box: Annotated[tuple[float, ...], arg(metavar="X Y Z X Y Z", help_behavior_hint="")] = ()
     """Lower and upper corner of the object in world units; default: found (`pcore check`)."""
@@ -178,6 +185,7 @@ def opened(command: TrainCommand, console: Console) -> Scene:
         box=command.box,
         made=command.output / "masks",
         console=console,
+        points=command.init == "sparse",
     ).scene
 
 
@@ -212,6 +220,11 @@ def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainCo
     """Return the preset with what the command changes."""
     from pcore.training.presets import preset
 
+    if command.flat:
+        raise InputError(
+            "--flat: expected an option of PAPR (--model papr), got one that only Gaussians have; "
+            "leave it out, or train with --model gaussians"
+        )
     changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
     for name in ("steps", "points", "background", "origin", "exposure"):
         if getattr(command, name) is not None:

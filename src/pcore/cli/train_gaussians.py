@@ -18,7 +18,8 @@ from pcore.errors import InputError
 if TYPE_CHECKING:
     from pcore.training.gaussian_config import GaussianConfig
 
-_WITHOUT_MASKS = {
+_NO_HULL = "images without alpha have no visual hull"
+_STARTS = {
     "views": "before the cameras, where photos agree",
     "sparse": "at the points of the reconstruction and far away",
 }
@@ -34,6 +35,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
     from pcore.cli.torchrun import refuse_ranks, trained_together
+    from pcore.evaluation.findings import region_advice
     from pcore.files.run_place import check_place
     from pcore.training.gaussian_start import chosen_start
 
@@ -52,18 +54,21 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     start = chosen_start(scene, config.start)
     if start != "sparse":
         warn_of_start(scene, start, console, otherwise="views")
-    announce(console, scene, f"Gaussians, {plan} on {device}")
+    announce(console, scene, f"{'flat ' * command.flat}Gaussians, {plan} on {device}")
     if command.minutes is None:
         say_duration(console, scene, config, device)
-    if start in _WITHOUT_MASKS:
-        place = f"images without alpha have no visual hull: Gaussians start {_WITHOUT_MASKS[start]}"
-        console.print(Text(place), soft_wrap=True)
+    masked = all(view.has_alpha for view in scene.split("train"))
+    if start in _STARTS:
+        why = "photos from one side leave the hull open" if masked else _NO_HULL
+        console.print(Text(f"{why}: Gaussians start {_STARTS[start]}"), soft_wrap=True)
     asset = trained_together(command, scene, config, device, console)
     if asset is None:
         return
     if config.steps >= EARLY:
         check_shows(asset, scene)
     show_result(console, asset)
+    if not masked:
+        console.print(Text(region_advice(scene.lower, scene.upper)), soft_wrap=True)
 
 
 def _config(command: TrainCommand) -> GaussianConfig:
@@ -89,8 +94,11 @@ def _config(command: TrainCommand) -> GaussianConfig:
     for name in ("steps", "points", "background", "exposure"):
         if getattr(command, name) is not None:
             changes[name] = getattr(command, name)
+    preset = gaussian_preset(command.preset)
+    if command.flat:
+        changes["footprint"] = replace(preset.footprint, flat=True)
     if command.init in ("hull", "sparse", "views"):
         changes["start"] = command.init
     elif command.init is not None:
         changes["start"] = start_file(command.init, command.points)
-    return replace(gaussian_preset(command.preset), **changes)
+    return replace(preset, **changes)

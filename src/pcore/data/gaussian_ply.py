@@ -18,7 +18,7 @@ from torch import Tensor
 from pcore.data.ply import Place, Ply
 from pcore.data.splat_file import SplatFile, sound
 from pcore.errors import InputError
-from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.gaussians import THINNEST, Gaussians
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE, basis
 
 CONSTANT = float(basis(0, torch.zeros(3, dtype=torch.float64)))
@@ -32,8 +32,6 @@ _NORMALS = ("nx", "ny", "nz")
 _SIGNS = ("f_dc_0", "scale_0", "rot_0", "opacity")
 """Properties that only Gaussians have together."""
 _SMALLEST_LOG = -50.0
-_FLAT = 1e-4
-"""Third scale of a flat Gaussian as a share of its smaller one."""
 _SURE = 1e-7
 
 
@@ -173,7 +171,7 @@ def _scales(logarithms: Tensor) -> Tensor:
     scales = logarithms.clamp_min(_SMALLEST_LOG).exp()
     if scales.shape[1] == 3:
         return scales
-    return torch.cat([scales, _FLAT * scales.amin(dim=1, keepdim=True)], dim=1)
+    return torch.cat([scales, THINNEST * scales.amin(dim=1, keepdim=True)], dim=1)
 
 
 def _harmonics(vertices: _Vertices) -> Tensor:

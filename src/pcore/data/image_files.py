@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import struct
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +21,7 @@ _EIGHT_BIT_MODES = {"1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "Y
 _SIXTEEN_BIT_MODES = {"I;16", "I;16B", "I;16L", "I;16N", "I"}
 """Grey of 16 bits; Pillow gives that of some formats as numbers of 32 bits."""
 _WHITE = 65535
+_HEIC = (".heic", ".heif")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +49,8 @@ class ImageHeader:
 
 def read_header(path: Path) -> ImageHeader:
     """Size and channels of an image file without decoding it; SceneError when it has none."""
+    if path.suffix.lower() in _HEIC:
+        _register_heic()
     try:
         with Image.open(path) as image:
             _check_mode(path, image.mode)
@@ -59,6 +65,11 @@ def read_header(path: Path) -> ImageHeader:
             f"image {path}: no such file; put it there or remove its frame from the scene file"
         ) from None
     except UnidentifiedImageError:
+        if path.suffix.lower() in _HEIC:
+            raise SceneError(
+                f"image {path}: HEIC is read with Pillow's plug-in, which is not installed: "
+                "`pip install pillow-heif`, or export the photos as JPEG"
+            ) from None
         raise SceneError(
             f"image {path}: expected an image such as PNG, got a file of another kind or a "
             "damaged header; export it again"
@@ -143,6 +154,13 @@ def read_mask(path: Path, *, size: tuple[int, int]) -> Tensor:
     brightest = mask.max()
     two_values = bool(((mask == 0) | (mask == brightest)).all())
     return (mask > 0).float() if two_values else mask
+
+
+@cache
+def _register_heic() -> None:
+    """Let Pillow read HEIC where the plug-in is installed."""
+    if importlib.util.find_spec("pillow_heif") is not None:
+        importlib.import_module("pillow_heif").register_heif_opener()
 
 
 def _orientation(image: Image.Image) -> int:

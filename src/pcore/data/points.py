@@ -9,10 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 import torch
-import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
-from trimesh.exchange.gltf import export_glb
 
 from pcore.data.file_kinds import kind_of
 from pcore.data.ply import plain_ply
@@ -175,6 +173,10 @@ def save_point_glb(path: Path | str, points: Tensor, colors: Tensor | None = Non
     Raises:
         InputError: another suffix or shape, NaN or infinity, or a place that is not writable.
     """
+    # It takes 30 MB, of which whoever never writes such a file should not know.
+    import trimesh
+    from trimesh.exchange.gltf import export_glb
+
     path = Path(path)
     if path.suffix.lower() != ".glb":
         raise InputError(f"{path}: expected a file of points that ends in .glb")

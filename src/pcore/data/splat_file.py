@@ -56,12 +56,13 @@ class SplatFile:
         return replace(self, gaussians=gaussians, normals=normals)
 
 
-def splats_of(gaussians: Gaussians, where: str) -> SplatFile:
+def splats_of(gaussians: Gaussians, where: str, *, flat: bool = False) -> SplatFile:
     """Return Gaussians that no file has held yet, as one of that name; nothing is checked."""
     own = gaussians.detached().to("cpu")
     wide = own.to(dtype=torch.float64)
     numbers = np.arange(len(own), dtype=np.int64)
-    return SplatFile(gaussians=replace(wide, sh=own.sh.float()), where=where, rows=numbers)
+    exact = replace(wide, sh=own.sh.float())
+    return SplatFile(gaussians=exact, where=where, rows=numbers, flat=flat)
 
 
 def sound(file: SplatFile) -> SplatFile:

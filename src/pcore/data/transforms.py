@@ -167,7 +167,10 @@ def time_of(frame: Any) -> float | None:
     value = cast("Mapping[str, Any]", frame).get("time") if isinstance(frame, dict) else None
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
-    return float(value) if math.isfinite(value) else None
+    try:
+        return float(value) if math.isfinite(value) else None
+    except OverflowError:  # An integer beyond what floats hold.
+        return None
 
 
 def _read(path: Path, where: str) -> Mapping[str, Any]:

@@ -43,8 +43,13 @@ class Deformation(ABC):
         True where det J is 0, nearly so, negative or not a number. Maps that can turn a
         part of space over while det J stays positive override it.
         """
+        with torch.no_grad():
+            return self.folded_given(points, self.jacobian(points))
+
+    def folded_given(self, points: Tensor, jacobian: Tensor) -> Tensor:
+        """As `folded`, by the Jacobians (..., 3, 3) at the points, which are known already."""
         # Written so that a NaN counts as folded.
-        return ~(orientation(self, points) > SINGULAR)
+        return ~(uprightness(jacobian) > SINGULAR)
 
     def mended(self, points: Tensor) -> Tensor:
         """Where `jacobian` answers with a substitute: bool (...,) at points (..., 3).

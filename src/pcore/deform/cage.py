@@ -12,6 +12,7 @@ from torch import Tensor
 
 from pcore.deform.base import Deformation, check_points, frozen_tensor
 from pcore.deform.mean_value import carried, topology, weights_at
+from pcore.deform.sites import sites_of
 from pcore.deform.winding import winding_numbers
 from pcore.errors import InputError
 
@@ -97,7 +98,14 @@ class CageDeform(Deformation):
     points are those of `jacobian`; there are no second ones.
     """
 
-    def __init__(self, cage: Cage, vertices: Tensor, binding: CageBinding | None = None) -> None:
+    def __init__(
+        self,
+        cage: Cage,
+        vertices: Tensor,
+        binding: CageBinding | None = None,
+        *,
+        quick: bool = False,
+    ) -> None:
         """Prepare the map.
 
         Args:
@@ -105,12 +113,13 @@ class CageDeform(Deformation):
             vertices: (V, 3) the new places of its vertices, world units.
             binding: of the same cage; its points are moved by it, in milliseconds and to single
                 precision of their way, all others by the formula.
+            quick: Jacobians at the points of the binding are fitted to where they go, in one step.
 
         Raises:
             InputError: another number of vertices, NaN or infinity.
         """
         _check_count(cage, vertices)
-        self.cage, self.binding = cage, binding
+        self.cage, self.binding, self._quick = cage, binding, quick
         self.vertices = frozen_tensor("deformed cage", vertices, tuple(cage.vertices.shape))
         self._moves: NDArray[np.float64] = (self.vertices - cage.vertices).numpy()
         self._known: tuple[Tensor, Tensor, Tensor] | None = None
@@ -128,6 +137,9 @@ class CageDeform(Deformation):
         """
         check_points(points)
         flat = points.detach().reshape(-1, 3)
+        if self._quick and self.binding is not None and self.binding.is_of(flat):
+            linear, _ = sites_of(flat).maps(self.displaced(flat), quick=True)
+            return linear.to(points).reshape(*points.shape, 3)
         known = self._recall(flat)
         if known is None:
             known = self.cage.carry(flat, self._moves, slope=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -13,6 +15,50 @@ from pcore.geometry.neighbours import as_points
 from pcore.geometry.surface_search import SurfaceSearch
 
 FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoundMesh:
+    """A mesh at rest and the points that will follow it.
+
+    Attributes:
+        points: (N, 3) float64 world units.
+        rest: (V, 3) vertices.
+        faces: (F, 3) vertex numbers.
+        vertices: (N, 3) numbers of the corners of the triangle nearest to each point.
+        share: (N, 3) barycentric coordinates of the nearest place in it.
+    """
+
+    points: Tensor
+    rest: FloatArray
+    faces: NDArray[np.int64]
+    vertices: NDArray[np.int64]
+    share: FloatArray
+
+    @classmethod
+    def of(cls, points: Tensor, before: Tensor, faces: Tensor) -> BoundMesh:
+        """Find the triangle nearest to each of the points (N, 3), world units."""
+        places, rest, corners = as_points(points), as_points(before), faces.cpu().numpy()
+        found = SurfaceSearch(rest, corners).closest(places)
+        return cls(
+            points=torch.from_numpy(places),
+            rest=rest,
+            faces=corners,
+            vertices=corners[found.face],
+            share=found.barycentric,
+        )
+
+    def to(self, after: Tensor, *, quick: bool = False) -> PointMotion:
+        """Motion of the points when the vertices go to (V, 3), see `follow_mesh`."""
+        posed = as_points(after)
+        linear = _vertex_maps(self.rest, posed, self.faces)
+        offset = self.points.numpy()[:, None] - self.rest[self.vertices]
+        turned = np.einsum("nkij,nkj->nki", linear[self.vertices], offset)
+        moved = np.einsum("nk,nki->ni", self.share, posed[self.vertices] + turned)
+        slopes = np.einsum("nk,nkij->nij", self.share, linear[self.vertices])
+        return PointMotion(
+            self.points, torch.from_numpy(moved), torch.from_numpy(slopes), quick=quick
+        )
 
 
 def follow_mesh(points: Tensor, before: Tensor, after: Tensor, faces: Tensor) -> PointMotion:
@@ -32,16 +78,7 @@ def follow_mesh(points: Tensor, before: Tensor, after: Tensor, faces: Tensor) ->
     Raises:
         InputError: no triangle has an area.
     """
-    places, rest, posed = as_points(points), as_points(before), as_points(after)
-    corners = faces.cpu().numpy()
-    linear = _vertex_maps(rest, posed, corners)
-    found = SurfaceSearch(rest, corners).closest(places)
-    vertices, share = corners[found.face], found.barycentric
-    offset = places[:, None] - rest[vertices]
-    carried = posed[vertices] + np.einsum("nkij,nkj->nki", linear[vertices], offset)
-    moved = np.einsum("nk,nki->ni", share, carried)
-    slopes = np.einsum("nk,nkij->nij", share, linear[vertices])
-    return PointMotion(points, torch.from_numpy(moved), torch.from_numpy(slopes))
+    return BoundMesh.of(points, before, faces).to(after)
 
 
 def middle_distance(points: Tensor, vertices: Tensor, faces: Tensor) -> float:

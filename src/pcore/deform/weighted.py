@@ -44,9 +44,12 @@ class Weighted(Deformation):
         turned = eye + weight * (self.inner.jacobian(points) - eye)
         return turned + way * self._gradient(points).unsqueeze(-2)
 
-    def folded(self, points: Tensor) -> Tensor:
+    def folded_given(self, points: Tensor, jacobian: Tensor) -> Tensor:
         """Where space is flattened or turned inside out, bool (...,)."""
-        return super().folded(points) | (self.inner.folded(points) & (self.weight(points) == 1))
+        result, whole = super().folded_given(points, jacobian), self.weight(points) == 1
+        if bool(whole.any()):
+            result[whole] |= self.inner.folded(points[whole])
+        return result
 
     def mended(self, points: Tensor) -> Tensor:
         """Where it acts and its inner map answers with a substitute."""

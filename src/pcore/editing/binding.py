@@ -98,7 +98,7 @@ class Bound:
             return total, folded
         jacobian = step.jacobian(place)
         if type(step).folded is Deformation.folded:
-            own = ~(uprightness(jacobian) > SINGULAR)
+            own = step.folded_given(place, jacobian)
         else:
             own = step.folded(place)
         if self.hold is None:
@@ -108,13 +108,14 @@ class Bound:
         own = own & (self._free == 1)
         return total, folded | own | ~(uprightness(total) > SINGULAR)
 
-    def then(self, edit: Edit, *, check: bool = True) -> Bound:
+    def then(self, edit: Edit, *, check: bool = True, quick: bool = False) -> Bound:
         """Bind one more edit to the points as they arrive at it.
 
         Args:
             edit: the next one.
             check: look for folds, which takes the Jacobians of the edit; without, only where the
                 points go is computed, for previews while something is dragged.
+            quick: fit local maps that have no formula in one step.
 
         Raises:
             EditError: it does not fit the points, or folds space (see `check_invertible`).
@@ -122,10 +123,7 @@ class Bound:
         """
         if not edit.enabled:
             return replace(self, steps=(*self.steps, Identity()), before=self)
-        step, points = edit.place(self.setting), self.setting.points
-        if edit.region is not None or edit.freeze:
-            region = None if edit.region is None else bind_region(edit.region, self.setting)
-            step = Weighted(step, region, bind_union(edit.freeze, self.setting))
+        step, points = self._placed(edit, quick), self.setting.points
         said = edit.notes(self.setting, step)
         moved = step(points)
         if self.hold is not None:
@@ -141,6 +139,21 @@ class Bound:
         said = (*said, *_leap(points, moved))
         notes = [f"edit {len(steps)} ({_kind(edit)}): {line}" for line in said]
         return replace(longer, notes=(*self.notes, *notes))
+
+    def _placed(self, edit: Edit, quick: bool) -> Deformation:
+        """An edit bound to the points, in its region."""
+        step = edit.place(_quickly(self.setting) if quick else self.setting)
+        if edit.region is None and not edit.freeze:
+            return step
+        region = None if edit.region is None else bind_region(edit.region, self.setting)
+        return Weighted(step, region, bind_union(edit.freeze, self.setting))
+
+
+def _quickly(setting: Setting) -> Setting:
+    """The same with quick local maps, and what it knows already."""
+    other = replace(setting, quick=True)
+    other.__dict__.update({**setting.__dict__, "regions": setting.regions, "quick": True})
+    return other
 
 
 class _Known(Deformation):

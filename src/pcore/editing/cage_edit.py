@@ -30,10 +30,14 @@ class CageEdit(MeshPair):
     type: Literal["cage"] = "cage"
 
     def bind(self, points: Tensor) -> Deformation:
-        """See `Edit.bind`; the same cage and points are bound once, whatever shape it takes."""
+        """See `Edit.bind`."""
+        return self.place(Setting(points=points, rest=points))
+
+    def place(self, setting: Setting) -> Deformation:
+        """See `Edit.place`; the same cage and points are bound once, whatever shape it takes."""
         before, after = self.meshes()
-        rest = content_of(before.vertices), content_of(before.faces), content_of(points)
-        whole = _deform(*rest, content_of(after.vertices))
+        rest = content_of(before.vertices), content_of(before.faces), content_of(setting.points)
+        whole = _deform(*rest, content_of(after.vertices), setting.quick)
         return whole if self.amount == 1.0 else Weighted(whole, amount=self.amount)
 
     def notes(self, setting: Setting, step: Deformation) -> tuple[str, ...]:
@@ -79,10 +83,10 @@ def _bound(vertices: bytes, faces: bytes, points: bytes) -> _BoundCage:
 
 
 @lru_cache(maxsize=2)
-def _deform(vertices: bytes, faces: bytes, points: bytes, after: bytes) -> CageDeform:
+def _deform(vertices: bytes, faces: bytes, points: bytes, after: bytes, quick: bool) -> CageDeform:
     """Keeps its Jacobians too: they serve every amount of the same shape."""
     binding = _bound(vertices, faces, points).binding
-    return CageDeform(binding.cage, from_content(after), binding)
+    return CageDeform(binding.cage, from_content(after), binding, quick=quick)
 
 
 def _corners(places: Tensor) -> str:

@@ -6,6 +6,9 @@ from dataclasses import dataclass, replace
 
 from pcore.editing.stack import Stack
 
+LONGEST = 1000
+"""Moments that are kept; with more the first ones are forgotten, so that hours do not add up."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
@@ -48,11 +51,12 @@ class History:
 
     def then(self, stack: Stack, label: str, merge: str | None) -> History:
         """Return the history after a command; what was undone before is forgotten."""
-        base = self.base(merge)
-        kept = self.moments[: self.moments.index(base) + 1]
+        merged = self.base(merge) is not self.present
+        kept = self.moments[: self.now + 1 - merged]
         number = 1 + max(one.number for one in self.moments)
         made = Moment(stack=stack, label=label, number=number)
-        return History(moments=(*kept, made), now=len(kept), merge=merge)
+        moments = (*kept, made)[-LONGEST:]
+        return History(moments=moments, now=len(moments) - 1, merge=merge)
 
     def at(self, now: int) -> History:
         """Return the same history at another moment; the next command merges with none."""

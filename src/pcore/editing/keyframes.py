@@ -27,7 +27,11 @@ def is_animated(value: Any) -> bool:
     if isinstance(value, dict):
         items = cast("dict[str, Any]", value)
         return "keyframes" in items or any(map(is_animated, items.values()))
-    return isinstance(value, list) and any(map(is_animated, cast("list[Any]", value)))
+    if not isinstance(value, list):
+        return False
+    # Most are places, by the thousand.
+    deeper = (one for one in cast("list[Any]", value) if type(one) is not float)
+    return any(map(is_animated, deeper))
 
 
 def key_times(value: Any) -> list[float]:

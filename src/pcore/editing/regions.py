@@ -43,11 +43,13 @@ class Setting:
         rest: (N, 3) float64 the same before the first edit; paths over the surface are measured
             here, so that parts which an edit has brought together stay apart.
         rig: of the points at rest with learned weights, where the run has them.
+        quick: local maps that have no formula are fitted in one step, for what is dragged.
     """
 
     points: Tensor
     rest: Tensor
     rig: AnchorRig | None = None
+    quick: bool = False
 
     @cached_property
     def graph(self) -> csr_array:

@@ -15,7 +15,7 @@ from torch import Tensor
 from pcore.data.meshes import MeshFile, read_mesh
 from pcore.data.points import read_point_file
 from pcore.deform.base import Deformation
-from pcore.deform.proxy import follow_mesh, middle_distance
+from pcore.deform.proxy import BoundMesh, middle_distance
 from pcore.deform.scattered import PointMotion
 from pcore.deform.weighted import Weighted
 from pcore.editing.contents import content_of, from_content
@@ -126,9 +126,13 @@ class MeshEdit(MeshPair):
 
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`."""
+        return self.place(Setting(points=points, rest=points))
+
+    def place(self, setting: Setting) -> Deformation:
+        """See `Edit.place`; the same mesh and points are bound once, whatever shape it takes."""
         before, after = self.meshes()
-        motion = follow_mesh(points, before.vertices, after.vertices, before.faces)
-        return motion.eased(self.amount)
+        rest = content_of(before.vertices), content_of(before.faces), content_of(setting.points)
+        return _bound(*rest).to(after.vertices, quick=setting.quick).eased(self.amount)
 
     def notes(self, setting: Setting, step: Deformation) -> tuple[str, ...]:
         """See `Edit.notes`: a mesh that does not look like the object is seldom meant."""
@@ -170,14 +174,14 @@ class DisplacementEdit(EasedEdit):
 
     def shapes(self) -> tuple[Tensor, Tensor]:
         """See `EasedEdit.shapes`."""
-        before, after = read_point_file(self.before).positions.double(), self.after
+        before, after = _points(self.before), self.after
         if isinstance(after, str):
             return before, self._places(before, after)
         first, second = self._places(before, after.first), self._places(before, after.second)
         return before, torch.lerp(first, second, after.share)
 
     def _places(self, before: Tensor, file: str) -> Tensor:
-        after = read_point_file(file).positions.double()
+        after = _points(file)
         if len(before) != len(after):
             raise EditError(
                 f"{file}: expected a new place for each of the {len(before)} points of "
@@ -187,13 +191,18 @@ class DisplacementEdit(EasedEdit):
 
     def bind(self, points: Tensor) -> Deformation:
         """See `Edit.bind`."""
-        before, after = self.shapes()
+        return self.place(Setting(points=points, rest=points))
+
+    def place(self, setting: Setting) -> Deformation:
+        """See `Edit.place`."""
+        (before, after), points = self.shapes(), setting.points
         if self.match == "id":
             self._check_ids(points, before)
-            return PointMotion(points, after).eased(self.amount)
-        self._check_places(points, before)
-        # The local maps at the points are fitted to the points: those of others tear elsewhere.
-        return PointMotion(points, PointMotion(before, after)(points)).eased(self.amount)
+        else:
+            self._check_places(points, before)
+            # The local maps at the points are fitted to the points: those of others tear elsewhere.
+            after = PointMotion(before, after)(points)
+        return PointMotion(points, after, quick=setting.quick).eased(self.amount)
 
     def _check_ids(self, points: Tensor, before: Tensor) -> None:
         if len(before) != len(points):
@@ -237,6 +246,25 @@ def _mesh(path: str, up: Literal["y", "z"]) -> MeshFile:
 def _known_mesh(path: str, up: Literal["y", "z"], content: bytes) -> MeshFile:
     del content  # Part of the key: a file that was written anew is read anew.
     return read_mesh(path, up=up)
+
+
+def _points(path: str) -> Tensor:
+    """Places (N, 3) float64 of a file of points, read anew when it holds something else."""
+    try:
+        return _known_points(path, Path(path).read_bytes())
+    except OSError:
+        return read_point_file(path).positions.double()
+
+
+@lru_cache(maxsize=4)
+def _known_points(path: str, content: bytes) -> Tensor:
+    del content
+    return read_point_file(path).positions.double()
+
+
+@lru_cache(maxsize=2)
+def _bound(vertices: bytes, faces: bytes, points: bytes) -> BoundMesh:
+    return BoundMesh.of(from_content(points), from_content(vertices), from_content(faces, np.int64))
 
 
 def reached(step: Deformation, points: Tensor) -> Tensor:

@@ -63,13 +63,16 @@ class Begun:
     rig: AnchorRig | None = None
     time: float = 0.0
 
-    def bound(self, stack: Stack, since: EditState | None, *, check: bool) -> EditState:
+    def bound(
+        self, stack: Stack, since: EditState | None, *, check: bool, quick: bool = False
+    ) -> EditState:
         """Bind edits; what begins as another state does is taken from there.
 
         Args:
             stack: the edits.
             since: the other state; None binds all.
             check: look for folds, and refuse them.
+            quick: fit local maps that have no formula in one step.
 
         Raises:
             EditError: an edit is not valid at the time, does not fit the points, or folds space.
@@ -79,7 +82,7 @@ class Begun:
         done = len(bound.steps)
         for number, edit in enumerate(script.edits[done:], start=done + 1):
             try:
-                bound = bound.then(edit, check=check)
+                bound = bound.then(edit, check=check, quick=quick)
             except (EditError, InputError) as error:
                 kind: Any = getattr(edit, "type", "edit")
                 raise EditError(f"edit {number} ({kind}): {error}") from error

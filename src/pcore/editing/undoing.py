@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Literal, Self
 
 from torch import Tensor
 
@@ -71,6 +71,11 @@ class Undoable:
         return self._canonical.clone()
 
     @property
+    def rig(self) -> AnchorRig | None:
+        """Of the points with learned weights; None where none were learned."""
+        return self._rig
+
+    @property
     def stack(self) -> Stack:
         """The present edits, with their keyframes."""
         return self._history.present.stack
@@ -95,14 +100,20 @@ class Undoable:
         """Whether a command was taken back that can be done again."""
         return self._history.now + 1 < len(self._history.moments)
 
-    def at(self, time: float) -> EditState:
+    def at(self, time: float, *, frames: Literal["exact", "quick"] = "exact") -> EditState:
         """Go to a time of the keyframes; no command, and nothing is looked for or refused.
+
+        Args:
+            time: of the keyframes.
+            frames: as `EditSession.preview`; a quick state is not kept, `state` is the exact one.
 
         Raises:
             EditError: an edit is not valid then, or does not fit the points.
         """
         now, self._time = self._time, time
         try:
+            if frames == "quick" and self.stack.animated:
+                return self._bound(self.stack, self._any_state, check=False, quick=True)
             return self.state
         except EditError:
             self._time = now
@@ -154,16 +165,27 @@ class Undoable:
         known = self._states.get(moment.number)
         if known is not None and (known.time == self._time or not moment.stack.animated):
             return known
-        since = known or next(iter(self._states.values()), None)
-        state = self._bound(moment.stack, since, check=False)
+        state = self._bound(moment.stack, known or self._any_state, check=False)
         self._states[moment.number] = state
         return state
 
+    @property
+    def _any_state(self) -> EditState | None:
+        """One to take over from what begins alike."""
+        present = self._states.get(self._history.present.number)
+        return present or next(iter(self._states.values()), None)
+
     def _bound(
-        self, stack: Stack, since: EditState | None, *, check: bool = True, said: str = ""
+        self,
+        stack: Stack,
+        since: EditState | None,
+        *,
+        check: bool = True,
+        quick: bool = False,
+        said: str = "",
     ) -> EditState:
         try:
             begun = Begun(points=self._canonical, rig=self._rig, time=self._time)
-            return begun.bound(stack, since, check=check)
+            return begun.bound(stack, since, check=check, quick=quick)
         except EditError as error:
             raise EditError(f"{said}{error}") from error

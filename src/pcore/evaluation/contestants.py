@@ -35,6 +35,8 @@ MethodName = Literal[
     "3dgs-rotation",
     "3dgs-affine",
     "3dgs-light",
+    "2dgs-affine",
+    "2dgs-light",
     "sc-gs",
     "mani-gs",
     "voxels",
@@ -46,9 +48,13 @@ RULES: dict[MethodName, str] = {
     "3dgs-rotation": "3DGS (ours), local rotations",
     "3dgs-affine": "3DGS (ours), local affine covariances",
     "3dgs-light": "3DGS (ours), affine + light",
+    "2dgs-affine": "2DGS (ours), affine tangents",
+    "2dgs-light": "2DGS (ours), affine + light",
     "sc-gs": "3DGS (ours), SC-GS's edit rule",
 }
 """Rules for Gaussians: who trains them, and whose rule it is."""
+FLAT: tuple[MethodName, ...] = ("2dgs-affine", "2dgs-light")
+"""Those for flat Gaussians; the others are for those in space."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,7 +94,7 @@ def given_entries(
                 "given",
                 seed_of(asset),
                 run.stamp,
-                wanted,
+                [name for name in wanted if (name in FLAT) == _flat(asset)],
                 lambda asset=asset: (asset, _spent(asset)),
                 scene,
                 suffix=tuned + alike,
@@ -114,12 +120,12 @@ def rule_entries(
         asset, spent = make()
         cost = cost_of(asset, spent)
         unseen = never_seen(asset.points, scene)
-        if key in ("3dgs-fixed", "3dgs-affine", "3dgs-light"):
+        if key in ("3dgs-fixed", "3dgs-affine", "3dgs-light", *FLAT):
             method = AssetMethod(
                 name=name,
                 asset=asset,
                 rays="plain" if key == "3dgs-fixed" else "aware",
-                light="still" if key == "3dgs-light" else "baked",
+                light="still" if key in ("3dgs-light", "2dgs-light") else "baked",
                 unseen=unseen,
             )
             return Contestant(method=method, cost=cost)
@@ -200,7 +206,9 @@ def _point_entries(
 
 def _alike(runs: Sequence[Given]) -> list[str]:
     """What tells runs of one label apart: nothing if their seeds do, else their folders."""
-    keys = [(type(run.asset.content).__name__, label_of(run.asset)) for run in runs]
+    keys = [
+        (type(run.asset.content).__name__, _flat(run.asset), label_of(run.asset)) for run in runs
+    ]
     names: list[str] = []
     for run, key in zip(runs, keys, strict=True):
         same = [other for other, one in zip(runs, keys, strict=True) if one == key]
@@ -209,6 +217,10 @@ def _alike(runs: Sequence[Given]) -> list[str]:
         told = len(same) == 1 or (len(seeds) == len(same) and len(settings) == 1)
         names.append("" if told else f" ({run.asset.path.resolve().name})")
     return names
+
+
+def _flat(asset: Asset) -> bool:
+    return isinstance(asset.content, GaussianContent) and asset.content.footprint.flat
 
 
 def _settings(asset: Asset) -> str:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import torch
+from torch import Tensor
+
+from pcore.capture.coverage import ONE_SIDE
+from pcore.capture.triangulation import WRONG, PoseAgreement
 
 if TYPE_CHECKING:
     from pcore.evaluation.scene_check import SceneCheck
 
 Level = Literal["warning", "note", "good"]
 
-_FEW_VIEWS, _GAP, _ONE_SIDE = 20, 60.0, 180.0
+_FEW_VIEWS, _GAP = 20, 60.0
 _PIXELS = 1.0
 _SHOWN = 6
 
@@ -72,6 +76,8 @@ def _of_poses(check: SceneCheck) -> list[Finding]:
     else:
         text = "no two photos are near enough to one another to check poses by their pictures"
         found.append(Finding(level="note", topic="poses", text=text))
+    if check.agreement is not None:
+        found.append(_of_agreement(check, check.agreement))
     error = check.reprojection
     if error is not None:
         bad = error.doubtful()
@@ -81,6 +87,23 @@ def _of_poses(check: SceneCheck) -> list[Finding]:
         action = "Leave those photos out (--fix), or run bundle adjustment again." if bad else ""
         found.append(Finding(level=level, topic="reprojection", text=text, action=action))
     return found
+
+
+def _of_agreement(check: SceneCheck, agreement: PoseAgreement) -> Finding:
+    bad = agreement.doubtful()
+    text = (
+        f"features that {agreement.pairs} pairs of photos share lie {agreement.median:.2f} pixels "
+        f"from the lines of their poses, {agreement.points:,} points are triangulated"
+    )
+    if agreement.median > WRONG:
+        action = "The poses are not those of these photos: look for another order of the photos, "
+        action += "other axes, intrinsics of another size, or a lens that is not undone."
+        return Finding(level="warning", topic="pose check", text=text, action=action)
+    if bad:
+        text += f"; {_some(check, bad)} off"
+        action = "Leave those photos out (--fix), or pose them again."
+        return Finding(level="warning", topic="pose check", text=text, action=action)
+    return Finding(level="good", topic="pose check", text=text)
 
 
 def _of_coverage(check: SceneCheck) -> list[Finding]:
@@ -101,9 +124,11 @@ def _of_coverage(check: SceneCheck) -> list[Finding]:
         f"elevations {low:.0f} to {high:.0f}; the largest gap around is {cover.gap:.0f} degrees"
     )
     if cover.gap > _GAP:
-        one_side = cover.gap > _ONE_SIDE
+        one_side = cover.gap > ONE_SIDE
         action = "What no photo shows stays empty or invented: edits that turn the object by more "
         action += "than the gap's edge show it. Take photos from there, or keep edits on this side."
+        if one_side:
+            action += " Orbits of pcore render swing in the part that is covered."
         found.append(
             Finding(
                 level="note" if one_side else "warning",
@@ -161,7 +186,9 @@ def _of_masks(check: SceneCheck) -> list[Finding]:
     if masks is None:
         if check.no_masks:
             text = check.no_masks
-            action = "Without masks the background is learned too, and edits need a region (a box)."
+            action = "Learn the room for a minute or two and take the object out of it (--masks "
+            action += "trained). Without masks the background is learned too, and edits need a "
+            action += "region (a box)."
             return [Finding(level="note", topic="masks", text=text, action=action)]
         return [
             Finding(
@@ -200,15 +227,29 @@ _SOURCES = {
 
 def _of_region(check: SceneCheck) -> list[Finding]:
     region = check.region
-    lower, upper = (", ".join(f"{x:.4g}" for x in corner) for corner in region.bounds)
     text = (
-        f"the object lies in ({lower}) to ({upper}), world units, by {_SOURCES[check.source]}; "
+        f"the object lies in {_said(region.bounds)}, world units, by {_SOURCES[check.source]}; "
         f"cameras stand {check.coverage.distance.median():.4g} away"
     )
-    if check.source == "axes" and check.masks is None:
-        action = "Give --box X Y Z X Y Z if that is not the object."
+    if check.masks is None:
+        action = region_advice(*region.bounds)
+        if check.source == "axes":
+            action = f"Give --box X Y Z X Y Z if that is not the object. {action}"
         return [Finding(level="note", topic="region", text=text, action=action)]
+    if check.hull is not None:
+        text += f"; the hull of the masks in it reaches over {_said(check.hull)}"
     return [Finding(level="good", topic="region", text=text)]
+
+
+def _said(corners: Iterable[Tensor]) -> str:
+    return " to ".join(f"({', '.join(f'{x:.4g}' for x in corner)})" for corner in corners)
+
+
+def region_advice(lower: Tensor, upper: Tensor) -> str:
+    """What an edit of a scene with its background needs: a region, (3,) corners in world units."""
+    corners = (", ".join(f"{x:.4g}" for x in corner) for corner in (lower, upper))
+    box = '{{"shape": "box", "lower": [{}], "upper": [{}]}}'.format(*corners)
+    return f'The background is learned too, so edits need a region: "region": {box}.'
 
 
 def _some(check: SceneCheck, numbers: Sequence[int]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.training import RunOptions, train
 from pcore.data.scene import Scene
 from pcore.evaluation.contest import Contestant, Cost, Entry, Setting
-from pcore.evaluation.contestants import RULES, MethodName, rule_entries
+from pcore.evaluation.contestants import FLAT, RULES, MethodName, rule_entries
 from pcore.evaluation.gaussian_method import GaussianMethod
 from pcore.evaluation.voxel_method import VoxelMethod
 from pcore.files.run_record import RunRecord, begun, finished
@@ -84,14 +84,13 @@ class Workshop:
     def _of(self, wanted: Sequence[MethodName], setting: Setting, seed: int) -> list[Entry]:
         asked = self.primitives if setting == "primitives" else self.seconds
         stamp = [setting, seed, asked, self.config.steps]
-        found = rule_entries(
-            setting,
-            seed,
-            stamp,
-            [name for name in wanted if name in RULES],
-            cache(lambda: self.gaussians(setting, seed)),
-            self.scene,
-        )
+        found: list[Entry] = []
+        for flat in (False, True):
+            names: list[MethodName] = [
+                name for name in wanted if name in RULES and (name in FLAT) == flat
+            ]
+            make = cache(partial(self.gaussians, setting, seed, flat=flat))
+            found += rule_entries(setting, seed, stamp, names, make, self.scene)
         if "mani-gs" in wanted:
             make = cache(lambda: self._bound(setting, seed))
             found.append(Entry(name=BOUND, setting=setting, seed=seed, stamp=stamp, make=make))
@@ -101,7 +100,7 @@ class Workshop:
         return found
 
     def gaussians(
-        self, setting: Setting, seed: int, *, share: float = 1.0
+        self, setting: Setting, seed: int, *, share: float = 1.0, flat: bool = False
     ) -> tuple[Asset, Spent | None]:
         """Train free Gaussians, or read them; in a part of the time where that is what counts.
 
@@ -109,13 +108,14 @@ class Workshop:
             PcoreError: as `pcore.train`.
         """
         part = "" if share == 1.0 else "-stage-1"
-        run = self.folder / f"gaussians-{self._tag(setting, seed)}{part}"
+        kind = "flat-gaussians" if flat else "gaussians"
+        run = self.folder / f"{kind}-{self._tag(setting, seed)}{part}"
         if not finished(run):
-            self.note(f"Gaussians, {setting}, seed {seed}{part}")
+            self.note(f"{'flat ' * flat}Gaussians, {setting}, seed {seed}{part}")
         found: list[Asset] = []
 
         def make() -> None:
-            config = self._config(setting, seed, share, run)
+            config = self._config(setting, seed, share, run, flat=flat)
             options = RunOptions(resume=begun(run), light=share == 1.0)
             found.append(
                 train(
@@ -214,15 +214,19 @@ class Workshop:
             ),
         )
 
-    def _config(self, setting: Setting, seed: int, share: float, run: Path) -> GaussianConfig:
+    def _config(
+        self, setting: Setting, seed: int, share: float, run: Path, *, flat: bool
+    ) -> GaussianConfig:
+        base = replace(self.config, footprint=replace(self.config.footprint, flat=flat))
         if begun(run):
             # What a killed training asked for; another pace would be another training.
             stored = RunRecord.read(run).config["gaussians"]
-            config = replace(self.config, steps=stored["steps"], seed=seed, points=stored["points"])
+            names = ("steps", "points", "validate_every", "save_every")
+            config = replace(base, seed=seed, **{name: stored[name] for name in names})
             return replace(
                 config, density=replace(config.density, limit=stored["density"]["limit"])
             )
-        config = replace(self.config, seed=seed)
+        config = replace(base, seed=seed)
         if setting == "primitives":
             start = min(config.points, max(2, round(0.6 * self.primitives)))
             limit = replace(config.density, limit=self.primitives)

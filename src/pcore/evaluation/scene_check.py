@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import torch
@@ -13,10 +14,10 @@ from torch import Tensor
 from pcore.capture.auto_masks import doubtful, find_masks, overlap
 from pcore.capture.coverage import Coverage, coverage
 from pcore.capture.photo_quality import PhotoQuality, photo_quality
-from pcore.capture.photos import natural_key
 from pcore.capture.pose_contradictions import Contradictions, find_contradictions
 from pcore.capture.reprojection import Reprojection, reprojection
-from pcore.capture.scene_masks import photos_of
+from pcore.capture.scene_masks import ordered_views, photos_of
+from pcore.capture.triangulation import PoseAgreement
 from pcore.capture.voted_hull import hull_silhouettes
 from pcore.data.scene import Scene, View
 from pcore.errors import DependencyError, InputError
@@ -25,6 +26,8 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.object_region import Region
 from pcore.training.forecast import Forecast, forecasts
 from pcore.training.locate import Located, Source, locate
+from pcore.training.population import coarse_hull
+from pcore.training.trained_masks import trained_masks
 
 _VOTE, _VOXELS = 0.95, 64
 _SIDE = 160
@@ -59,10 +62,12 @@ class SceneCheck:
         views: of all splits of a capture, of `train` otherwise, in the order of their names.
         region: where the object is.
         source: what told so.
+        hull: (2, 3) corners of the masks' hull where viewing axes told the region; else None.
         contradictions: of near poses.
         quality: sharpness and exposure.
         coverage: of directions.
         reprojection: of sparse points; None without any.
+        agreement: of features with the poses, where points were triangulated by them.
         masks: None where there are none.
         no_masks: why there are none although they were asked for; empty otherwise.
         forecasts: of trainings.
@@ -72,10 +77,12 @@ class SceneCheck:
     views: tuple[View, ...]
     region: Region
     source: Source
+    hull: Tensor | None
     contradictions: Contradictions
     quality: PhotoQuality
     coverage: Coverage
     reprojection: Reprojection | None
+    agreement: PoseAgreement | None
     masks: CheckedMasks | None
     no_masks: str
     forecasts: tuple[Forecast, ...]
@@ -91,16 +98,20 @@ def check_scene(
     bare: Scene,
     *,
     box: Tensor | None = None,
-    automatic: bool = False,
+    automatic: Literal["cut", "trained"] | None = None,
+    agreement: PoseAgreement | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> SceneCheck:
-    """Measure a scene; nothing is trained and nothing written.
+    """Measure a scene; nothing is written, and nothing is trained unless masks shall be.
 
     Args:
         scene: with the masks that it has or is given.
         bare: the same without masks: what is behind the object tells whether poses are right.
         box: (2, 3) corners that the user gives, world units.
-        automatic: cut masks out where the scene has none; not to be had without OpenCV.
+        automatic: make masks where the scene has none: cut them out (not to be had without
+            OpenCV), or learn the room first (`trained_masks`).
+        agreement: of the poses with photos, where that was measured (`triangulated`); the scene's
+            points are then of these poses, and their reprojection says nothing.
         progress: told what is done, how much of it, and of how much.
 
     Raises:
@@ -112,9 +123,9 @@ def check_scene(
     region = located.region
     masks, why = None, ""
     if all(view.has_alpha for view in views):
-        masks = _agreed(views, region)
-    elif automatic:
-        masks, why = _automatic(located, whole, progress)
+        masks = _agreed(views, region, tuple(view.alpha() for view in views))
+    elif automatic is not None:
+        masks, why = _automatic(located, whole, automatic, progress)
         if masks is not None:
             located = _with_masks(located, views, masks, box)
             region, views = located.region, ordered_views(located.scene)
@@ -124,29 +135,32 @@ def check_scene(
         views=views,
         region=region,
         source=located.source,
+        hull=_hull(located) if masks is not None and located.source == "axes" else None,
         contradictions=near,
         quality=photo_quality(whole, near.pairs),
         coverage=coverage([view.camera for view in views], region.center),
-        reprojection=None if scene.sparse is None else reprojection(scene.sparse, whole),
+        reprojection=None
+        if scene.sparse is None or agreement is not None
+        else reprojection(scene.sparse, whole),
+        agreement=agreement,
         masks=masks,
         no_masks=why,
         forecasts=forecasts(located.scene),
     )
 
 
-def ordered_views(scene: Scene) -> tuple[View, ...]:
-    """Views of a capture by name; of scenes whose test views are true ones those of `train`.
-
-    Splits of a capture are every eighth photo of one walk around the object.
-    """
-    splits = ["train"] if scene.states or scene.layout == "NeRF-Synthetic" else scene.splits
-    views = [view for name in splits for view in scene.split(name)]
-    return tuple(sorted(views, key=lambda view: natural_key(view.name)))
+def _hull(located: Located) -> Tensor | None:
+    """Corners (2, 3) of the hull of the training masks in the region; None of an empty one."""
+    voxels, size = coarse_hull(located.scene.split("train"), *located.region.bounds)
+    if not len(voxels):
+        return None
+    return torch.stack([voxels.amin(dim=0) - 0.5 * size, voxels.amax(dim=0) + 0.5 * size])
 
 
 def _automatic(
     located: Located,
     views: Sequence[View],
+    how: Literal["cut", "trained"],
     progress: Callable[[str, int, int], None] | None,
 ) -> tuple[CheckedMasks | None, str]:
     def tell(done: int, total: int) -> None:
@@ -154,6 +168,11 @@ def _automatic(
             progress("masks", done, total)
 
     try:
+        if how == "trained":
+            learned, found = trained_masks(located.scene, progress=tell)
+            known = {view.name: mask for view, mask in zip(learned, found.masks, strict=True)}
+            masks = tuple(known[view.name] for view in views)
+            return replace(_agreed(views, located.region, masks), automatic=True), ""
         found = find_masks(photos_of(views), located.region, points=located.points, progress=tell)
     except (DependencyError, InputError) as error:
         return None, str(error)
@@ -183,23 +202,22 @@ def _cut_out(view: View, mask: Tensor) -> View:
     return replace(view, image=replace(view.image, cut=mask))
 
 
-def _agreed(views: Sequence[View], region: Region) -> CheckedMasks:
+def _agreed(views: Sequence[View], region: Region, masks: tuple[Tensor, ...]) -> CheckedMasks:
     """How well masks that are there agree with their own hull, looked at small."""
-    small = [_small(view) for view in views]
-    cameras = [one[0] for one in small]
-    masks = [one[1] for one in small]
-    hulls = hull_silhouettes(cameras, masks, region, votes=(_VOTE,), into=cameras, voxels=_VOXELS)[
-        0
-    ]
+    small = [_small(view, mask) for view, mask in zip(views, masks, strict=True)]
+    cameras, bits = [one[0] for one in small], [one[1] for one in small]
+    hulls = hull_silhouettes(cameras, bits, region, votes=(_VOTE,), into=cameras, voxels=_VOXELS)[0]
     return CheckedMasks(
-        masks=tuple(view.alpha() for view in views),
-        agreement=tuple(overlap(a, b) for a, b in zip(masks, hulls, strict=True)),
+        masks=masks,
+        agreement=tuple(overlap(a, b) for a, b in zip(bits, hulls, strict=True)),
         automatic=False,
     )
 
 
-def _small(view: View) -> tuple[Camera, np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]:
+def _small(
+    view: View, mask: Tensor
+) -> tuple[Camera, np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]:
     scale = min(1.0, _SIDE / max(view.camera.width, view.camera.height))
     size = round(scale * view.camera.height), round(scale * view.camera.width)
-    alpha = torch.nn.functional.interpolate(view.alpha()[None, None], size, mode="area")[0, 0]
+    alpha = torch.nn.functional.interpolate(mask[None, None], size, mode="area")[0, 0]
     return view.camera.resized(size[1], size[0]), (alpha > 0.5).numpy().astype(np.uint8)

@@ -28,9 +28,11 @@ Move = Callable[[Tensor], Tensor]
 
 BEFORE, AFTER = "points_before", "points_after"
 NEAR = 0.02
-"""How far a point may be from the one it is matched with, as a share of the object's size."""
-_STRAYS = 0.01
-"""Share of the points that may be farther away than that: they move as the nearest one does."""
+"""Median distance of the points from those that they are matched with, as a share of the object's
+size: farther is another object, or another world. Gaussians within an object are farther."""
+FAR = 0.2
+"""Distance, as a share of the object's size, beyond which a point moves as the nearest one does:
+local maps say nothing that far away."""
 _SITES = 16
 """Neighbours of every point that answer for it; published clouds have up to two million points."""
 
@@ -93,18 +95,18 @@ class PointFiles:
     def _carried(self, points: Tensor, before: Tensor, after: Tensor) -> Tensor:
         places = points.detach().cpu().double()
         index, distance = nearest(before, places, min(_SITES, len(before)))
-        stray = distance[:, 0] > NEAR * size_of(places)
-        if float(stray.double().mean()) > _STRAYS:
+        size, away = size_of(places), distance[:, 0]
+        if float(away.median()) > NEAR * size:
             raise SceneError(
-                f"{self.before}: expected a point within {NEAR * size_of(places):.3g} of every "
-                f"point of the object, got none for {int(stray.sum())} of {len(places)}, the "
-                f"farthest is {float(distance[:, 0].max()):.3g} away; it must hold the points of "
-                f"this scene at rest, in its world, in the order of {self.after.name}"
+                f"{self.before}: expected points at those of the object, got half of the "
+                f"object's {len(places)} points more than {float(away.median()):.3g} away from any "
+                f"(expected at most {NEAR * size:.3g}); it must hold the points of this scene at "
+                f"rest, in its world, in the order of {self.after.name}"
             )
         used = index.unique()
         moved = PointMotion(before[used], after[used])(places)
         shift = (after - before)[index[:, 0]]
-        return torch.where(stray[:, None], places + shift, moved).to(points)
+        return torch.where((away > FAR * size)[:, None], places + shift, moved).to(points)
 
 
 def point_files(folder: Path) -> PointFiles | None:

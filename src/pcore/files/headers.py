@@ -103,3 +103,13 @@ class Companion:
     def format(self) -> str:
         """Name of the format in headers."""
         return f"pcore-{self.noun}"
+
+
+def name_in_folder(path: Path) -> str | None:
+    """Name that a file has in a run folder, by its header; None for files that are not ours."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            form = (file.metadata() or {}).get("format", "")
+    except (OSError, SafetensorError):
+        return None
+    return f"{form.removeprefix('pcore-')}.safetensors" if form.startswith("pcore-") else None

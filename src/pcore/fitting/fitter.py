@@ -18,7 +18,7 @@ from pcore.fitting.fit_config import FitConfig, FitStage
 from pcore.fitting.fit_photos import Photo, in_turns
 from pcore.fitting.limb_search import LimbSearch
 from pcore.fitting.point_splatting import PointSplatting
-from pcore.gaussians.carry import carried_covariances
+from pcore.gaussians.carry import carried_axes
 from pcore.gaussians.render import Footprint, PosedGaussians, render
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rotation import nearest_rotation
@@ -61,8 +61,8 @@ class Fitter:
     def drawn(self, moved: Skinned, look: PosedGaussians) -> PosedGaussians:
         """Gaussians with gradients to where they are; colours and light as they were last."""
         shape = replace(self._gaussians, means=moved.positions, sh=look.gaussians.sh)
-        covariances = carried_covariances(self._gaussians, moved.linear)
-        return PosedGaussians(gaussians=shape, covariances=covariances, gains=look.gains)
+        axes = carried_axes(self._gaussians, moved.linear)
+        return PosedGaussians(gaussians=shape, axes=axes, gains=look.gains)
 
     def at(self, indices: Tensor, numbers: Tensor) -> AnchorPose:
         """How Gaussians (K,) by their indices move under numbers (M, 6)."""

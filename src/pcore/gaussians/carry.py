@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pcore.deform.base import Deformation
 from pcore.errors import EditError
-from pcore.gaussians.covariance import covariances, quaternions
+from pcore.gaussians.covariance import quaternions
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.spherical_harmonics import rotated
 from pcore.geometry.rotation import rotations
@@ -30,7 +30,7 @@ def carried(gaussians: Gaussians, positions: Tensor, local_maps: Tensor) -> Gaus
 
     The order of each one's axes is kept, so that the identity changes nothing but the last bits. A
     map that mirrors mirrors the colours, too. Shapes and colours are computed in float64 and have
-    no gradient with respect to the maps; for that see `carried_covariances`.
+    no gradient with respect to the maps; for that see `carried_axes`.
 
     Args:
         gaussians: N of them.
@@ -67,10 +67,14 @@ def deformed(gaussians: Gaussians, deformation: Deformation) -> Gaussians:
     return carried(gaussians, deformation(means), deformation.jacobian(means))
 
 
-def carried_covariances(gaussians: Gaussians, local_maps: Tensor) -> Tensor:
-    """Covariances (N, 3, 3) after the local maps (N, 3, 3); differentiable in everything."""
-    maps = local_maps.to(gaussians.scales)
-    return maps @ covariances(gaussians.quats, gaussians.scales) @ maps.mT
+def carried_axes(gaussians: Gaussians, local_maps: Tensor) -> Tensor:
+    """Axes A (N, 3, 3), its columns, after local maps (N, 3, 3): covariances are A A^T.
+
+    Differentiable in everything. Axes are as long as standard deviations, and no longer
+    perpendicular.
+    """
+    axes = rotations(gaussians.quats) * gaussians.scales.unsqueeze(-2)
+    return local_maps.to(axes) @ axes
 
 
 def polar(matrices: Tensor) -> Tensor:

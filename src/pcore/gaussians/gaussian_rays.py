@@ -111,9 +111,9 @@ def _met(posed: PosedGaussians, rays: RayBundle, filters: Tensor) -> tuple[Tenso
 
 def _sizes(posed: PosedGaussians) -> Tensor:
     """(N,) at least the longest standard deviation."""
-    if posed.covariances is None:
+    if posed.axes is None:
         return posed.gaussians.scales.detach().amax(dim=-1)
-    return posed.covariances.detach().norm(dim=(-2, -1)).sqrt()
+    return posed.axes.detach().norm(dim=(-2, -1))
 
 
 def _blend(
@@ -165,17 +165,24 @@ def _opacities(
     distance = (offsets * forward).sum(dim=-1)
     x, y = (offsets.unsqueeze(-2) @ frame).squeeze(-2).unbind(dim=-1)
     shapes = spread.index_select(0, which)
-    before = _area(frame.mT @ shapes @ frame)[1]
-    flat = frame.mT @ (shapes + filters.index_select(0, ray)) @ frame
-    a, area = _area(flat)
-    # A sum of squares: rounding makes no power of a long Gaussian positive.
-    rest = y - flat[:, 0, 1] / a * x
-    power = -0.5 * (x * x / a + a * rest * rest / area)
+    bare, wide = (frame.mT @ one @ frame for one in (shapes, filters.index_select(0, ray)))
+    sharp = footprint.flat and not footprint.antialiased
+    power, area = _power(bare if sharp else bare + wide, x, y)
+    if sharp and bool(filters.any()):
+        power = torch.maximum(power, _power(wide, x, y)[0])
     opacity = gaussians.opacities.index_select(0, which) * power.exp()
     if footprint.antialiased:
-        opacity = opacity * (before / area).sqrt()
+        opacity = opacity * (_area(bare)[1] / area).sqrt()
     opacity = torch.where(opacity < _FAINT, 0.0, opacity.clamp(max=_OPAQUE))
     return opacity, distance, offsets / offsets.norm(dim=-1, keepdim=True).clamp_min(_TINY)
+
+
+def _power(shadow: Tensor, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """-m^2 / 2 (P,) where rays pass shadows (P, 2, 2) at x and y from the middle; determinants."""
+    a, area = _area(shadow)
+    # A sum of squares: rounding makes no power of a long Gaussian positive.
+    rest = y - shadow[:, 0, 1] / a * x
+    return -0.5 * (x * x / a + a * rest * rest / area), area
 
 
 def _area(flat: Tensor) -> tuple[Tensor, Tensor]:

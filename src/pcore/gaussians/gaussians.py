@@ -12,6 +12,8 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE
 
+THINNEST = 1e-4
+"""Third scale of a flat Gaussian as a share of its smaller one, in files that have three."""
 _UNIT = 1e-3
 """How far from 1 the length of a quaternion may be; single precision keeps 1e-6."""
 

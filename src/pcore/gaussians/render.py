@@ -1,4 +1,4 @@
-"""Pictures of Gaussians by cameras of ours: colours, opacity, depth, with gradients to all of them.
+"""Pictures of Gaussians, flat ones too, by cameras of ours: colours, opacity, depth, gradients.
 
 One filter in training and drawing alike: what a pixel is, a square of one pixel, whose variance is
 1 / 12 along each side. The opacity gives up what the filter adds to the area, so that small
@@ -9,16 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from pcore.errors import InputError
-from pcore.gaussians.carry import carried_covariances, polar
+from pcore.gaussians.carry import carried_axes, polar
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.spherical_harmonics import colors, rotated
 from pcore.geometry.camera import Camera
-from pcore.kernels.gaussian_rasterization import RasterizeMode, rasterization
+from pcore.kernels.disc_rasterization import rasterization_2dgs
+from pcore.kernels.gaussian_rasterization import RenderMode, rasterization
 
 PIXEL = 1 / 12
 """Variance of a pixel, pixels squared."""
@@ -39,6 +41,9 @@ class Footprint:
     """Of the screen filter, pixels squared."""
     antialiased: bool = True
     """Whether the opacity gives up what the filter adds to the area."""
+    flat: bool = False
+    """Whether the first two axes are a disc that rays meet (2DGS); the third is then its normal, of
+    no size. Published flat Gaussians have a variance of 0.5 and are not antialiased."""
 
     def __post_init__(self) -> None:
         if not 0 < self.variance < float("inf"):
@@ -54,13 +59,19 @@ class PosedGaussians:
     Attributes:
         gaussians: means, opacities and colours where they are now; also the shapes, if there are no
             covariances.
-        covariances: (N, 3, 3) world units squared; None takes scales and quaternions.
+        axes: (N, 3, 3) axes in the columns, as long as standard deviations, world units; they need
+            not be perpendicular. None takes scales and quaternions.
         gains: (N, 1) or (N, 3) factors on the colours, for a light; None leaves them.
     """
 
     gaussians: Gaussians
-    covariances: Tensor | None = None
+    axes: Tensor | None = None
     gains: Tensor | None = None
+
+    @property
+    def covariances(self) -> Tensor | None:
+        """(N, 3, 3) of the axes, world units squared; None where there are none."""
+        return None if self.axes is None else self.axes @ self.axes.mT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,12 +83,15 @@ class GaussianPictures:
         alpha: (C, H, W) opacity.
         depth: (C, H, W) expected camera z of what is drawn, world units; 0 where nothing is.
         means2d: (C, N, 2) columns and rows of the centres, pixels; its gradient can be retained.
+        normals: (C, H, W, 3) sums of the unit normals of flat Gaussians, in the world, by their
+            weights; None of others, and where no depth was asked for.
     """
 
     rgb: Tensor
     alpha: Tensor
     depth: Tensor
     means2d: Tensor
+    normals: Tensor | None = None
 
 
 def pose(
@@ -91,7 +105,7 @@ def pose(
     Args:
         gaussians: N of them at rest.
         positions: (N, 3) where their means go, world units.
-        local_maps: (N, 3, 3) Jacobians J there; covariances become J S J^T.
+        local_maps: (N, 3, 3) Jacobians J there: axes A become J A, covariances J S J^T.
         gains: (N, 1) or (N, 3) factors on the colours.
     """
     sh = gaussians.sh
@@ -99,7 +113,7 @@ def pose(
         sh = rotated(sh, polar(local_maps.detach()))
     return PosedGaussians(
         gaussians=replace(gaussians, means=positions, sh=sh),
-        covariances=carried_covariances(gaussians, local_maps),
+        axes=carried_axes(gaussians, local_maps),
         gains=gains,
     )
 
@@ -174,21 +188,14 @@ def render_views(
     if background is None:
         background = gaussians.means.new_ones(3)
     near = _NEAR * float(distances.detach().mean()) if len(gaussians) else _NEAR
-    image, alpha, meta = rasterization(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.scales,
-        gaussians.opacities,
+    image, alpha, normals, meta = _rasterized(
+        posed,
         rgb,
-        viewmats,
-        intrinsics,
-        *size,
-        near_plane=near,
-        eps2d=footprint.variance,
-        rasterize_mode=_mode(footprint),
-        backgrounds=background.to(gaussians.means).expand(len(viewmats), 3),
+        (viewmats, intrinsics, size),
+        near,
+        footprint,
+        background=background.to(gaussians.means).expand(len(viewmats), 3),
         render_mode="RGB+ED" if depth else "RGB",
-        covars=posed.covariances,
     )
     alpha = alpha[..., 0]
     return GaussianPictures(
@@ -196,7 +203,36 @@ def render_views(
         alpha=alpha,
         depth=image[..., 3] if depth else torch.zeros_like(alpha),
         means2d=meta["means2d"],
+        normals=normals if depth else None,
     )
+
+
+def _rasterized(
+    posed: PosedGaussians,
+    values: Tensor,
+    looks: tuple[Tensor, Tensor, tuple[int, int]],
+    near_plane: float,
+    footprint: Footprint,
+    *,
+    background: Tensor | None = None,
+    render_mode: RenderMode = "RGB+ED",
+) -> tuple[Tensor, Tensor, Tensor | None, dict[str, Any]]:
+    """Pictures, alphas, normals of flat ones, and more, by the kernels of either kind."""
+    own, axes = posed.gaussians, posed.axes
+    options: dict[str, Any] = {
+        "near_plane": near_plane,
+        "eps2d": footprint.variance,
+        "rasterize_mode": "antialiased" if footprint.antialiased else "classic",
+        "backgrounds": background,
+        "render_mode": render_mode,
+    }
+    viewmats, intrinsics, size = looks
+    given = (own.means, own.quats, own.scales, own.opacities, values, viewmats, intrinsics, *size)
+    if footprint.flat:
+        tangents = None if axes is None else axes[..., :2]
+        return rasterization_2dgs(*given, **options, tangents=tangents)
+    image, alpha, meta = rasterization(*given, **options, covars=posed.covariances)
+    return image, alpha, None, meta
 
 
 def blended(
@@ -218,26 +254,14 @@ def blended(
     """
     viewmats, intrinsics = view_matrices([camera], gaussians.means)
     distances = (gaussians.means.detach() - camera.center.to(gaussians.means)).norm(dim=-1)
-    image, alpha, _ = rasterization(
-        gaussians.means,
-        gaussians.quats,
-        gaussians.scales,
-        gaussians.opacities,
+    image, alpha, *_ = _rasterized(
+        PosedGaussians(gaussians=gaussians),
         values,
-        viewmats,
-        intrinsics,
-        camera.width,
-        camera.height,
-        near_plane=_NEAR * float(distances.mean()),
-        eps2d=footprint.variance,
-        rasterize_mode=_mode(footprint),
-        render_mode="RGB+ED",
+        (viewmats, intrinsics, (camera.width, camera.height)),
+        _NEAR * float(distances.mean()),
+        footprint,
     )
     return image[0, ..., :-1], alpha[0, ..., 0], image[0, ..., -1]
-
-
-def _mode(footprint: Footprint) -> RasterizeMode:
-    return "antialiased" if footprint.antialiased else "classic"
 
 
 def view_matrices(cameras: Sequence[Camera], like: Tensor) -> tuple[Tensor, Tensor]:

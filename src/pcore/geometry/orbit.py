@@ -57,6 +57,7 @@ def orbit_like(
     scale: float = 1.0,
     size: tuple[int, int] | None = None,
     up: Tensor | None = None,
+    arc: tuple[float, float] | None = None,
 ) -> list[Camera]:
     """Orbit at the mean distance and mean elevation of given cameras.
 
@@ -71,6 +72,8 @@ def orbit_like(
         scale: factor on the mean distance, such as `growth` of an edited cloud.
         size: (width, height) in pixels; None takes that of the first camera.
         up: as for `orbit_cameras`.
+        arc: middle azimuth and width, radians, of a part of the circle to swing in, there and back,
+            instead of going around.
 
     Raises:
         InputError: no cameras, or all of them at the center.
@@ -92,6 +95,7 @@ def orbit_like(
         elevation=elevation,
         up=up,
         start=math.atan2(float(offsets[0] @ ahead), float(offsets[0] @ side)),
+        arc=arc,
     )
     first = cameras[0]
     width, height = size or (first.width, first.height)
@@ -162,13 +166,16 @@ def _orbit_poses(
     elevation: float,
     up: Tensor | None,
     start: float = 0.0,
+    arc: tuple[float, float] | None = None,
 ) -> list[Tensor]:
-    """Poses world_from_camera (4, 4) of an orbit that begins at azimuth `start`."""
+    """Poses world_from_camera (4, 4) from azimuth `start` around, or to and fro in an arc."""
     _check(distance, count, elevation)
     side, ahead, top = _frame(up)
     poses: list[Tensor] = []
     for index in range(count):
         azimuth = start + 2 * math.pi * index / count
+        if arc is not None:
+            azimuth = arc[0] + 0.5 * arc[1] * math.sin(2 * math.pi * index / count)
         outward = math.cos(azimuth) * side + math.sin(azimuth) * ahead
         right = math.cos(azimuth) * ahead - math.sin(azimuth) * side
         backward = math.cos(elevation) * outward + math.sin(elevation) * top

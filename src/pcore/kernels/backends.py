@@ -118,3 +118,17 @@ def of_gaussians(means: Tensor) -> str:
             "be that of torch), or draw on the CPU: --device cpu"
         )
     return "gsplat"
+
+
+def of_discs(means: Tensor) -> str:
+    """Name of the backend that draws flat Gaussians: "cpu" or "reference".
+
+    Raises:
+        DependencyError: on a GPU, where nothing of ours draws them and gsplat's kernels have
+            neither tangents nor a filter of a pixel's size.
+    """
+    if means.device.type != "cpu" and os.environ.get("PCORE_KERNELS") != "reference":
+        raise DependencyError(
+            "flat Gaussians (2DGS) are drawn on the CPU: pass --device cpu, or leave out --flat"
+        )
+    return "reference" if means.device.type != "cpu" else of_gaussians(means)

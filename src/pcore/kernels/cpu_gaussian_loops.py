@@ -6,14 +6,14 @@ their arrays, float32 or float64.
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
 from numba import prange
 
-from pcore.kernels.cpu_gaussian_lists import ROWS, Lists, interval
+from pcore.kernels.cpu_gaussian_lists import ROWS, Lists, interval, outline_of
+from pcore.kernels.cpu_gaussian_meets import Discs, Splats, added, like, met, shape_of, sums
 
 MOST_OPAQUE = 0.999
 """Greatest opacity of a Gaussian in a pixel."""
@@ -21,20 +21,8 @@ FULL = 1e-4
 """A pixel is full before its transmittance falls to this."""
 
 
-class Splats(NamedTuple):
-    """The G Gaussians of all pictures: means (G, 2), conics (G, 3), opacities (G,), colours (G, D).
-
-    In pixels; float32 or float64, all the same.
-    """
-
-    means: np.ndarray
-    conics: np.ndarray
-    opacities: np.ndarray
-    colors: np.ndarray
-
-
 @numba.njit(cache=True, parallel=True)
-def blend(splats: Splats, lists: Lists, image: np.ndarray, through: np.ndarray) -> None:
+def blend(splats: Splats | Discs, lists: Lists, image: np.ndarray, through: np.ndarray) -> None:
     """Draw.
 
     Args:
@@ -52,8 +40,9 @@ def blend(splats: Splats, lists: Lists, image: np.ndarray, through: np.ndarray) 
         open_pixels = (bottom - top) * image.shape[2]
         for pair in range(lists.starts[unit], lists.starts[unit + 1]):
             g = lists.gaussians[pair]
+            where = outline_of(lists, g), lists.reaches[g], lists.levels[g]
             for row in range(max(lists.first[g], top), min(lists.last[g] + 1, bottom)):
-                open_pixels -= _blend_row(splats, g, lists.levels[g], row, left[row], picture[row])
+                open_pixels -= _blend_row(splats, g, where, row, left[row], picture[row])
             if open_pixels == 0:
                 break
         for row in range(top, bottom):
@@ -63,23 +52,23 @@ def blend(splats: Splats, lists: Lists, image: np.ndarray, through: np.ndarray) 
 
 @numba.njit(cache=True)
 def _blend_row(
-    splats: Splats, g: int, level: Any, row: int, left: np.ndarray, colors: np.ndarray
+    splats: Splats | Discs, g: int, where: Any, row: int, left: np.ndarray, colors: np.ndarray
 ) -> int:
     """Draw one Gaussian into one row; return how many pixels it filled."""
-    mean, conic, opacity, color = (
-        splats.means[g],
-        splats.conics[g],
-        splats.opacities[g],
-        splats.colors[g],
-    )
-    begin, end = _columns(mean, conic, level, row, len(left))
-    one, most, full = _like(1.0, opacity), _like(MOST_OPAQUE, opacity), _like(FULL, opacity)
+    opacity, color = splats.opacities[g], splats.colors[g]
+    x, y = splats.means[g, 0], splats.means[g, 1]
+    shape, deep = shape_of(splats, g)
+    outline, reach, level = where
+    begin, end = interval(outline, reach, x, y, row, len(left))
+    one, most, full = like(1.0, opacity), like(MOST_OPAQUE, opacity), like(FULL, opacity)
+    dy = like(row + 0.5, opacity) - y
     filled = 0
     for column in range(begin, end):
         before = left[column]
         if before < 0:
             continue
-        alpha = min(opacity * _falloff(mean, conic, row, column), most)
+        falloff, _, _, nearer = met(shape, level, like(column + 0.5, opacity) - x, dy)
+        alpha = min(opacity * falloff, most)
         after = before * (one - alpha)
         if after <= full:
             left[column] = -before
@@ -88,13 +77,15 @@ def _blend_row(
         weight = alpha * before
         for d in range(len(color)):
             colors[column, d] += weight * color[d]
+        if deep:
+            colors[column, -1] += weight * color[-1] * (nearer - one)
         left[column] = after
     return filled
 
 
 @numba.njit(cache=True, parallel=True)
 def blend_backward(
-    splats: Splats,
+    splats: Splats | Discs,
     lists: Lists,
     to_image: np.ndarray,
     rest: np.ndarray,
@@ -110,7 +101,7 @@ def blend_backward(
         lists: in which order where.
         to_image: (C, H, W, D) gradient of the picture.
         rest: (C, H, W) <g, C> of the finished pixel plus T_end dL / dT_end; overwritten.
-        of_pairs: (P, 6 + D) receives the gradients of mean, conic, opacity and colour.
+        of_pairs: (P, 2 + S + 1 + D) receives the gradients of mean, shape, opacity and colour.
     """
     bands = (len(lists.starts) - 1) // len(to_image)
     height, width = to_image.shape[1], to_image.shape[2]
@@ -122,112 +113,74 @@ def blend_backward(
         left = np.ones((bottom - top, width), dtype=to_image.dtype)
         for pair in range(lists.starts[unit], lists.starts[unit + 1]):
             g = lists.gaussians[pair]
+            where = outline_of(lists, g), lists.reaches[g], lists.levels[g]
             found = of_pairs[lists.slots[g] + band - lists.first[g] // ROWS]
             found[:] = 0
             for row in range(max(lists.first[g], top), min(lists.last[g] + 1, bottom)):
                 _row_backward(
-                    splats,
-                    g,
-                    lists.levels[g],
-                    row,
-                    left[row - top],
-                    gradient[row],
-                    behind[row],
-                    found,
+                    splats, g, where, row, left[row - top], gradient[row], behind[row], found
                 )
 
 
 @numba.njit(cache=True)
 def _row_backward(
-    splats: Splats,
+    splats: Splats | Discs,
     g: int,
-    level: Any,
+    where: Any,
     row: int,
     left: np.ndarray,
     gradient: np.ndarray,
     behind: np.ndarray,
     found: np.ndarray,
 ) -> None:
-    """Add the gradient of one Gaussian in one row of pixels to `found` (6 + D)."""
-    mean, conic, opacity, color = (
-        splats.means[g],
-        splats.conics[g],
-        splats.opacities[g],
-        splats.colors[g],
-    )
-    begin, end = _columns(mean, conic, level, row, len(left))
-    one, most = _like(1.0, opacity), _like(MOST_OPAQUE, opacity)
-    to_x = to_y = to_xx = to_xy = to_yy = to_opacity = _like(0.0, opacity)
-    dy = _like(row + 0.5, opacity) - mean[1]
+    """Add the gradient of one Gaussian in one row of pixels to `found` (2 + S + 1 + D)."""
+    opacity, color = splats.opacities[g], splats.colors[g]
+    x, y = splats.means[g, 0], splats.means[g, 1]
+    shape, deep = shape_of(splats, g)
+    outline, reach, level = where
+    begin, end = interval(outline, reach, x, y, row, len(left))
+    one, most, full = like(1.0, opacity), like(MOST_OPAQUE, opacity), like(FULL, opacity)
+    to_opacity = to_nearer = none = like(0.0, opacity)
+    total, dy = sums(shape), like(row + 0.5, opacity) - y
+    start = len(found) - len(color)
     for column in range(begin, end):
         before = left[column]
         if before < 0:
             continue
-        falloff = _falloff(mean, conic, row, column)
+        dx = like(column + 0.5, opacity) - x
+        place = met(shape, level, dx, dy)
+        falloff, nearer = place[0], place[3]
         alpha = min(opacity * falloff, most)
         after = before * (one - alpha)
-        if after <= _like(FULL, opacity):
+        if after <= full:
             left[column] = -before
             continue
-        weight, shown = alpha * before, _like(0.0, opacity)
+        weight, shown = alpha * before, none
         for d in range(len(color)):
-            found[6 + d] += weight * gradient[column, d]
+            found[start + d] += weight * gradient[column, d]
             shown += gradient[column, d] * color[d]
+        if deep:
+            to_nearer = gradient[column, -1] * color[-1]
+            shown += to_nearer * (nearer - one)
+            found[-1] += weight * gradient[column, -1] * (nearer - one)
+            to_nearer *= weight
         behind[column] -= weight * shown
         left[column] = after
-        if opacity * falloff >= most:
-            continue
         to_alpha = before * shown - behind[column] / (one - alpha)
+        if opacity * falloff >= most:
+            to_alpha = none
         to_opacity += to_alpha * falloff
-        dx = _like(column + 0.5, opacity) - mean[0]
-        to_square = _like(-0.5, opacity) * alpha * to_alpha
-        to_xx += to_square * dx * dx
-        to_xy += to_square * dx * dy
-        to_yy += to_square * dy * dy
-        to_x -= to_square * (conic[0] * dx + conic[1] * dy)
-        to_y -= to_square * (conic[1] * dx + conic[2] * dy)
-    two = _like(2.0, opacity)
-    found[0] += two * to_x
-    found[1] += two * to_y
-    found[2] += to_xx
-    found[3] += two * to_xy
-    found[4] += to_yy
-    found[5] += to_opacity
+        total = added(shape, total, (dx, dy), place, -alpha * to_alpha, to_nearer)
+    for k in range(len(total)):
+        found[k] += total[k]
+    found[start - 1] += to_opacity
 
 
 @numba.njit(cache=True, parallel=True)
 def sum_pairs(of_pairs: np.ndarray, slots: np.ndarray, total: np.ndarray) -> None:
-    """Sum the gradients of every Gaussian's pairs, in their order, into `total` (G, 6 + D)."""
+    """Sum the gradients of every Gaussian's pairs, in their order, into `total` (G, ...)."""
     for g in prange(len(total)):
         total[g] = 0
         for slot in range(slots[g], slots[g + 1]):
             for k in range(total.shape[1]):
                 total[g, k] += of_pairs[slot, k]
-
-
-@numba.njit(cache=True)
-def _like(value: float, other: Any) -> Any:
-    """A number of the type of another: float32 would become float64 beside a literal."""
-    return type(other)(value)
-
-
-@numba.njit(cache=True)
-def _columns(mean: np.ndarray, conic: np.ndarray, level: Any, row: int, width: int) -> Any:
-    return interval(
-        np.float64(conic[0]),
-        np.float64(conic[1]),
-        np.float64(conic[2]),
-        level,
-        np.float64(mean[0]),
-        row + 0.5 - np.float64(mean[1]),
-        width,
-    )
-
-
-@numba.njit(cache=True)
-def _falloff(mean: np.ndarray, conic: np.ndarray, row: int, column: int) -> Any:
-    """exp(-d^2 / 2) at the centre of a pixel."""
-    dx = _like(column + 0.5, mean[0]) - mean[0]
-    dy = _like(row + 0.5, mean[0]) - mean[1]
-    square = conic[0] * dx * dx + _like(2.0, dx) * conic[1] * dx * dy + conic[2] * dy * dy
-    return math.exp(_like(-0.5, dx) * square)

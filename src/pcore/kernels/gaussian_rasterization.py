@@ -69,9 +69,9 @@ def rasterization(
         InputError: shapes that do not go together.
         DependencyError: on a GPU without gsplat.
     """
-    _check(means, quats, scales, opacities, colors, viewmats, Ks, covars)
-    if width < 1 or height < 1:
-        raise InputError(f"rasterization: expected a positive size, got {width} x {height}")
+    check_inputs(
+        means, quats, scales, opacities, colors, viewmats, Ks, (width, height), covars=covars
+    )
     name = of_gaussians(means)
     if name == "gsplat":
         # gsplat is an extra: it is looked for where it is used.
@@ -127,13 +127,13 @@ def rasterization(
         "height": height,
         "n_cameras": len(viewmats),
     }
-    return _finished(image, alpha.unsqueeze(-1), backgrounds, render_mode), alpha[..., None], meta
+    return finished(image, alpha.unsqueeze(-1), backgrounds, render_mode), alpha[..., None], meta
 
 
-def _finished(
+def finished(
     image: Tensor, alpha: Tensor, backgrounds: Tensor | None, render_mode: RenderMode
 ) -> Tensor:
-    """Put the background behind and turn sums of depths into means."""
+    """Put the background behind pictures (C, H, W, D) and turn sums of depths into means."""
     depth = None
     if render_mode == "RGB+ED":
         image, depth = image[..., :-1], image[..., -1:] / alpha.clamp_min(_LEAST_ALPHA)
@@ -149,7 +149,7 @@ def _covariances(
     return shapes.entries_of(covars) if covars is not None else shapes.covariances_of(quats, scales)
 
 
-def _check(
+def check_inputs(
     means: Tensor,
     quats: Tensor | None,
     scales: Tensor | None,
@@ -157,11 +157,29 @@ def _check(
     colors: Tensor,
     viewmats: Tensor,
     intrinsics: Tensor,
-    covars: Tensor | None,
+    size: tuple[int, int],
+    **instead: Tensor | None,
 ) -> None:
+    """Raise InputError for shapes that do not go together.
+
+    Args:
+        means: as all others, see `rasterization`.
+        quats: unused where `instead` is given, as are scales.
+        scales: see there.
+        opacities: see there.
+        colors: see there.
+        viewmats: see there.
+        intrinsics: see there.
+        size: width and height.
+        **instead: what may stand in the place of quats and scales: `covars` (N, 3, 3) or `tangents`
+            (N, 3, 2); one of them.
+    """
+    ((other, shape),) = instead.items()
     count, cameras = len(means), len(viewmats)
-    if covars is None and (quats is None or scales is None):
-        raise InputError("rasterization: expected quats and scales, or covars; got neither")
+    if shape is None and (quats is None or scales is None):
+        raise InputError(f"rasterization: expected quats and scales, or {other}; got neither")
+    if min(size) < 1:
+        raise InputError(f"rasterization: expected a positive size, got {size[0]} x {size[1]}")
     channels = colors.shape[-1] if colors.ndim else 0
     found: list[tuple[str, Tensor | None, Sequence[tuple[int, ...]]]] = [
         ("means", means, [(count, 3)]),
@@ -169,9 +187,9 @@ def _check(
         ("colors", colors, [(count, channels), (cameras, count, channels)]),
         ("viewmats", viewmats, [(cameras, 4, 4)]),
         ("Ks", intrinsics, [(cameras, 3, 3)]),
-        ("covars", covars, [(count, 3, 3)]),
+        (other, shape, [(count, 3, 3 if other == "covars" else 2)]),
     ]
-    if covars is None:
+    if shape is None:
         found += [("quats", quats, [(count, 4)]), ("scales", scales, [(count, 3)])]
     for name, tensor, allowed in found:
         if tensor is not None and tuple(tensor.shape) not in allowed:

@@ -102,21 +102,48 @@ def _picture(
     size: tuple[int, int],
     near_plane: float,
 ) -> tuple[Tensor, Tensor]:
-    order = torch.argsort(depths.detach(), stable=True)
-    order = order[depths.detach()[order] > near_plane]
-    columns, rows = (torch.arange(n, device=means.device, dtype=means.dtype) + 0.5 for n in size)
-    x, y = means[order].unbind(-1)
-    a, b, c = (one[:, None, None] for one in conics[order].unbind(-1))
-    dx, dy = (columns - x[:, None])[:, None, :], (rows - y[:, None])[:, :, None]
+    # What is NaN is in front of nothing.
+    front = (depths.detach() > near_plane).nonzero().squeeze(1)
+    means, conics, opacities, colors, depths = (
+        one[front] for one in (means, conics, opacities, colors, depths)
+    )
+    columns, rows = pixel_centers(size, means)
+    x, y = means.unbind(-1)
+    a, b, c = (one[:, None, None] for one in conics.unbind(-1))
+    dx, dy = columns - x[:, None, None], rows - y[:, None, None]
     square = a * dx * dx + 2 * b * dx * dy + c * dy * dy
-    alpha = opacities[order, None, None] * torch.exp(-square / 2)
-    # Also what is no ellipse is left out: NaN, and matrices that are not positive.
-    drawn = (alpha >= FAINTEST) & (a * c - b * b > 0)
-    alpha = alpha.clamp_max(MOST_OPAQUE).where(drawn, 0.0)
+    # What is no ellipse is left out: NaN, and matrices that are not positive.
+    drawn = (a * c - b * b > 0).expand_as(square)
+    values = colors[:, None, None, :].expand(*square.shape, -1)
+    return composited(square, drawn, opacities, values, depths)
+
+
+def pixel_centers(size: tuple[int, int], like: Tensor) -> tuple[Tensor, Tensor]:
+    """Columns (1, W) and rows (H, 1) of the centres of pixels."""
+    columns, rows = (torch.arange(n, device=like.device, dtype=like.dtype) + 0.5 for n in size)
+    return columns[None], rows[:, None]
+
+
+def composited(
+    square: Tensor, drawn: Tensor, opacities: Tensor, values: Tensor, depths: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Blend N Gaussians from front to back: colour (H, W, D) and alpha (H, W).
+
+    Args:
+        square: (N, H, W) squared Mahalanobis distances.
+        drawn: (N, H, W) where they may be drawn at all.
+        opacities: (N,).
+        values: (N, H, W, D) colours.
+        depths: (N,) the order.
+    """
+    order = torch.argsort(depths.detach(), stable=True)
+    alpha = opacities[:, None, None] * torch.exp(-square / 2)
+    drawn = (drawn & (alpha >= FAINTEST))[order]
+    alpha = alpha[order].clamp_max(MOST_OPAQUE).where(drawn, 0.0)
     after = torch.cumprod(1 - alpha, dim=0)
     alpha = alpha.where(after > FULL, 0.0)
     after = torch.cumprod(1 - alpha, dim=0)
     before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
-    image = torch.einsum("nhw,nd->hwd", before * alpha, colors[order])
-    left = after[-1] if len(order) else torch.ones(size[1], size[0]).to(means)
+    image = ((before * alpha)[..., None] * values[order].where(drawn[..., None], 0.0)).sum(dim=0)
+    left = after[-1] if len(order) else torch.ones(square.shape[1:]).to(square)
     return image, 1 - left

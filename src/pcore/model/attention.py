@@ -104,11 +104,10 @@ class ProximityAttention(nn.Module):
                 original's training.
         """
         queries, constants = self._queries(_of_query(seen.directions))
-        inside, octaves, frame = self.key.innorm, self.config.octaves, self.config.frame
+        inside, frame = self.key.innorm, self.config.frame
         places, origins = posed.seen_positions, seen.origins
         if frame is not None:
             places, origins = frame.from_world(places), frame.from_world(origins)
-        cutoff = self.config.cutoff
         features, background, weights, answering = proximity_attention(
             places,
             posed.cloud.features,
@@ -120,14 +119,7 @@ class ProximityAttention(nn.Module):
             constants=constants,
             key=self.key.mlp.stack().after(inside.gain * inside.unbias, inside.offset),
             value=self.value.stack(),
-            rules=AttentionRules(
-                scale=self.config.coord_scale,
-                frequencies=(octaves.point, octaves.along, octaves.across),
-                background_score=self.config.background_score,
-                cutoff=None if cutoff is None else cutoff / self.config.unit,
-                threshold=threshold,
-                stop_encoding=stop_encoding,
-            ),
+            rules=self._rules(threshold, stop_encoding=stop_encoding),
         )
         if self.config.point_colors:
             features = _with_colors(features, posed.cloud.features, weights, neighbours)
@@ -145,6 +137,17 @@ class ProximityAttention(nn.Module):
             # Sums, not matrix products: those would run in half precision under autocast.
             centroid=(weights.unsqueeze(-1) * positions).sum(dim=1),
             spread=(weights * past_first.square()).sum(dim=-1),
+        )
+
+    def _rules(self, threshold: float, *, stop_encoding: bool) -> AttentionRules:
+        octaves, cutoff = self.config.octaves, self.config.cutoff
+        return AttentionRules(
+            scale=self.config.coord_scale,
+            frequencies=(octaves.point, octaves.along, octaves.across),
+            background_score=self.config.background_score,
+            cutoff=None if cutoff is None else cutoff / self.config.unit,
+            threshold=threshold,
+            stop_encoding=stop_encoding,
         )
 
     def _queries(self, directions: Tensor) -> tuple[Tensor, Tensor]:

@@ -41,5 +41,7 @@ def _join(skip: Tensor, upsampled: Tensor) -> Tensor:
     """Concatenate, after padding the upsampled map with zeros to the skip's size."""
     rows = skip.shape[-2] - upsampled.shape[-2]
     columns = skip.shape[-1] - upsampled.shape[-1]
-    padding = (columns // 2, columns - columns // 2, rows // 2, rows - rows // 2)
-    return torch.cat([skip, F.pad(upsampled, padding)], dim=1)
+    if rows or columns:
+        padding = (columns // 2, columns - columns // 2, rows // 2, rows - rows // 2)
+        upsampled = F.pad(upsampled, padding)
+    return torch.cat([skip, upsampled], dim=1)

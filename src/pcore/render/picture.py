@@ -23,8 +23,9 @@ from pcore.model.unet import ALIGNMENT
 from pcore.render.image import Image
 from pcore.render.raster import Raster, raster_of
 from pcore.render.surface import middle_surface, surface_of
-from pcore.render.tiles import Canvas, colour, paint, pixel_means, pooled, rows_in_use, windows
+from pcore.render.tiles import Canvas, colour, paint, pixel_means, pooled
 from pcore.render.trace import trace
+from pcore.render.windows import rows_in_use, windows
 from pcore.validation import check_count
 
 FAST_THRESHOLD = 0.03

@@ -27,10 +27,9 @@ from pcore.render.tiles import (
     colour_tile,
     paint,
     pooled,
-    rows_in_use,
     trace_pixels,
-    windows,
 )
+from pcore.render.windows import rows_in_use, windows
 
 STRIDES = (8, 4)
 """Pixels between the rays of the coarse pictures."""

@@ -29,40 +29,9 @@ from pcore.render.raster import Raster
 from pcore.render.reachable import reachable
 from pcore.render.surface import middle_surface, surface_of
 from pcore.render.trace import trace
+from pcore.render.windows import Window, shown_part, windows
 
 _LEAST_OPACITY = 1e-6
-
-Slices = tuple[slice, slice]
-Window = tuple[Slices, Slices, Slices]
-"""One tile: what is seen of the image with its surroundings, what is kept of that, and where the
-kept part lies in the image."""
-
-
-def windows(raster: Raster) -> Iterator[Window]:
-    """Tiles of a picture, row by row."""
-    tile, margin = raster.tile, raster.margin
-    for top in range(0, raster.size[0], tile):
-        for left in range(0, raster.size[1], tile):
-            starts = zip((top, left), raster.size, strict=True)
-            rows, columns = (_span(start, tile, margin, end) for start, end in starts)
-            seen, trimmed, kept = zip(rows, columns, strict=True)
-            yield seen, trimmed, kept
-
-
-def rows_in_use(raster: Raster, chunk: int) -> int:
-    """Rows of features that are held when chunks of pixels come in from above, tile after tile.
-
-    Those that a tile sees, and those that a chunk reaches beyond them.
-    """
-    return raster.tile + 2 * raster.margin + math.ceil(chunk / raster.size[1])
-
-
-def _span(start: int, tile: int, margin: int, end: int) -> tuple[slice, slice, slice]:
-    """Seen, trimmed and kept part along one axis."""
-    stop = min(start + tile, end)
-    first = max(0, start - margin)
-    last = min(end, stop + margin)
-    return slice(first, last), slice(start - first, stop - first), slice(start, stop)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +202,11 @@ def colour_tile(canvas: Canvas, papr: Papr, window: Window, step: int) -> None:
         window: the tile.
         step: pixels between those that the UNet sees beside each other (`Raster`).
     """
-    inside, trimmed, kept = window
+    canvas.rgb[window[2]] = constant(papr.config.background, canvas.rgb)
+    part = shown_part(canvas.alpha, window, step)
+    if part is None:
+        return
+    inside, trimmed, kept = part
     seen, columns = inside
     rows = torch.arange(seen.start, seen.stop, device=canvas.alpha.device) % len(canvas.features)
     features = canvas.features[:, columns].index_select(0, rows)

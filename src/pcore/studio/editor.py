@@ -97,7 +97,7 @@ class Editor(SelectionEditor):
         before = handles_of_edit(raw, self.session.state, index)[number]
         mirror = None if self._mirror is None else (self._mirror, self._beside)
         moved = with_handle(raw, number, before, self._locked(before, pose), mirror)
-        state = self.session.preview(moved, at=index)
+        state = self.session.preview(moved, at=index, frames="quick")
         self._dragged, self._held_raw = state, moved
         if not len(state.folds):
             self._kept = moved

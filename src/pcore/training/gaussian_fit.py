@@ -15,6 +15,7 @@ from pcore.errors import TrainingError
 from pcore.files.run_folder import RunFolder
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import GaussianPictures, PosedGaussians, render_views, view_matrices
+from pcore.geometry.camera import Camera
 from pcore.training.events import Listener, PopulationReport, silent
 from pcore.training.exposure import ViewExposure
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
@@ -96,33 +97,12 @@ def fit_gaussians(
     def losses() -> Losses:
         progress = pace.progress(work.step)
         at_hand = photos.at(reduction_at(config.levels, progress))
-        numbers = range(config.views * work.step, config.views * (work.step + 1))
-        # All processes draw all colours, so that they go on drawing alike.
-        batch = [
-            (
-                _turn(number, len(views), config.seed),
-                background_color(config.background, work.generator),
-            )
-            for number in numbers
-        ]
+        batch = _batch(work, config, len(views))
         found = [picture(index, at_hand[index], color) for index, color in ranks.share(batch)]
         return found[0] if len(batch) == 1 else mean_of(found, of=len(batch))
 
     def picture(index: int, photo: Photo, color: Tensor) -> Losses:
-        progress = pace.progress(work.step)
-        camera = photo.camera
-        viewmat, intrinsics = view_matrices([camera], work.raw["means"])
-        found = render_views(
-            PosedGaussians(gaussians=work.gaussians(_degree(progress, config))),
-            viewmat,
-            intrinsics,
-            (camera.width, camera.height),
-            footprint=config.footprint,
-            depth=False,
-            background=color.to(where),
-        )
-        if progress <= config.density.last:
-            found.means2d.retain_grad()
+        found = _drawn(work, config, photo.camera, color.to(where), pace.progress(work.step))
         shown.append(found)
         rgb = found.rgb
         if exposure is not None:
@@ -150,6 +130,43 @@ def fit_gaussians(
         folder=folder,
         listener=listener,
     )
+
+
+def _batch(
+    work: TrainableGaussians, config: GaussianConfig, views: int
+) -> list[tuple[int, Tensor]]:
+    """Views of the coming step and colours behind them.
+
+    All processes draw all of them, so that they go on drawing alike.
+    """
+    numbers = range(config.views * work.step, config.views * (work.step + 1))
+    return [
+        (_turn(number, views, config.seed), background_color(config.background, work.generator))
+        for number in numbers
+    ]
+
+
+def _drawn(
+    work: TrainableGaussians,
+    config: GaussianConfig,
+    camera: Camera,
+    background: Tensor,
+    progress: float,
+) -> GaussianPictures:
+    """A picture that remembers how its centres are pulled, as long as the population changes."""
+    viewmat, intrinsics = view_matrices([camera], work.raw["means"])
+    found = render_views(
+        PosedGaussians(gaussians=work.gaussians(_degree(progress, config))),
+        viewmat,
+        intrinsics,
+        (camera.width, camera.height),
+        footprint=config.footprint,
+        depth=False,
+        background=background,
+    )
+    if progress <= config.density.last:
+        found.means2d.retain_grad()
+    return found
 
 
 def _turn(step: int, views: int, seed: int) -> int:

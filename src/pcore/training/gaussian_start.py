@@ -11,9 +11,10 @@ from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
+from pcore.capture.coverage import ONE_SIDE, coverage
 from pcore.data.scene import Scene, View
 from pcore.errors import InputError
-from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.gaussians import THINNEST, Gaussians
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.photo_consistency import consistent_points
 from pcore.training.population import hull_points
@@ -21,10 +22,16 @@ from pcore.training.population import hull_points
 _NEIGHBOURS = 3
 _NEAREST, _FARTHEST = 0.3, 30.0
 """Depths of the start "views", in distances of the cameras."""
+_OPPOSITE = 2.0
+"""Greatest depth inside of masks, in distances of the cameras: an object ends before that."""
 _BEHIND, _FAR_SHARE = 1.0, 0.3
 """Beside the points of a reconstruction: depth from which on, and share of, points farther away."""
 _FEW = 100
 """Fewer points of a reconstruction do not say where things are."""
+_FEW_VIEWS = 8
+"""So few views from one side have too few neighbours to agree with."""
+_DRAWN, _AGREED = 3, 0.8
+"""Rays per point that is wanted inside of masks, and share of the masks it must lie in."""
 _CONSTANT = 0.28209479177387814
 """The harmonic of degree 0."""
 
@@ -39,15 +46,20 @@ def chosen_start(scene: Scene, start: str) -> str:
     """Where Gaussians begin: "auto" is the best of what the training views and the scene have."""
     if start != "auto":
         return start
-    if all(view.has_alpha for view in scene.split("train")):
-        return "hull"
+    views = scene.split("train")
+    if all(view.has_alpha for view in views):
+        # A hull of views from one side is open, and what fills it stands before the object.
+        gap = coverage([view.camera for view in views], scene.center).gap
+        return "views" if gap > ONE_SIDE and len(views) > _FEW_VIEWS else "hull"
     return "views" if scene.sparse is None or len(scene.sparse) < _FEW else "sparse"
 
 
 def start_gaussians(
     scene: Scene, views: Sequence[View], config: GaussianConfig, generator: torch.Generator
 ) -> Gaussians:
-    """Round Gaussians of the distance to their neighbours, coloured as the photos show them.
+    """Gaussians of the distance to their neighbours, coloured as the photos show them.
+
+    They are round; flat ones face every direction.
 
     Args:
         scene: says where the object is.
@@ -70,6 +82,8 @@ def start_gaussians(
         positions = hull_points(
             config.points, views, scene.lower, scene.upper, generator=generator, region=scene.region
         )
+    elif start == "views" and all(view.has_alpha for view in views):
+        positions = _consistent_in_masks(scene, config.points, views, generator)
     elif start == "views":
         positions = _consistent_and_far(config.points, views, distance, generator)
     elif start == "sparse":
@@ -83,12 +97,16 @@ def start_gaussians(
     count, coefficients = len(positions), (config.degree + 1) ** 2
     sh = torch.zeros(count, coefficients, 3)
     sh[:, 0] = (mean_colors(positions, views) - 0.5) / _CONSTANT
-    quats = torch.zeros(count, 4)
+    quats, scales = torch.zeros(count, 4), spacing[:, None].expand(-1, 3).clone()
     quats[:, 0] = 1.0
+    if config.footprint.flat:
+        # Every direction, as published: nobody knows the surface yet.
+        quats = torch.nn.functional.normalize(torch.randn(count, 4, generator=generator), dim=1)
+        scales[:, 2] *= THINNEST
     return Gaussians(
         means=positions,
         quats=quats,
-        scales=spacing[:, None].expand(-1, 3).clone(),
+        scales=scales,
         opacities=torch.full((count,), config.opacity_start),
         sh=sh,
     )
@@ -156,6 +174,35 @@ def _consistent_and_far(
         )
     far = _before_cameras(count - len(near), views, distance, generator, nearest=_BEHIND)
     return torch.cat([near, far])
+
+
+def _consistent_in_masks(
+    scene: Scene, count: int, views: Sequence[View], generator: torch.Generator
+) -> Tensor:
+    """Points (N, 3), N <= count, where neighbouring photos agree inside of their masks.
+
+    Raises:
+        InputError: too few views, or no such point.
+    """
+    found, distance = torch.empty(0, 3), camera_distance(scene)
+    if len(views) > 2:
+        near, far = _NEAREST * distance, _OPPOSITE * distance
+        found = consistent_points(_DRAWN * count, views, near, far, generator)
+    found = found[(found - scene.center).norm(dim=-1) < distance]
+    inside, seen = torch.zeros(len(found)), torch.zeros(len(found))
+    for view in views:
+        across, down, depth = view.camera.project(found)
+        shown = (depth > 0) & (across >= 0) & (across < view.camera.width)
+        shown &= (down >= 0) & (down < view.camera.height)
+        inside[shown] += view.alpha()[down[shown].long(), across[shown].long()]
+        seen += shown
+    found = found[inside > _AGREED * seen]
+    if len(found) < 2:
+        raise InputError(
+            "start of Gaussians: the photos agree on no point inside of their masks; start in the "
+            "hull (--init hull)"
+        )
+    return found[torch.randperm(len(found), generator=generator)[:count]]
 
 
 def _before_cameras(
