@@ -296,7 +296,11 @@ CASES = [
     Case(IMPORT.replace("-o new", "-o run"), "run holds a run already|choose another folder with"),
     Case("import papr model.pth -o new", "--config|required"),
     Case("info nowhere", "no model at nowhere: expected a model.safetensors|check the path"),
-    Case("info edit.json", "edit.json is truncated, damaged or not a safetensors file"),
+    Case(
+        "info edit.json",
+        "edit.json: expected an edit file in JSON, got invalid JSON|line 1",
+        lambda world: (world / "edit.json").write_text('{"version": 2, "edits": ['),
+    ),
     Case(
         "info empty",
         "no run at empty: expected a folder with a run.json",
