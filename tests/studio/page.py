@@ -96,7 +96,7 @@ class Page:
         self.server.send_signal(how)
         assert self.server.stdout is not None
         with self.server.stdout:
-            code = self.server.wait(60)  # A busy machine still draws the last picture.
+            code = self.server.wait(20)
         if self.tab is not None:
             self.tab.close()
         return code
