@@ -213,3 +213,21 @@ def test_poses_are_held_against_features(
     assert words in said
     assert "the dense part of the sparse points" in said
     assert "reprojection" not in said
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(0.0, "nothing to learn; are the masks black"), (1.0, "98 % of the picture")]
+)
+def test_masks_of_nothing_and_of_everything_are_not_called_good(
+    tmp_path: Path, value: float, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = write_room(tmp_path / "room", 9)
+    (tmp_path / "cut").mkdir()
+    for number in range(9):
+        mask = torch.full((48, 64), value)
+        mask[0, :] = 0  # One row of background: masks without any are those of plain photos.
+        write_mask(tmp_path / "cut" / f"{number:04d}.png", mask)
+    assert main(["check", str(room), *BOX, "--masks", str(tmp_path / "cut")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert words in said
+    assert "ok masks" not in said

@@ -29,6 +29,9 @@ _ROUNDS, _ITERATIONS = 3, 2
 _LOOSE, _JUDGED, _SURE = 0.6, 0.75, 0.85
 """Share of the views that see a voxel and must have it in their mask: where the object is looked
 for, where masks are judged, and where there is object for certain."""
+_MOSTLY = 0.5
+"""Share of the photos that must have background for certain."""
+_ON_SPHERE = 400
 _FEW = 8
 """Fewer points than that have no outline to go by."""
 _DOUBTFUL, _BAD = 0.12, 0.6
@@ -82,7 +85,7 @@ def find_masks(
         photos: at least two, of posed cameras.
         region: where the object is, world units.
         points: (N, 3) points of the object where some are known; their outline is tighter than
-            that of the region's box.
+            that of the region.
         judged: further photos that get masks and have no vote on the hull, such as test views.
         progress: told (photos cut, cuts in all).
 
@@ -90,19 +93,17 @@ def find_masks(
         Masks of `photos`, then of `judged`.
 
     Raises:
-        InputError: no photo shows the region, or no cut leaves anything.
+        InputError: no photo shows the region, most show nothing else, or no cut leaves anything.
         DependencyError: OpenCV is not installed.
     """
     small, others = [_shrunk(photo) for photo in photos], [_shrunk(photo) for photo in judged]
     everyone = [*small, *others]
-    known = region.corners if points is None or len(points) < _FEW else points
+    whole = region.corners if region.box is not None else _sphere(region)
+    known = whole if points is None or len(points) < _FEW else points
     seeds = [_outline(photo.camera, known) for photo in everyone]
     # What the points leave out of the object lies in their box.
-    rooms = [_outline(photo.camera, region.corners) for photo in everyone]
-    if not any(seed.any() for seed in seeds):
-        raise InputError(
-            "automatic masks: none of the photos shows the object's region; give its --box"
-        )
+    rooms = [_outline(photo.camera, whole) for photo in everyone]
+    _check_background(seeds[: len(small)], rooms[: len(small)])
     masks: list[Bits] = []
     cores: list[Bits] | None = None
     total, done = (_ROUNDS - 1) * len(small) + len(everyone), 0
@@ -125,6 +126,24 @@ def find_masks(
         masks=tuple(sized),
         agreement=tuple(overlap(a, b) for a, b in zip(masks, seeds, strict=True)),
     )
+
+
+def _check_background(seeds: Sequence[Bits], rooms: Sequence[Bits]) -> None:
+    """Refuse photos of something else, and those that say nothing of the background.
+
+    A cut without background is the whole picture, and whole pictures agree with one another.
+    """
+    if not any(seed.any() for seed in seeds):
+        raise InputError(
+            "automatic masks: none of the photos shows the object's region; give its --box"
+        )
+    pairs = zip(seeds, rooms, strict=True)
+    filled = sum(bool(_near(seed, room).all()) for seed, room in pairs if seed.any())
+    if filled > _MOSTLY * len(seeds):
+        raise InputError(
+            f"automatic masks: the object's region fills {filled} of {len(seeds)} photos, so that "
+            "nothing is known to be background; give a tighter --box"
+        )
 
 
 def _voted(
@@ -186,6 +205,26 @@ def _outline(camera: Camera, points: Tensor) -> Bits:
     return cv2.fillConvexPoly(picture, hull, 1)
 
 
+def _sphere(region: Region) -> Tensor:
+    """(N, 3) points evenly on the sphere of a region (a Fibonacci lattice)."""
+    number = torch.arange(_ON_SPHERE) + 0.5
+    z = 1 - 2 * number / _ON_SPHERE
+    turn = number * math.pi * (3 - math.sqrt(5))
+    around = (1 - z**2).sqrt()
+    ball = torch.stack([around * turn.cos(), around * turn.sin(), z], dim=-1)
+    return region.center + region.radius * ball
+
+
+def _reach(seed: Bits) -> int:
+    """Pixels around an outline in which the cut may still find object."""
+    return max(2, round(_MARGIN * math.sqrt(float(seed.sum()))))
+
+
+def _near(seed: Bits, room: Bits) -> Bits:
+    """What is not known to be background."""
+    return _grown(seed, _reach(seed)) | room
+
+
 def _cut(rgb: Tensor, seed: Bits, room: Bits, core: Bits | None) -> Bits:
     """GrabCut (H, W) 0 or 1 from an outline; the inner part of a core is object for certain.
 
@@ -194,15 +233,14 @@ def _cut(rgb: Tensor, seed: Bits, room: Bits, core: Bits | None) -> Bits:
     cv2 = require_opencv()
     if not seed.any():
         return seed
-    reach = max(2, round(_MARGIN * math.sqrt(float(seed.sum()))))
-    near = _grown(seed, reach) | room
+    near = _near(seed, room)
     if near.all():
         return seed  # Nothing of the picture is known to be background.
     trimap = np.full(seed.shape, cv2.GC_BGD, dtype=np.uint8)
     trimap[near > 0] = cv2.GC_PR_BGD
     trimap[seed > 0] = cv2.GC_PR_FGD
     if core is not None:
-        trimap[_shrunken(core, reach) > 0] = cv2.GC_FGD
+        trimap[_shrunken(core, _reach(seed)) > 0] = cv2.GC_FGD
     pixels = (255 * rgb.clamp(0, 1)).round().byte().numpy()
     models = np.zeros((1, 65)), np.zeros((1, 65))
     # OpenCV draws its clusters from a generator of its own, which is shared by the process.
