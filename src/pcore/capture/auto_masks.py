@@ -29,8 +29,8 @@ _ROUNDS, _ITERATIONS = 3, 2
 _LOOSE, _JUDGED, _SURE = 0.6, 0.75, 0.85
 """Share of the views that see a voxel and must have it in their mask: where the object is looked
 for, where masks are judged, and where there is object for certain."""
-_MOSTLY = 0.5
-"""Share of the photos that must have background for certain."""
+_FULL, _MOSTLY = 0.97, 0.5
+"""Share of a picture that leaves no background, and share of the photos that may lack it."""
 _ON_SPHERE = 400
 _FEW = 8
 """Fewer points than that have no outline to go by."""
@@ -103,7 +103,8 @@ def find_masks(
     seeds = [_outline(photo.camera, known) for photo in everyone]
     # What the points leave out of the object lies in their box.
     rooms = [_outline(photo.camera, whole) for photo in everyone]
-    _check_background(seeds[: len(small)], rooms[: len(small)])
+    nears = [_near(a, b, region) for a, b in zip(seeds, rooms, strict=True)]
+    _check_background(seeds[: len(small)], nears[: len(small)])
     masks: list[Bits] = []
     cores: list[Bits] | None = None
     total, done = (_ROUNDS - 1) * len(small) + len(everyone), 0
@@ -112,13 +113,15 @@ def find_masks(
         masks = []
         for number, photo in enumerate(everyone if last else small):
             core = None if cores is None else cores[number]
-            masks.append(_cut(photo.rgb, seeds[number], rooms[number], core))
+            near = _near(seeds[number], rooms[number], region)
+            masks.append(_cut(photo.rgb, seeds[number], near, core))
             done += 1
             if progress is not None:
                 progress(done, total)
         voters = [(one.camera, mask) for one, mask in zip(small, masks, strict=False)]
         votes = (_JUDGED,) if last else (_LOOSE, _SURE)
         seeds, cores = _voted(voters, region, votes, [one.camera for one in everyone])
+    _check_filled(masks, "what is cut out")
     sized = (
         _resized(mask, one.camera) for mask, one in zip(masks, [*photos, *judged], strict=True)
     )
@@ -128,21 +131,22 @@ def find_masks(
     )
 
 
-def _check_background(seeds: Sequence[Bits], rooms: Sequence[Bits]) -> None:
-    """Refuse photos of something else, and those that say nothing of the background.
-
-    A cut without background is the whole picture, and whole pictures agree with one another.
-    """
+def _check_background(seeds: Sequence[Bits], nears: Sequence[Bits]) -> None:
+    """Refuse photos of something else, and those that say nothing of the background."""
     if not any(seed.any() for seed in seeds):
         raise InputError(
             "automatic masks: none of the photos shows the object's region; give its --box"
         )
-    pairs = zip(seeds, rooms, strict=True)
-    filled = sum(bool(_near(seed, room).all()) for seed, room in pairs if seed.any())
-    if filled > _MOSTLY * len(seeds):
+    _check_filled(nears, "the object's region")
+
+
+def _check_filled(pictures: Sequence[Bits], what: str) -> None:
+    """Refuse cuts without background: whole pictures agree with one another and are no masks."""
+    filled = sum(float(one.mean()) > _FULL for one in pictures)
+    if filled > _MOSTLY * len(pictures):
         raise InputError(
-            f"automatic masks: the object's region fills {filled} of {len(seeds)} photos, so that "
-            "nothing is known to be background; give a tighter --box"
+            f"automatic masks: {what} fills {filled} of {len(pictures)} photos, so that nothing "
+            "is known to be background; give a tighter --box"
         )
 
 
@@ -220,20 +224,19 @@ def _reach(seed: Bits) -> int:
     return max(2, round(_MARGIN * math.sqrt(float(seed.sum()))))
 
 
-def _near(seed: Bits, room: Bits) -> Bits:
-    """What is not known to be background."""
-    return _grown(seed, _reach(seed)) | room
+def _near(seed: Bits, room: Bits, region: Region) -> Bits:
+    """What is not known to be background: a sphere has room in it, a box may be tight."""
+    return room if region.box is None else _grown(seed, _reach(seed)) | room
 
 
-def _cut(rgb: Tensor, seed: Bits, room: Bits, core: Bits | None) -> Bits:
+def _cut(rgb: Tensor, seed: Bits, near: Bits, core: Bits | None) -> Bits:
     """GrabCut (H, W) 0 or 1 from an outline; the inner part of a core is object for certain.
 
-    What lies outside of both the room and the outline's surroundings is background for certain.
+    What does not lie near is background for certain.
     """
     cv2 = require_opencv()
     if not seed.any():
         return seed
-    near = _near(seed, room)
     if near.all():
         return seed  # Nothing of the picture is known to be background.
     trimap = np.full(seed.shape, cv2.GC_BGD, dtype=np.uint8)
