@@ -1,6 +1,8 @@
 """`pcore check`: what it says, what it writes, what it refuses."""
 
+import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -231,3 +233,23 @@ def test_masks_of_nothing_and_of_everything_are_not_called_good(
     said = " ".join(capsys.readouterr().out.split())
     assert words in said
     assert "ok masks" not in said
+
+
+def test_photos_of_one_name_in_two_splits_keep_their_own_masks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those of other splits of a rendered scene have none, and are not cut with another's."""
+    room = write_room(tmp_path / "room", 9)
+    content = json.loads((room / "transforms.json").read_text())
+    for split, frames in (("train", content["frames"]), ("test", content["frames"][3:5])):
+        (room / split).mkdir()
+        for number, frame in enumerate(frames):
+            photo = room / split / f"{number}.png"
+            shutil.copy(room / frame["file_path"], photo)
+        own = [{**frame, "file_path": f"{split}/{i}.png"} for i, frame in enumerate(frames)]
+        (room / f"transforms_{split}.json").write_text(json.dumps({**content, "frames": own}))
+    (room / "transforms.json").unlink()
+    assert main(["check", str(room), *BOX, "--fix", str(tmp_path / "fixed")]) == 0
+    assert "without 2 photos of other splits" in capsys.readouterr().out
+    fixed = load_scene(tmp_path / "fixed")
+    assert sum(len(fixed.split(name)) for name in fixed.splits) == 9

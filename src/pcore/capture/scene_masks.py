@@ -56,6 +56,15 @@ def ordered_views(scene: Scene) -> tuple[View, ...]:
 
     Splits of a capture are every eighth photo of one walk around the object.
     """
+    return tuple(view for _, view in _ordered(scene))
+
+
+def ordered_keys(scene: Scene) -> tuple[tuple[str, str], ...]:
+    """Split and name of each of `ordered_views`."""
+    return tuple((split, view.name) for split, view in _ordered(scene))
+
+
+def _ordered(scene: Scene) -> list[tuple[str, View]]:
     splits = ["train"] if scene.states or scene.layout == "NeRF-Synthetic" else scene.splits
-    views = [view for name in splits for view in scene.split(name)]
-    return tuple(sorted(views, key=lambda view: natural_key(view.name)))
+    pairs = [(split, view) for split in splits for view in scene.split(split)]
+    return sorted(pairs, key=lambda pair: natural_key(pair[1].name))

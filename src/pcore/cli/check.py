@@ -185,6 +185,7 @@ def _write_masks(found: SceneCheck, command: CheckCommand, console: Console) -> 
 
 def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> None:
     from pcore.capture.corrected_copy import write_corrected
+    from pcore.capture.scene_masks import ordered_keys
     from pcore.cli.results import counting
 
     assert command.fix is not None, "asked for"
@@ -193,17 +194,19 @@ def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> 
         bad |= {*found.agreement.doubtful()}
     if found.reprojection is not None:
         bad |= {*found.reprojection.doubtful()}
-    left_out = [found.views[i].name for i in sorted(bad)]
+    keys = ordered_keys(found.scene)
+    left_out = [keys[i] for i in sorted(bad)]
     scene = _opened(command, command.factor or 1)[0]
     if command.box:
         scene = replace(scene, region=found.region)
     masks = None
     if found.masks is not None and found.masks.automatic:
-        names = (view.name for view in found.views)
-        masks = dict(zip(names, found.masks.masks, strict=True))
+        masks = dict(zip(keys, found.masks.masks, strict=True))
     with counting(console, "pictures") as tell:
         count = write_corrected(scene, command.fix, masks=masks, leave_out=left_out, progress=tell)
-    said = f", without {', '.join(left_out)}" if left_out else ""
+    said = f", without {', '.join(name for _, name in left_out)}" if left_out else ""
+    if masks is not None and (bare := sum(map(len, scene.views.values())) - len(masks)) > 0:
+        said += f", and without {bare} photos of other splits, which have no mask"
     console.print(
         Text(f"a corrected copy of {count} photos is in {command.fix}{said}"), soft_wrap=True
     )
