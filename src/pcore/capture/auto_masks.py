@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -45,8 +45,8 @@ class Photo:
 
     Attributes:
         name: of its view.
-        camera: pose and lens, for the size of `rgb`.
-        rgb: (H, W, 3) float32 in [0, 1].
+        camera: pose and lens, for the size that its mask shall have.
+        rgb: (H, W, 3) float32 in [0, 1], of that size or smaller (`shrunk`).
     """
 
     name: str
@@ -183,16 +183,19 @@ def overlap(mask: Bits, other: Bits) -> float:
     return 1.0 if union == 0 else int((mask & other).sum()) / union
 
 
-def _shrunk(photo: Photo) -> Photo:
-    camera = photo.camera
-    scale = _LONGEST / max(camera.width, camera.height)
+def shrunk(rgb: Tensor) -> Tensor:
+    """A photo (H, W, 3) in the size that is cut, by the mean of areas."""
+    height, width = rgb.shape[:2]
+    scale = _LONGEST / max(width, height)
     if scale >= 1:
-        return photo
-    width, height = max(1, round(scale * camera.width)), max(1, round(scale * camera.height))
-    pixels = require_opencv().resize(photo.rgb.numpy(), (width, height), interpolation=3)
-    return Photo(
-        name=photo.name, camera=camera.resized(width, height), rgb=torch.from_numpy(pixels)
-    )
+        return rgb
+    size = max(1, round(scale * width)), max(1, round(scale * height))
+    return torch.from_numpy(require_opencv().resize(rgb.numpy(), size, interpolation=3))
+
+
+def _shrunk(photo: Photo) -> Photo:
+    rgb = shrunk(photo.rgb)
+    return replace(photo, camera=photo.camera.resized(rgb.shape[1], rgb.shape[0]), rgb=rgb)
 
 
 def _outline(camera: Camera, points: Tensor) -> Bits:

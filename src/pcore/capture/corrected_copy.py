@@ -16,7 +16,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from pcore.capture.transforms_capture import REGION_KEY
-from pcore.data.pictures import write_photo
+from pcore.data.pictures import to_bytes, write_photo
+from pcore.data.points import save_points
 from pcore.data.scene import Scene, View
 from pcore.data.whole_file import replace_file
 from pcore.errors import InputError
@@ -26,6 +27,7 @@ _MARGIN = 0.08
 """Room around the object in a crop, as a share of its size."""
 _LEAST = 16
 _TRACE = 0.05
+_POINTS = "sparse_points.ply"
 Key = tuple[str, str]
 """Split and name of a view: names alone are unique within a split."""
 Part = tuple[int, int, int, int]
@@ -40,7 +42,7 @@ def write_corrected(
     leave_out: Collection[Key] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
-    """Write `transforms.json` and `images/`: undistorted, with alpha, cut to the object.
+    """Write `transforms.json`, `images/` and sparse points: undistorted, with alpha, cut.
 
     Args:
         scene: whose views are copied, in the size that they were opened in.
@@ -86,6 +88,11 @@ def write_corrected(
         "frames": frames,
         **{f"{split}_filenames": files for split, files in names.items() if files},
     }
+    if scene.sparse is not None:
+        colors = scene.sparse.colors
+        paint = None if colors is None else to_bytes(colors)
+        save_points(folder / _POINTS, scene.sparse.positions, paint)
+        content["ply_file_path"] = _POINTS
     region = scene.region
     if region is not None:
         content[REGION_KEY] = {"center": region.center.tolist(), "radius": region.radius}

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from pcore.capture.auto_masks import FoundMasks, Photo, find_masks
+from pcore.capture.auto_masks import FoundMasks, Photo, find_masks, shrunk
 from pcore.capture.photos import natural_key
 from pcore.data.scene import Scene, View
 from pcore.geometry.object_region import Region
@@ -46,9 +46,9 @@ def scene_masks(
 
 
 def photos_of(views: Sequence[View]) -> list[Photo]:
-    """Photos of views, on white where they have an alpha channel."""
+    """Photos of views, on white where they have an alpha channel; small, so that all fit memory."""
     white = torch.ones(3)
-    return [Photo(name=view.name, camera=view.camera, rgb=view.rgb(white)) for view in views]
+    return [Photo(name=v.name, camera=v.camera, rgb=shrunk(v.rgb(white))) for v in views]
 
 
 def ordered_views(scene: Scene) -> tuple[View, ...]:

@@ -91,8 +91,8 @@ def check(command: CheckCommand, console: Console) -> None:
     if command.html is not None:
         require_jinja()
     prepare_torch(command.threads)
-    factor = command.factor or _looking_factor(command.scene)
-    scene, bare = _opened(command, factor)
+    factor = command.factor or _looking_factor(command.scene, console)
+    scene, bare = _opened(command, factor, console)
     agreement = None
     if command.triangulate and scene.sparse is None:
         done = triangulated(bare, console.print)
@@ -121,11 +121,11 @@ def check(command: CheckCommand, console: Console) -> None:
     console.print(Text(f"next: {following[0]}"), soft_wrap=True)
 
 
-def _opened(command: CheckCommand, factor: int) -> tuple[Scene, Scene]:
+def _opened(command: CheckCommand, factor: int, console: Console) -> tuple[Scene, Scene]:
     """The scene with its masks and without any."""
     from pcore.capture.load import load_scene
 
-    bare = load_scene(command.scene, factor=factor, masks="none")
+    bare = load_scene(command.scene, factor=factor, masks="none", tell=console.print)
     if command.masks == "none":
         return bare, bare
     folder = None if command.masks is None or command.masks in _AUTOMATIC else Path(command.masks)
@@ -135,15 +135,17 @@ def _opened(command: CheckCommand, factor: int) -> tuple[Scene, Scene]:
     return scene, bare
 
 
-def _looking_factor(path: Path) -> int:
-    """A factor that divides the photos' sides and makes them about as long as is looked at."""
+def _looking_factor(path: Path, console: Console) -> int:
+    """A factor that makes the photos about as long as is looked at; rendered ones it must divide."""
+    from pcore.capture.layouts import RENDERED
     from pcore.capture.load import load_scene
 
-    view = load_scene(path).split("train")[0]
-    width, height = view.camera.width, view.camera.height
-    wish = max(width, height) / _LONGEST
-    fitting = [n for n in range(1, 33) if width % n == 0 and height % n == 0]
-    return max((n for n in fitting if n <= max(1.0, wish * 1.25)), default=1)
+    scene = load_scene(path, tell=console.print)
+    camera = scene.split("train")[0].camera
+    wish = max(1, int(1.25 * max(camera.width, camera.height) / _LONGEST))
+    if scene.layout != RENDERED:
+        return wish
+    return max(n for n in range(1, wish + 1) if camera.width % n == camera.height % n == 0)
 
 
 def _show(found: SceneCheck, console: Console) -> None:
@@ -196,7 +198,7 @@ def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> 
         bad |= {*found.reprojection.doubtful()}
     keys = ordered_keys(found.scene)
     left_out = [keys[i] for i in sorted(bad)]
-    scene = _opened(command, command.factor or 1)[0]
+    scene = _opened(command, command.factor or 1, console)[0]
     if command.box:
         scene = replace(scene, region=found.region)
     masks = None
@@ -234,7 +236,10 @@ def commands_of(found: SceneCheck, command: CheckCommand, factor: int) -> list[s
     masks = "auto" if automatic and command.masks is None else command.masks
     if masks is not None:
         given += ["--masks", masks]
-    lines = [["pcore", "train", str(command.scene), "-o", f"runs/{found.scene.name}", *given]]
+    uneven = found.quality.drifts or found.quality.odd_exposure
+    colour = ["--exposure", "per-view"] if uneven else []
+    run = ["-o", f"runs/{found.scene.name}", *given, *colour]
+    lines = [["pcore", "train", str(command.scene), *run]]
     if automatic:
         again = ["--masks", "trained"] if masks == "trained" else []
         lines.append(["pcore", "check", str(command.scene), *again, "--masks-out", "masks"])
