@@ -229,7 +229,8 @@ def test_poses_are_held_against_features(
 
 
 @pytest.mark.parametrize(
-    ("value", "words"), [(0.0, "nothing to learn; are the masks black"), (1.0, "98 % of the picture")]
+    ("value", "words"),
+    [(0.0, "nothing to learn; are the masks black"), (1.0, "98 % of the picture")],
 )
 def test_masks_of_nothing_and_of_everything_are_not_called_good(
     tmp_path: Path, value: float, words: str, capsys: pytest.CaptureFixture[str]

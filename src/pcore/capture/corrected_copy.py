@@ -64,8 +64,7 @@ def write_corrected(
         (split, view)
         for split in scene.splits
         for view in scene.split(split)
-        if (split, view.name) not in leave_out
-        and (masks is None or (split, view.name) in masks)
+        if (split, view.name) not in leave_out and (masks is None or (split, view.name) in masks)
     ]
     (folder / "images").mkdir(parents=True, exist_ok=True)
     frames: list[dict[str, Any]] = []

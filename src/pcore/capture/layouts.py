@@ -84,8 +84,8 @@ def layout_of(path: Path) -> Layout:
     """The one layout of what was given: a folder, or a file or model folder that chooses one.
 
     Raises:
-        SceneError: nothing that is read, several layouts (names all and how to choose), or one whose
-            symbolic link leads out of the folder.
+        SceneError: nothing that is read, several layouts (names all and how to choose), or a
+            symbolic link that leads out of the folder.
     """
     if path.is_file():
         return _of_file(path)

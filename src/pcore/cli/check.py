@@ -136,7 +136,7 @@ def _opened(command: CheckCommand, factor: int, console: Console) -> tuple[Scene
 
 
 def _looking_factor(path: Path, console: Console) -> int:
-    """A factor that makes the photos about as long as is looked at; rendered ones it must divide."""
+    """A factor that makes photos about as long as is looked at; it divides rendered ones."""
     from pcore.capture.layouts import RENDERED
     from pcore.capture.load import load_scene
 
