@@ -64,6 +64,9 @@ class BenchmarkMakeCommand:
     no_analytic: bool = False
     """Leave out twist60, bend60, stretch and scale2x."""
 
+    bend_axis: Annotated[Literal["x", "y", "z"] | None, optional("{x,y,z}")] = None
+    """Axis about which bend60 bends; default: z where x is longest, else y."""
+
     up: Annotated[Literal["y", "z"] | None, optional("{y,z}")] = None
     """Axis that points up in the model; default: y, z for .ply."""
 
@@ -130,6 +133,7 @@ class BenchmarkMakeCommand:
             light=self.light,
             renderer=self.renderer,
             analytic=not self.no_analytic,
+            bend_axis=self.bend_axis,
             edits=tuple((path.stem, script_of(path)) for path in self.edits),
             clips=tuple(_clip(one) for one in self.clips),
             every_clip=not self.clips,
