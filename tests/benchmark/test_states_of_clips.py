@@ -13,12 +13,20 @@ from figure_model import figure
 from gltf_files import Builder
 
 from pcore.asset.posing import script_of
+from pcore.benchmark.making import SPLITS
 from pcore.benchmark.model import read_model
-from pcore.benchmark.model_states import BenchmarkPlan, State, canonical_shape, plan_states
+from pcore.benchmark.model_states import (
+    BenchmarkPlan,
+    State,
+    canonical_shape,
+    formulas,
+    plan_states,
+)
 from pcore.cli.main import main
 from pcore.errors import InputError
 from pcore.evaluation.deformation_record import DeformationRecord
 from pcore.evaluation.states import open_states
+from pcore.sample.sample_render import camera_poses
 
 
 def save(made: Builder, folder: Path) -> Path:
@@ -92,3 +100,18 @@ def test_a_bend_about_a_chosen_axis_is_its_formula(tmp_path: Path, axis: Any) ->
     kept = "xyz".index(axis)
     assert np.abs(moved[:, kept] - before[:, kept]).max() < 1e-12
     assert np.abs(moved - before).max() > 0.02
+
+
+@pytest.mark.parametrize(("name", "axis"), [("knight", "y"), ("robot", "x")])
+def test_the_evaluation_set_is_made_again(shared_data: Path, name: str, axis: Any) -> None:
+    """Poses are the same; maps are, to the single precision of the set's meshes."""
+    folder = shared_data / "deformed" / name
+    for split, place in SPLITS.items():
+        frames = json.loads((folder / f"transforms_{split}.json").read_text())["frames"]
+        known = np.array([one["transform_matrix"] for one in frames])
+        assert np.abs(known - camera_poses(len(known), **place)).max() < 1e-12
+    with np.load(folder / "meshes.npz") as meshes:
+        vertices = meshes["canonical"].astype(float)
+        for state, one in formulas(vertices, axis).items():
+            moved = one.deformation(torch.from_numpy(vertices)).numpy()
+            assert np.abs(moved - meshes[state]).max() < 3e-7

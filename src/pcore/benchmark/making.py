@@ -35,6 +35,11 @@ from pcore.sample.sample_render import camera_poses, sample_surface, seen_sample
 from pcore.sample.sample_states import ANGLE_X
 
 Progress = Callable[[int, int], None]
+SPLITS = {
+    "train": {"radius": CAMERA_RADIUS, "highest": 0.97, "phase": 0.0},
+    "test": {"radius": CAMERA_RADIUS, "highest": 0.93, "phase": 1.234},
+}
+"""Where the cameras of a split stand, as `camera_poses` takes it."""
 _SAMPLES = 50_000
 
 
@@ -85,8 +90,8 @@ def _write(
     states: dict[str, State],
     progress: Progress | None,
 ) -> None:
-    train = camera_poses(plan.train_views, radius=CAMERA_RADIUS, highest=0.97, phase=0.0)
-    test = camera_poses(plan.test_views, radius=CAMERA_RADIUS, highest=0.93, phase=1.234)
+    train = camera_poses(plan.train_views, **SPLITS["train"])
+    test = camera_poses(plan.test_views, **SPLITS["test"])
     canonical = Shape.of(vertices, model.faces, model.look)
     renderer = _renderer(model, plan, canonical)
     jobs: list[Job] = []

@@ -128,7 +128,7 @@ def plan_states(
     states: dict[str, State] = {}
     notes: list[str] = []
     if plan.analytic:
-        for name, one in _formulas(vertices, plan.bend_axis).items():
+        for name, one in formulas(vertices, plan.bend_axis).items():
             moved = one.deformation(torch.from_numpy(vertices)).numpy()
             description = describe_state(one, vertices, moved)
             states[name] = State(vertices=moved, angle_x=one.angle_x, description=description)
@@ -155,7 +155,8 @@ def plan_states(
     return states, notes
 
 
-def _formulas(vertices: FloatArray, bend_axis: Axis | None) -> dict[str, DeformedState]:
+def formulas(vertices: FloatArray, bend_axis: Axis | None) -> dict[str, DeformedState]:
+    """The analytic states of vertices (V, 3) by name, along z or x, whichever is longer."""
     extents = np.ptp(vertices, axis=0)
     axis: Literal["x", "z"] = "z" if extents[2] >= extents[0] else "x"
     return deformed_states(vertices, axis=axis, bend_axis=bend_axis)
