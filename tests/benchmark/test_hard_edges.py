@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
 
 from pcore.benchmark.look import corner_normals, mesh_normals
 from pcore.benchmark.model import Model, read_model
@@ -67,23 +66,6 @@ def test_parts_of_an_obj_keep_their_normals(tmp_path: Path) -> None:
     model = read_model(tmp_path / "two.obj")
     assert len(model.faces) == 12
     assert degrees(model) == pytest.approx(0, abs=0.01)
-
-
-def test_a_seam_of_an_obj_keeps_both_places_in_the_picture(tmp_path: Path) -> None:
-    """Two triangles share an edge; one takes the red half of the picture, the other the blue."""
-    pixels = np.zeros((2, 8, 3), np.uint8)
-    pixels[:, :4, 0], pixels[:, 4:, 2] = 255, 255
-    Image.fromarray(pixels).save(tmp_path / "half.png")
-    (tmp_path / "seam.mtl").write_text("newmtl m\nmap_Kd half.png\n")
-    (tmp_path / "seam.obj").write_text(
-        "mtllib seam.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0.25 0.5\nvt 0.75 0.5\n"
-        "usemtl m\nf 1/1 2/1 3/1\nf 1/2 3/2 4/2\n"
-    )
-    model = read_model(tmp_path / "seam.obj")
-    middle = np.full((2, 3), 1 / 3)
-    red, blue = model.look.rgba(model.faces, np.arange(2), middle)
-    assert red[:3] == pytest.approx([1, 0, 0], abs=1e-3)
-    assert blue[:3] == pytest.approx([0, 0, 1], abs=1e-3)
 
 
 def test_hard_edges_of_a_ply(tmp_path: Path) -> None:
