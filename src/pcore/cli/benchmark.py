@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from pcore.cli.layout import print_lines
 from pcore.cli.options import optional
+from pcore.cli.output import check_place
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ class BenchmarkMakeCommand:
             print_lines(console, lines)
 
     def folders(self) -> list[Path]:
-        """Where each model goes; InputError before any work when a place is taken."""
+        """Where each model goes; InputError when a place is taken or cannot be made."""
         if not self.models:
             raise InputError("benchmark make: expected at least one model or --recipe, got none")
         names = [path.stem for path in self.models]
@@ -109,6 +110,7 @@ class BenchmarkMakeCommand:
             )
         one = len(names) == 1
         folders = [self.output if one else self.output / name for name in names]
+        check_place(self.output)
         for folder in folders:
             if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
                 raise InputError(
