@@ -11,6 +11,10 @@ from rich.console import Console
 from tests.data.splat_files import write_ply
 from tests.gaussians.some import some_gaussians
 
+import tiny_scene
+
+from pcore.asset.importing import save_imported
+from pcore.asset.saving import load
 from pcore.cli.deform import DeformCommand, deform
 from pcore.cli.export import ExportCommand, export
 from pcore.cli.import_gaussians import ImportGaussiansCommand, import_gaussians
@@ -123,3 +127,27 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(folder: Path):
     (run / "gaussians.safetensors").unlink()
     with pytest.raises(CheckpointError, match="no model"):
         exported(run, "out.ply")
+
+
+def test_a_run_remembers_the_scene_that_it_was_shown(tmp_path: Path):
+    scene = tiny_scene.write_scene(tmp_path / "scene", states=False, meshes=False)
+    gaussians = some_gaussians(40)
+    run = save_imported(
+        gaussians.to(dtype=torch.float32),
+        Footprint(),
+        tmp_path / "run",
+        file=tmp_path / "gs.ply",
+        scene=scene,
+        factor=2,
+    )
+    assert run.record.scene_or(None).resolve() == scene.resolve()
+    assert run.record.factor == 2
+    assert run.scene().split("train")[0].camera.width == tiny_scene.SIZE // 2
+    # Both may move together; without photos a file of that name is no scene.
+    (tmp_path / "run").rename(tmp_path / "other")
+    assert load(tmp_path / "other").record.scene_folder is not None
+    (tmp_path / "gs.ply").write_bytes(b"")
+    bare = save_imported(
+        gaussians.to(dtype=torch.float32), Footprint(), tmp_path / "b", file=tmp_path / "gs.ply"
+    )
+    assert bare.record.scene_folder is None

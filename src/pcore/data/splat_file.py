@@ -16,6 +16,8 @@ from pcore.gaussians.gaussians import Gaussians
 _LARGEST = 1e18
 """World units; the square of more is not finite in single precision."""
 _MOST_LOST = 0.5
+_FAINTEST = 1 / 255
+"""Opacity from which on a Gaussian is drawn."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,6 +77,8 @@ def sound(file: SplatFile) -> SplatFile:
         InputError: more than half of them are none, or nothing can be seen of the others.
     """
     own = file.gaussians
+    if not len(own):
+        raise InputError(f"{file.where}: expected at least one Gaussian, got none; it is empty")
     good = torch.ones(len(own), dtype=torch.bool)
     for tensor in (own.means, own.quats, own.scales, own.opacities, own.sh):
         good &= torch.isfinite(tensor).reshape(len(own), -1).all(dim=1)
@@ -92,4 +96,11 @@ def sound(file: SplatFile) -> SplatFile:
         kept = file.chosen(np.flatnonzero(good.numpy()))
         file = replace(kept, notes=(*file.notes, note))
     file.gaussians.checked(file.where)
+    faint = float(file.gaussians.opacities.max())
+    if faint < _FAINTEST:
+        raise InputError(
+            f"{file.where}: expected Gaussians that can be seen, got opacities of at most "
+            f"{faint:.2g}, of which no trainer or viewer draws those below 1 / 255; are they "
+            "written as logits?"
+        )
     return file
