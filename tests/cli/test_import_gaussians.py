@@ -1,6 +1,7 @@
 """`pcore import gaussians` and `pcore export`: files of Gaussians and runs."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,6 @@ from tests.data.splat_files import write_ply
 from tests.gaussians.some import some_gaussians
 
 import tiny_scene
-
 from pcore.asset.importing import save_imported
 from pcore.asset.saving import load
 from pcore.cli.deform import DeformCommand, deform
@@ -151,3 +151,29 @@ def test_a_run_remembers_the_scene_that_it_was_shown(tmp_path: Path):
         gaussians.to(dtype=torch.float32), Footprint(), tmp_path / "b", file=tmp_path / "gs.ply"
     )
     assert bare.record.scene_folder is None
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_a_file_of_ours_tells_its_screen_filter(folder: Path, flat: bool):
+    run = folder / "own"
+    own = Footprint(flat=flat)
+    save_imported(some_gaussians(40).to(dtype=torch.float32), own, run, file=folder / "gs.ply")
+    out = exported(run, "gs.ply", to="splats")
+    assert f"variance={own.variance:.9g} antialiased=1".encode() in out.read_bytes()
+    again = load_gaussians(imported(folder)).footprint
+    assert (again.antialiased, again.flat) == (True, flat)
+    assert again.variance == pytest.approx(own.variance, rel=1e-8)
+    # It stays through an edit, and a split.
+    bend = {"type": "bend", "axis": "x", "angle_deg": 60}
+    (folder / "e.json").write_text(json.dumps({"version": 2, "edits": [bend]}))
+    moved = folder / "moved.ply"
+    deform(DeformCommand(input=out, edit=folder / "e.json", output=moved, split=0.001))
+    told = read_splats(moved)
+    assert len(told.gaussians) > 40
+    assert told.footprint == again
+    # Options are for files of others, and mean what they say.
+    shutil.rmtree(folder / "run")
+    assert load_gaussians(imported(folder, variance=0.2)).footprint.variance == 0.2
+    shutil.rmtree(folder / "run")
+    with pytest.raises(InputError, match="variance above 0, got 0"):
+        imported(folder, variance=0.0)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pcore.cli.export import ExportCommand
     from pcore.data.splat_file import SplatFile
     from pcore.editing.script import EditScript
+    from pcore.gaussians.render import Footprint
     from pcore.geometry.camera import Camera
 
 _ENDINGS = {"glb": (".glb",), "obj": (".obj",), "usd": (".usd", ".usda", ".usdc")}
@@ -111,21 +112,17 @@ def write_splats(command: ExportCommand, asset: Asset, console: Console) -> list
     times = _times(command)
     if isinstance(asset.content, GaussianContent):
         footprint = asset.content.footprint
-        file = splats_of(asset.content.gaussians, str(command.run_folder), flat=footprint.flat)
+        name = str(command.run_folder)
+        gaussians = asset.content.gaussians
+        file = splats_of(gaussians, name, flat=footprint.flat, footprint=footprint)
         posed, notes = _carried(command, file, times)
-        antialiased = footprint.antialiased
     else:
         posed, notes = _fitted(command, asset, times, console)
-        antialiased = True
     several = command.frames is not None
     names = numbered(command.output, len(times)) if several else [command.output]
     for path, file in zip(names, posed, strict=True):
         notes += save_splats(path, file)
-    if antialiased:
-        notes.append(
-            "they were trained antialiased: switch that on in the viewer (SuperSplat) or trainer "
-            "(gsplat: rasterize_mode), or they look a little bolder"
-        )
+    notes += _of_filter(posed[0].footprint, command.output.suffix.lower())
     first = posed[0].gaussians
     head = _said(names, f"{len(first):,} Gaussians of degree {first.degree}")
     return [head, *(f"  note: {line}" for line in dict.fromkeys(notes))]
@@ -155,7 +152,25 @@ def _fitted(
     if edit is not None:
         like = likeness(asset, fitted, moved[-1], edit, time=times[-1])
         notes.append(f"{like:.1f} dB to pictures of the edited run, its light baked in")
-    return [splats_of(one, str(command.run_folder)) for one in moved], notes
+    name = str(command.run_folder)
+    return [splats_of(one, name, footprint=fitted.footprint) for one in moved], notes
+
+
+def _of_filter(footprint: Footprint | None, kind: str) -> list[str]:
+    """How pictures of a written file come out as those of the run."""
+    from pcore.data.splat_file import filter_words
+
+    if footprint is None:
+        return []
+    words = filter_words(footprint)
+    read = "reads from a comment of the file" if kind == ".ply" else "must be told"
+    notes = [f"their screen filter, which `pcore import gaussians` {read}: {words}"]
+    if footprint.antialiased:
+        notes.append(
+            "they were trained antialiased: switch that on in the viewer (SuperSplat) or trainer "
+            "(gsplat: rasterize_mode), or they look a little bolder"
+        )
+    return notes
 
 
 def _carried(

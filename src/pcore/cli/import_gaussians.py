@@ -45,8 +45,8 @@ class ImportGaussiansCommand:
     """Trainers may move the world: nerfstudio's dataparser_transforms.json, whose map is undone."""
 
     variance: Annotated[float | None, optional("X")] = None
-    """Variance of the screen filter of its trainer, pixels squared; default: 0.3, or 0.5 where the
-    file has two scales (2DGS)."""
+    """Variance of the screen filter of its trainer, pixels squared; default: what a file of pcore
+    says, else 0.3, or 0.5 where the file has two scales (2DGS)."""
 
     antialiased: bool = False
     """It was trained with opacities that make up for the filter (gsplat's "antialiased")."""
@@ -70,13 +70,16 @@ def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
     """
     from pcore.asset.importing import save_imported
     from pcore.cli.runtime import prepare_torch
+    from pcore.data.splat_file import filter_words
     from pcore.data.splat_formats import read_splats
     from pcore.gaussians.render import Footprint
 
     prepare_torch(command.threads)
     file = read_splats(command.file)
-    footprint = Footprint(
-        variance=command.variance or (_DISCS if file.flat else _OTHERS),
+    told = file.footprint if command.variance is None and not command.antialiased else None
+    usual = _DISCS if file.flat else _OTHERS
+    footprint = told or Footprint(
+        variance=usual if command.variance is None else command.variance,
         antialiased=command.antialiased,
         flat=file.flat,
     )
@@ -94,6 +97,8 @@ def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
     lines = [f"{command.output}: {len(gaussians):,} Gaussians of degree {gaussians.degree}"]
     if agreement is not None:
         lines.append(f"  {agreement.views} photos are met by {agreement.psnr:.1f} dB")
+    if told is not None:
+        lines.append(f"  screen filter of the file's own comment: {filter_words(told)}")
     lines += [f"  note: {line}" for line in [*file.notes, *doubt, *_notes(file, gaussians)]]
     for line in lines:
         console.print(Text(line), soft_wrap=True)

@@ -12,6 +12,7 @@ from pcore.data.ply import Ply
 from pcore.data.point_ply import turned
 from pcore.errors import InputError
 from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.render import Footprint
 
 _LARGEST = 1e18
 """World units; the square of more is not finite in single precision."""
@@ -31,6 +32,7 @@ class SplatFile:
         ply: a PLY as it stands in the file, else None.
         normals: (N, 3) of a PLY that has normals other than zero.
         flat: whether the file gives two scales (2DGS); the third of `gaussians` is then tiny.
+        footprint: how its trainer met pixels, where the file says so, or is to say so.
         notes: what of the file was left out, for the user.
     """
 
@@ -40,6 +42,7 @@ class SplatFile:
     ply: Ply | None = None
     normals: NDArray[np.float64] | None = None
     flat: bool = False
+    footprint: Footprint | None = None
     notes: tuple[str, ...] = ()
 
     def chosen(self, index: NDArray[np.int64]) -> SplatFile:
@@ -58,13 +61,20 @@ class SplatFile:
         return replace(self, gaussians=gaussians, normals=normals)
 
 
-def splats_of(gaussians: Gaussians, where: str, *, flat: bool = False) -> SplatFile:
+def splats_of(
+    gaussians: Gaussians, where: str, *, flat: bool = False, footprint: Footprint | None = None
+) -> SplatFile:
     """Return Gaussians that no file has held yet, as one of that name; nothing is checked."""
     own = gaussians.detached().to("cpu")
     wide = own.to(dtype=torch.float64)
     numbers = np.arange(len(own), dtype=np.int64)
     exact = replace(wide, sh=own.sh.float())
-    return SplatFile(gaussians=exact, where=where, rows=numbers, flat=flat)
+    return SplatFile(gaussians=exact, where=where, rows=numbers, flat=flat, footprint=footprint)
+
+
+def filter_words(footprint: Footprint) -> str:
+    """A screen filter as the options of `pcore import gaussians` that stand for it."""
+    return f"--variance {footprint.variance:.3g}" + " --antialiased" * footprint.antialiased
 
 
 def sound(file: SplatFile) -> SplatFile:
@@ -100,7 +110,7 @@ def sound(file: SplatFile) -> SplatFile:
     if faint < _FAINTEST:
         raise InputError(
             f"{file.where}: expected Gaussians that can be seen, got opacities of at most "
-            f"{faint:.2g}, of which no trainer or viewer draws those below 1 / 255; are they "
-            "written as logits?"
+            f"{faint:.2g}; none below 1 / 255 is drawn; the training diverged or the file "
+            "is damaged"
         )
     return file
