@@ -9,6 +9,7 @@ import pytest
 import torch
 import tyro
 from rich.console import Console
+from tests.asset.test_lit_gaussians import TURN, lit_asset
 from tests.data.splat_files import write_ply
 from tests.gaussians.some import some_gaussians
 
@@ -24,6 +25,7 @@ from pcore.errors import CheckpointError, InputError
 from pcore.files.gaussian_file import load_gaussians
 from pcore.files.run_folder import RunFolder
 from pcore.gaussians.render import Footprint
+from pcore.gaussians.spherical_harmonics import colors
 
 
 @pytest.fixture
@@ -177,3 +179,18 @@ def test_a_file_of_ours_tells_its_screen_filter(folder: Path, flat: bool):
     shutil.rmtree(folder / "run")
     with pytest.raises(InputError, match="variance above 0, got 0"):
         imported(folder, variance=0.0)
+
+
+def test_edited_splats_are_lit_as_the_run_is(folder: Path):
+    asset = lit_asset().save(folder / "lit")
+    (folder / "turn.json").write_text(json.dumps(TURN))
+    out = exported(folder / "lit", "lit.ply", to="splats", edit=folder / "turn.json")
+    posed = asset.pose(TURN)
+    gains = asset.content.gains_of(posed.content)
+    assert gains is not None
+    assert float(gains.max() - gains.min()) > 0.2
+    drawn, eye = asset.splats(posed, torch.tensor([0.0, 0.0, 4.0]), gains=gains), 4.0
+    found = read_splats(out).gaussians.to(dtype=torch.float32)
+    seen = torch.nn.functional.normalize(found.means - torch.tensor([0.0, 0.0, eye]), dim=1)
+    expected = torch.from_numpy(drawn.rgb)
+    torch.testing.assert_close(colors(found.sh, seen).clamp(0, 1), expected, atol=2e-5, rtol=0)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pcore.errors import InputError
+from pcore.errors import EditError, InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -115,7 +115,7 @@ def write_splats(command: ExportCommand, asset: Asset, console: Console) -> list
         name = str(command.run_folder)
         gaussians = asset.content.gaussians
         file = splats_of(gaussians, name, flat=footprint.flat, footprint=footprint)
-        posed, notes = _carried(command, file, times)
+        posed, notes = _carried(command, asset, file, times)
     else:
         posed, notes = _fitted(command, asset, times, console)
     several = command.frames is not None
@@ -174,7 +174,7 @@ def _of_filter(footprint: Footprint | None, kind: str) -> list[str]:
 
 
 def _carried(
-    command: ExportCommand, file: SplatFile, times: list[float | None]
+    command: ExportCommand, asset: Asset, file: SplatFile, times: list[float | None]
 ) -> tuple[list[SplatFile], list[str]]:
     """Gaussians of a run at all times, and what is odd about the edit."""
     from pcore.asset.posing import script_of
@@ -186,7 +186,34 @@ def _carried(
     scripts: list[EditScript] = [script_of(command.edit, time) for time in times]
     edited = [edited_gaussians(file, script, split=command.split) for script in scripts]
     notes = [line for one in edited for line in (*edit_notes(one), *one.bound.notes)]
-    return [one.file for one in edited], notes
+    files: list[SplatFile] = []
+    for one, time in zip(edited, times, strict=True):
+        lit, said = _lit(one.file, asset, command, time)
+        files.append(lit)
+        notes += said
+    return files, notes
+
+
+def _lit(
+    file: SplatFile, asset: Asset, command: ExportCommand, time: float | None
+) -> tuple[SplatFile, list[str]]:
+    """Edited Gaussians in the light that stands still, as they are drawn; what is to be said."""
+    from pcore.gaussians.spherical_harmonics import brightened
+
+    try:
+        posed = asset.pose(command.edit, time=time)
+    except EditError as error:
+        # What may be carried with a note may be too folded to be lit.
+        return file, [f"the light of the photos is baked in, for no light can be told: {error}"]
+    gains = asset.content.gains_of(posed.content)
+    if gains is None:
+        return file, ["the light of the photos is baked in: `pcore light` estimates it"]
+    # A piece of a split Gaussian is lit as the whole.
+    gains = gains[file.rows]
+    own = file.gaussians
+    lit = replace(file, gaussians=replace(own, sh=brightened(own.sh, gains)))
+    span = f"{float(gains.min()):.2f} to {float(gains.max()):.2f}"
+    return lit, [f"the light stands still: colours are those of the photos times {span}"]
 
 
 def _times(command: ExportCommand) -> list[float | None]:
