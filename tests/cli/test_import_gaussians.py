@@ -169,7 +169,7 @@ def test_a_file_of_ours_tells_its_screen_filter(folder: Path, flat: bool):
     bend = {"type": "bend", "axis": "x", "angle_deg": 60}
     (folder / "e.json").write_text(json.dumps({"version": 2, "edits": [bend]}))
     moved = folder / "moved.ply"
-    deform(DeformCommand(input=out, edit=folder / "e.json", output=moved, split=0.001))
+    deform(DeformCommand(input=out, edit=folder / "e.json", output=moved, split=0.1))
     told = read_splats(moved)
     assert len(told.gaussians) > 40
     assert told.footprint == again
