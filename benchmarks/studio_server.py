@@ -59,8 +59,7 @@ def main(commands: int) -> dict[str, float]:
             for number in range(commands):
                 hand.work(number)
                 if number % _OFTEN == 0:
-                    page.editor.select(number // _OFTEN % len(page.editor.session.stack.edits))
-                    page._refresh()
+                    draw.card(number // _OFTEN)
                 if number % _EVERY == 0:
                     draw.move()
                 if number % _SELDOM == 0:
@@ -81,6 +80,11 @@ class _Drawing:
         self._page = page
         points = page.editor.asset.points
         self._camera = orbit_around(points, size=(400, 400))[0]
+
+    def card(self, number: int) -> None:
+        editor = self._page.editor
+        editor.select(number % len(editor.session.stack.edits))
+        self._page._refresh()
 
     def move(self) -> None:
         eye = self._camera.center
