@@ -214,6 +214,10 @@ class Actions:
             raise EditError("expected a selected edit, got none; click one in the list")
         return index
 
+    def _pass(self, time: float) -> None:
+        self._editor.at(time)
+        self._studio.panels.at(time)
+
     def _run_time(self) -> None:
         pause = threading.Event()
         while self.playing:
@@ -221,5 +225,5 @@ class Actions:
             length = max(times[-1] - times[0], 1e-9)
             time = self._editor.session.time
             later = (time - times[0] + _PLAY * length) % length + times[0]
-            self._studio.newest("play", lambda later=later: self.time(later), light=True)
+            self._studio.newest("play", lambda later=later: self._pass(later), light=True)
             pause.wait(_STEP)

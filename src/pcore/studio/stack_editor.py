@@ -13,6 +13,7 @@ from pcore.editing.selection import Selector
 from pcore.editing.session import EditSession
 from pcore.editing.stack import raw_edit
 from pcore.editing.state import EditState
+from pcore.editing.tracks import put_at
 from pcore.errors import EditError
 from pcore.geometry.surfels import spacing_of
 from pcore.studio.edit_forms import new_edit
@@ -68,6 +69,7 @@ class StackEditor:
         self.spacing = max(spacing_of(asset.points), 1e-9)
         self.selector = Selector(rest=asset.points)
         self._dragged: EditState | None = None
+        self._passing: tuple[int, EditState] | None = None
         self._held_raw: dict[str, Any] | None = None
         self._kept: dict[str, Any] | None = None
         self._gesture = 0
@@ -81,7 +83,17 @@ class StackEditor:
     @property
     def state(self) -> EditState:
         """The object as it is shown: while something is dragged, as it would be."""
-        return self._dragged or self.session.state
+        return self._dragged or self._present
+
+    def settle(self) -> None:
+        """Show the exact state of the present time from now on."""
+        self._passing = None
+
+    @property
+    def _present(self) -> EditState:
+        """The state of the session; while its time goes by, a quick one with the same points."""
+        passing, number = self._passing, self.session.history.present.number
+        return passing[1] if passing and passing[0] == number else self.session.state
 
     @property
     def dragging(self) -> bool:
@@ -90,7 +102,7 @@ class StackEditor:
 
     def raw(self, index: int) -> dict[str, Any]:
         """An edit as an edit file has it, keyframes at the present time."""
-        return raw_edit(self.session.state.script.edits[index])
+        return raw_edit(self._present.script.edits[index])
 
     def add(self, kind: str) -> None:
         """Add an edit that changes nothing yet, in the selection if there is one."""
@@ -107,16 +119,12 @@ class StackEditor:
 
         Changes of one value in a row are one step to undo; `begin` starts another.
         """
-        if path in self.session.tracks(index):
-            self.session.key(index, path, self.session.time, value)
-            return
+        whole, merge = self._whole(index), f"{index} {path} {self._gesture}"
         parent, _, last = path.rpartition("/")
-        if last.isdecimal():  # One of several numbers, which an edit may leave out altogether.
-            whole = [0.0, 1.0] if parent == "limits" else [0.0, 0.0, 0.0]
-            whole = list(self.raw(index).get(parent, whole))
-            whole[int(last)] = value
-            path, value = parent, whole
-        self.session.set(index, path, value, merge=f"{index} {path} {self._gesture}")
+        if last.isdecimal() and parent not in whole:  # One of several, which are left out.
+            whole[parent] = [0.0, 1.0] if parent == "limits" else [0.0, 0.0, 0.0]
+        put_at(whole, path, self.session.time, value)
+        self.session.replace(index, whole, merge=merge)
 
     def begin(self) -> None:
         """Make the next change of a value a step of its own."""

@@ -273,7 +273,7 @@ class Studio(Tabs):
     def _show_drag(self) -> None:
         editor = self.editor
         warn = len(editor.state.folds) > 0
-        self.nodes.show(editor, warn=warn, moved=False)
+        self.nodes.show(editor, warn=warn, moved=self.actions.playing)
         self.guides.show(self._guides.of(editor))
         self.worker.draw(self._move, self._rest)
 

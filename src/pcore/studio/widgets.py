@@ -178,9 +178,13 @@ class Panels(Panel):
         """Show another name of the edit file."""
         self._w.name.value = name
 
+    def at(self, time: float) -> None:
+        """Show another time."""
+        self._w.time.value = min(max(time, self._w.time.min), self._w.time.max)
+
     def _times(self, editor: Editor, camera_keys: int) -> None:
         times = editor.key_times
-        self._w.time.value = min(max(editor.session.time, self._w.time.min), self._w.time.max)
+        self.at(editor.session.time)
         if times and (times[0] < self._w.time.min or times[-1] > self._w.time.max):
             self._w.time.min = min(times[0], self._w.time.min)
             self._w.time.max = max(times[-1], self._w.time.max)
