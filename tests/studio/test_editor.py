@@ -255,7 +255,7 @@ def test_a_key_keys_every_number_of_the_form_and_changes_nothing(editor: Editor,
     there = editor.state.points.clone()
     assert not torch.equal(there, before)
     editor.at(0.0)
-    editor.settle()
+    editor.refine()
     assert torch.equal(editor.state.points, before), "no other time reads anything else"
     editor.at(1.0)
     assert torch.equal(editor.state.points, there)
@@ -292,13 +292,13 @@ def test_what_is_turned_at_one_time_is_not_at_another(editor: Editor) -> None:
     assert editor.handles[0].turn == (1.0, 0.0, 0.0, 0.0)
 
 
-def test_while_time_goes_by_frames_are_quick_and_exact_once_it_settles(tmp_path: Path) -> None:
+def test_while_time_goes_by_frames_are_quick_and_exact_once_it_rests(tmp_path: Path) -> None:
     editor = Editor(demo(), TWIST)
     editor.at(0.4)
     quick = editor.state
     assert quick is editor.state
     assert editor.raw(0)["angle_deg"] == pytest.approx(20.0)
-    editor.settle()
+    editor.refine()
     assert editor.state is editor.session.state
     assert editor.state is not quick
     assert torch.equal(editor.state.points, quick.points)

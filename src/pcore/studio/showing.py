@@ -38,7 +38,7 @@ class Showing:
     def rest(self, viewports: Sequence[Viewport], cancelled: Callable[[], bool]) -> Iterator[None]:
         """Show overlays, then ever better pictures, tab by tab."""
         editor = self.editor
-        editor.settle()
+        editor.refine()
         self._dots(viewports)
         yield
         first = self._drawer.first(editor.state, still=editor.shown.still)
