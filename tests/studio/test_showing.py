@@ -1,6 +1,5 @@
 """What comes to a tab in which order, without a tab."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -46,12 +45,12 @@ def lit(tmp_path_factory: pytest.TempPathFactory) -> Asset:
 
 
 @pytest.fixture
-def scene(lit: Asset) -> Iterator[tuple[Editor, Drawer, FakeViewport, Showing]]:
+def scene(lit: Asset) -> tuple[Editor, Drawer, FakeViewport, Showing]:
     editor, drawer = Editor(lit), Drawer(lit)
     editor.add("twist")
     editor.set(0, "angle_deg", 40.0)
     viewport = FakeViewport(orbit_around(editor.state.points, size=(24, 24))[0])
-    yield editor, drawer, viewport, Showing(editor, drawer, PageFrame.around(lit.points))
+    return editor, drawer, viewport, Showing(editor, drawer, PageFrame.around(lit.points))
 
 
 def test_the_first_picture_does_not_wait_for_the_light(

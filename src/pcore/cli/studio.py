@@ -119,7 +119,9 @@ def _demo(stack: ExitStack) -> Path:
 def _ending(command: StudioCommand) -> str:
     """What becomes of the work at the end."""
     if command.demo and command.edit is None:
-        return "Ctrl-C ends; the demo and all that it writes is gone then, unless --edit names a file"
+        return (
+            "Ctrl-C ends; the demo and all that it writes is gone then, unless --edit names a file"
+        )
     if command.demo:
         return f"Ctrl-C ends; of the demo only what is saved in {command.edit} stays"
     return "Ctrl-C ends; what is not saved is kept"
