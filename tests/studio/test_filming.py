@@ -46,8 +46,7 @@ def test_a_film_that_is_stopped_leaves_nothing(tmp_path: Path) -> None:
     film, done = Film.of(demo(), STACK, [(0.0, cameras()[0])], 4, light=None), list[float]()
     path = tmp_path / "film.mp4"
     with pytest.raises(RenderCancelledError):
-        for share in film.write(path, lambda: len(done) == 6):
-            done.append(share)
+        done.extend(film.write(path, lambda: len(done) == 6))
     assert len(done) == 6, "four poses and two pictures"
     assert list(tmp_path.iterdir()) == []
 

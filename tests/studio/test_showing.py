@@ -93,3 +93,14 @@ def test_an_overlay_stays_while_things_move(scene: Any, overlay: str) -> None:
     assert at_rest > 0
     showing.move([viewport])
     assert viewport.dots == at_rest
+
+
+def test_small_exact_pictures_while_things_move(scene: Any, lit: Asset) -> None:
+    editor, drawer, viewport, showing = scene
+    editor.shown = replace(editor.shown, exact=100)
+    showing.move([viewport])
+    assert viewport.shown == ["picture"]
+    posed = drawer.posed(editor.state, still=True)
+    camera = viewport.camera()
+    quick = drawer.quick_picture(editor.state, camera, still=True)
+    assert torch.equal(quick.rgb, lit.render(posed, camera, fast=True).rgb)

@@ -28,6 +28,7 @@ COMMANDS = (
         "unkey",
         "overlay",
         "still",
+        "exact",
         "mirror",
         "lock",
         "click",
@@ -152,6 +153,10 @@ class Actions:
     def still(self, on: bool) -> None:
         """Whether the light stands still."""
         self._shown(still=on)
+
+    def exact(self, pixels: int) -> None:
+        """Show exact pictures of so many pixels squared while things move; 0: splats."""
+        self._shown(exact=pixels)
 
     def mirror(self, axis: str | None = None) -> None:
         """Across which axis handles move in pairs; None is the next one."""

@@ -69,8 +69,15 @@ class Drawer:
         """
         if self._known(state, still) or not self._lights(state, still):
             return None
-        posed = self._without_light(state)
-        return posed if self._gains is None else self.asset.lit(posed, self._gains)
+        return self._as_last(state)
+
+    def quick_picture(self, state: EditState, camera: Camera, *, still: bool) -> Image:
+        """A small picture for while things move, in the light of the last one at rest."""
+        posed = self._known(state, still)
+        if posed is None:
+            lit = self._lights(state, still)
+            posed = self._as_last(state) if lit else self._without_light(state)
+        return self.asset.render(posed, camera, fast=True)
 
     def posed(self, state: EditState, *, still: bool) -> Posed:
         """The object for exact pictures; the last one is kept."""
@@ -89,6 +96,11 @@ class Drawer:
     def _lights(self, state: EditState, still: bool) -> bool:
         """Whether the light has to be found, which takes longer than all else."""
         return still and state.rays == "aware" and self.asset.light is not None
+
+    def _as_last(self, state: EditState) -> Posed:
+        """The object in the light of the last picture at rest."""
+        posed = self._without_light(state)
+        return posed if self._gains is None else self.asset.lit(posed, self._gains)
 
     def _without_light(self, state: EditState) -> Posed:
         """The object with the brightness of the photos; the last one is kept."""

@@ -28,11 +28,19 @@ class Showing:
         self.editor, self._drawer, self._frame = editor, drawer, frame
 
     def move(self, viewports: Sequence[Viewport]) -> None:
-        """Show the splats of the present state, its overlay, and red dots where it folds."""
-        state = self.editor.state
+        """Show the present state, its overlay, and red dots where it folds.
+
+        By splats, or by small exact pictures where those are wished.
+        """
+        state, side = self.editor.state, self.editor.shown.exact
         for viewport in viewports:
-            viewport.show_splats(self._drawer.splats(state, viewport.eye))
-            viewport.moving()
+            camera = viewport.camera(most=side * side) if side else None
+            if camera is None:
+                viewport.show_splats(self._drawer.splats(state, viewport.eye))
+                viewport.moving()
+                continue
+            picture = self._drawer.quick_picture(state, camera, still=self.editor.shown.still)
+            viewport.show_picture(pixels_of(picture), page_depth(picture, self._frame))
         self._dots(viewports, moving=True)
 
     def rest(self, viewports: Sequence[Viewport], cancelled: Callable[[], bool]) -> Iterator[None]:

@@ -21,6 +21,8 @@ from pcore.studio.edit_handles import ONE, handles_or_error
 
 CLICKS = ("nothing", "handle", "pin")
 TOOLS = ("box", "brush", "lasso", "ball")
+MOVING = {"splats": 0, "pictures, 100 pixels": 100, "pictures, 200 pixels": 200}
+"""What is shown while things move: splats, or exact pictures of so many pixels squared."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +40,7 @@ class Shown:
         lock: "off", or the axis along which alone handles move: "x", "y" or "z".
         click: what a click without a key puts: "nothing", "handle" or "pin".
         tool: what a drag with Shift selects with, one of `TOOLS`.
+        exact: pixels, along a square's side, of exact pictures while things move; 0: splats.
         brush: radius of the brush, and of the ball of a click, in shares of the object's size.
     """
 
@@ -52,6 +55,7 @@ class Shown:
     click: str = "nothing"
     tool: str = "box"
     brush: float = 0.05
+    exact: int = 0
 
 
 class StackEditor:

@@ -143,6 +143,9 @@ class Studio(Gestures):
 
         @client.camera.on_update
         async def _(_: Any) -> None:
+            if self.editor.shown.exact:
+                self.worker.draw(self._move, self._rest)
+                return
             viewport.moving()
             self.worker.draw(None, self._rest)
 

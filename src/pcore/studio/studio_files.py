@@ -166,9 +166,9 @@ class StudioFiles:
         studio.actions.playing = False
         self._stopped.clear()
         self._filming = True
-        studio.worker.go_on(self._written(film, path, self._told("film", line)))
+        studio.worker.go_on(self._write_film(film, path, self._told("film", line)))
 
-    def _written(self, film: Film, path: Path, line: str) -> Iterator[None]:
+    def _write_film(self, film: Film, path: Path, line: str) -> Iterator[None]:
         """Write a film, and say at its end what became of it."""
         studio, said = self._studio, "The film was stopped."
         try:
