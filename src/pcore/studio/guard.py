@@ -28,7 +28,10 @@ _FILE = r"([\w-][\w. -]*\.[A-Za-z]\w{1,11})\b"
 _BELOW = re.compile(
     rf"(?:(?:^|(?<=: )|(?<=['\"]))(?:{_ONE}[\\/])+|(?<![\w./\\-])(?!docs/)(?:[\w.-]+[\\/])+){_FILE}"
 )
-"""A file in a folder below, but a page of our docs; without an ending it may be a place in an edit, as handles/0/to."""
+"""A file in a folder below, but a page of our docs.
+
+What has no ending may be a place in an edit, as handles/0/to.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)

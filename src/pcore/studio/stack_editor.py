@@ -139,7 +139,7 @@ class StackEditor:
         """
         if self._sliding != (index, path):
             self.settle()
-        raw = self.raw(index)
+        raw = self.raw(self.session.stack.checked(index))
         set_value(raw, *self._whole_value(index, path, value))
         state = self.session.preview(raw, at=index, frames="quick")
         self._dragged, self._held_raw, self._sliding = state, raw, (index, path)

@@ -76,8 +76,9 @@ class StudioFiles:
 
     def _spare(self) -> None:
         """Before an autosave goes: move one of an earlier page, that nobody restored, aside."""
-        outputs, kept, self._kept = self._studio.outputs, self._kept, True
-        if not kept and (spared := outputs.spare()) is not None:
+        spared = None if self._kept else self._studio.outputs.spare()
+        self._kept = True
+        if spared is not None:
             self._studio.say(f"What was not saved before is kept; *Open* takes {spared.name}.")
 
     def save(self, name: str) -> None:
@@ -90,9 +91,9 @@ class StudioFiles:
         outputs, editor = self._studio.outputs, self._studio.editor
         path = outputs.named(name, ".json")
         path.parent.mkdir(parents=True, exist_ok=True)
+        self._spare()  # The edit file is older than it only now.
         editor.session.save(path)
         write_keys(path, self.cameras)
-        self._spare()
         outputs.forget()
         self.saved, self.edit = True, path
         self._studio.say(f"Saved as {path.name}.")
