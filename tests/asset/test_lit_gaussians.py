@@ -80,6 +80,18 @@ def test_a_light_stands_still_unless_asked_otherwise() -> None:
     torch.testing.assert_close(still, torch.ones(COUNT + 3, 1), atol=1e-5, rtol=0)
 
 
+def test_gradients_are_refused_where_shadows_have_none() -> None:
+    turned = MovedPoints(
+        positions=lit_asset().points.clone().requires_grad_(True),
+        local_maps=LocalMaps(to_rest=torch.eye(3).expand(COUNT + 3, 3, 3)),
+    )
+    with pytest.raises(InputError, match="a gradient is asked for, and shadows have none"):
+        lit_asset().pose(turned)
+    assert lit_asset().pose(turned, light="baked").points.requires_grad
+    with torch.no_grad():
+        assert gains(lit_asset(), turned) is not None
+
+
 def test_a_light_that_is_not_there() -> None:
     with pytest.raises(InputError, match="pcore light RUN"):
         dark_asset().pose(TURN, light="still")

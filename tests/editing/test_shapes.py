@@ -125,7 +125,11 @@ def test_files_are_found_from_the_edit_file(tmp_path: Path, monkeypatch: pytest.
     ("before", "after", "expected"),
     [
         ("before.ply", "none.ply", "none.ply: no such file; expected a mesh"),
-        ("before.ply", "after.stl", "after.stl: expected a mesh that ends in .ply, .obj or .glb"),
+        (
+            "before.ply",
+            "after.stl",
+            "after.stl: expected a mesh that ends in .ply, .obj, .glb or .gltf",
+        ),
         ("before.ply", "few.ply", "few.ply: expected the 162 vertices of"),
         ("before.ply", "order.ply", "order.ply: expected the same faces as in"),
         ("before.ply", "nan.obj", "nan.obj: expected finite coordinates, got NaN"),

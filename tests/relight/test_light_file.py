@@ -98,6 +98,6 @@ def test_bad_numbers(path: Path) -> None:
     rewrite(path, brightness=torch.ones(7), received=torch.zeros(7))
     assert "finite light above 0" in error_of(path)
     rewrite(path, {"config": "{"}, received=torch.ones(7))
-    assert "Expecting property name" in error_of(path)
+    assert "expected a JSON object under 'config' of the header, got '{'" in error_of(path)
     rewrite(path, {"config": "{}"})
     assert "missing key 'encoding'" in error_of(path)

@@ -30,7 +30,14 @@ from pcore.files.gaussian_file import (
 from pcore.files.provenance import Provenance
 from pcore.gaussians.gaussian_rays import trace
 from pcore.gaussians.gaussians import Gaussians
-from pcore.gaussians.render import Footprint, PosedGaussians, pose, render, surface_points
+from pcore.gaussians.render import (
+    Footprint,
+    GaussianPictures,
+    PosedGaussians,
+    pose,
+    render,
+    surface_points,
+)
 from pcore.gaussians.splats import SplatsAtRest
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
@@ -122,9 +129,12 @@ class GaussianContent:
         if isinstance(motion, MovedPoints):
             positions, maps = motion.positions, motion.local_maps
         else:
-            exact = self.points.double()
-            positions = motion(exact)
-            maps = analytic_maps(motion, self.points) if rays == "aware" else None
+            rest = self.gaussians.means.cpu()
+            positions = motion(rest.double())
+            # Autograd follows the map where it asks for that, and the means.
+            asked = positions.requires_grad
+            places = rest if asked else rest.detach()
+            maps = analytic_maps(motion, places, followed=asked) if rays == "aware" else None
         device = self.gaussians.means.device
         positions = positions.to(self.gaussians.means)
         if maps is None or rays == "plain":
@@ -154,7 +164,7 @@ class GaussianContent:
 
     def points_of(self, posed: MovedGaussians) -> Tensor:
         """See `Content.points_of`."""
-        return posed.drawn.gaussians.means.detach().cpu()
+        return posed.drawn.gaussians.means.cpu()
 
     def local_maps_of(self, posed: MovedGaussians) -> LocalMaps | None:
         """See `Content.local_maps_of`."""
@@ -184,19 +194,14 @@ class GaussianContent:
             surface=pixels(surface),
         )
 
-    @torch.no_grad()
     def render(self, posed: MovedGaussians, camera: Camera, sampling: Sampling) -> Image:
         """See `Content.render`; one pass, whose footprint needs no samples."""
         color = self.gaussians.means.new_tensor(self.background)
-        found = render(posed.drawn, [camera], footprint=self.footprint, background=color)
-        alpha = found.alpha[0].cpu()
-        depth = torch.where(alpha > _TRACE, found.depth[0].cpu(), torch.nan)
-        return Image(
-            rgb=found.rgb[0].cpu(),
-            alpha=alpha,
-            depth=depth,
-            surface=surface_points(depth, camera),
-        )
+        cameras = list(camera)
+        with torch.set_grad_enabled(posed.drawn.asks_gradient or camera.asks_gradient):
+            found = render(posed.drawn, cameras, footprint=self.footprint, background=color)
+            images = [_image(found, index, one) for index, one in enumerate(cameras)]
+        return images[0] if camera.count is None else Image.stack(images)
 
     def film_detail(self, posed: Sequence[MovedGaussians], cameras: Sequence[Camera]) -> None:
         """See `Content.film_detail`; there is nothing to share."""
@@ -266,3 +271,15 @@ def read_gaussians(path: Path, device: str) -> tuple[GaussianContent, Provenance
         read_light=read_light if normals is not None and light.is_file() else None,
     )
     return content, saved.provenance
+
+
+def _image(found: GaussianPictures, index: int, camera: Camera) -> Image:
+    """One of the pictures, with places only where something is seen."""
+    alpha = found.alpha[index].cpu()
+    depth = torch.where(alpha > _TRACE, found.depth[index].cpu(), torch.nan)
+    return Image(
+        rgb=found.rgb[index].cpu(),
+        alpha=alpha,
+        depth=depth,
+        surface=surface_points(depth, camera),
+    )

@@ -8,6 +8,7 @@ factor of the polar decomposition J = Q P.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -78,11 +79,44 @@ def carried_axes(gaussians: Gaussians, local_maps: Tensor) -> Tensor:
 
 
 def polar(matrices: Tensor) -> Tensor:
-    """Orthogonal factors Q (N, 3, 3) of J = Q P, P symmetric and not negative; without gradient.
+    """Orthogonal factors Q (N, 3, 3) of J = Q P, P symmetric and not negative; differentiable.
 
     They mirror where J does. Of a singular J one of the rotations that are possible.
     """
-    wide = matrices.detach().double()
+    return _Polar.apply(matrices)  # pyright: ignore
+
+
+class _Polar(torch.autograd.Function):
+    """Q of J, computed in float64."""
+
+    @staticmethod
+    def forward(ctx: Any, matrices: Tensor) -> Tensor:
+        found = _orthogonal(matrices.detach().double())
+        ctx.save_for_backward(matrices, found)
+        return found.to(matrices)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:  # pyright: ignore
+        """A change of J turns Q by w, where (tr P - P) w is the axis of Q^T dJ - (Q^T dJ)^T."""
+        matrices, found = ctx.saved_tensors
+        stretch = found.mT @ matrices.double()
+        trace = stretch.diagonal(dim1=-2, dim2=-1).sum(dim=-1)
+        change = found.mT @ gradient.double()
+        axis = torch.stack([change[..., (i + 2) % 3, (i + 1) % 3] for i in range(3)], dim=-1)
+        axis -= torch.stack([change[..., (i + 1) % 3, (i + 2) % 3] for i in range(3)], dim=-1)
+        system = trace[..., None, None] * torch.eye(3).to(stretch) - (stretch + stretch.mT) / 2
+        turn = torch.linalg.solve_ex(system, axis)[0]
+        return (found @ _skew(turn)).to(gradient)
+
+
+def _skew(axis: Tensor) -> Tensor:
+    """Matrices (..., 3, 3) that take the cross product with axes (..., 3)."""
+    x, y, z = axis.unbind(dim=-1)
+    zero = torch.zeros_like(x)
+    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
+
+
+def _orthogonal(wide: Tensor) -> Tensor:
     left, sizes, right = _singular(wide)
     determinant = torch.linalg.cross(wide[..., 0], wide[..., 1]).mul(wide[..., 2]).sum(dim=-1)
     # `left` never mirrors: where J does, its axis of the smallest size points the other way.
@@ -91,7 +125,7 @@ def polar(matrices: Tensor) -> Tensor:
     flip.scatter_(
         -1, smallest[..., None], torch.where(determinant < 0, -1.0, 1.0)[..., None].to(flip)
     )
-    return ((left * flip.unsqueeze(-2)) @ right.mT).to(matrices)
+    return (left * flip.unsqueeze(-2)) @ right.mT
 
 
 def _singular(matrices: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -69,6 +69,14 @@ class PosedGaussians:
     gains: Tensor | None = None
 
     @property
+    def asks_gradient(self) -> bool:
+        """Whether autograd follows any of it."""
+        own = self.gaussians
+        parts = (own.means, own.quats, own.scales, own.opacities, own.sh, self.axes, self.gains)
+        followed = any(one is not None and one.requires_grad for one in parts)
+        return torch.is_grad_enabled() and followed
+
+    @property
     def covariances(self) -> Tensor | None:
         """(N, 3, 3) of the axes, world units squared; None where there are none."""
         return None if self.axes is None else self.axes @ self.axes.mT
@@ -99,8 +107,8 @@ def pose(
 ) -> PosedGaussians:
     """Gaussians carried along by a map of space that is known at their means.
 
-    Unlike `carried` this is differentiable in positions and local maps (but for the turn of the
-    colours), and knows no scales and quaternions of the result.
+    Unlike `carried` this is differentiable in positions and local maps, and knows no scales and
+    quaternions of the result.
 
     Args:
         gaussians: N of them at rest.
@@ -110,7 +118,7 @@ def pose(
     """
     sh = gaussians.sh
     if gaussians.degree > 0:
-        sh = rotated(sh, polar(local_maps.detach()))
+        sh = rotated(sh, polar(local_maps))
     return PosedGaussians(
         gaussians=replace(gaussians, means=positions, sh=sh),
         axes=carried_axes(gaussians, local_maps),
@@ -134,7 +142,7 @@ def render(
         background: (3,) or (C, 3) colours; None is white.
 
     Returns:
-        C pictures, differentiable in the Gaussians, gains, background and poses.
+        C pictures, differentiable in the Gaussians, gains, background, poses and focal lengths.
 
     Raises:
         InputError: no camera, or cameras of several sizes.
@@ -268,7 +276,7 @@ def view_matrices(cameras: Sequence[Camera], like: Tensor) -> tuple[Tensor, Tens
     """Camera from world (C, 4, 4) in OpenCV axes, and pinhole matrices (C, 3, 3).
 
     Args:
-        cameras: C of them; gradients go to their poses.
+        cameras: C of them; gradients go to their poses and numbers.
         like: gives device and type.
     """
     poses = torch.stack([camera.world_from_camera for camera in cameras]).to(like)
@@ -278,10 +286,17 @@ def view_matrices(cameras: Sequence[Camera], like: Tensor) -> tuple[Tensor, Tens
     shift = -rotation @ poses[:, :3, 3:]
     bottom = like.new_tensor([[0.0, 0.0, 0.0, 1.0]]).expand(len(cameras), 1, 4)
     viewmats = torch.cat([torch.cat([rotation, shift], dim=-1), bottom], dim=-2)
-    intrinsics = [
-        [[one.fx, 0.0, one.cx], [0.0, one.fy, one.cy], [0.0, 0.0, 1.0]] for one in cameras
-    ]
-    return viewmats, like.new_tensor(intrinsics)
+    return viewmats, torch.stack([_pinhole(one) for one in cameras]).to(like)
+
+
+def _pinhole(camera: Camera) -> Tensor:
+    """Its matrix (3, 3), float64 on the CPU."""
+    fx, fy, cx, cy = (
+        torch.as_tensor(one, dtype=torch.float64, device="cpu")
+        for one in (camera.fx, camera.fy, camera.cx, camera.cy)
+    )
+    zero, one = fx.new_zeros(()), fx.new_ones(())
+    return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one]).reshape(3, 3)
 
 
 def surface_points(depth: Tensor, camera: Camera) -> Tensor:

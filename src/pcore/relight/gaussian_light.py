@@ -9,13 +9,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from pcore.errors import InputError
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels, known_normals
 from pcore.relight.estimate import fit_light
-from pcore.relight.relighting import Relighting
+from pcore.relight.relighting import NO_GRADIENT, Relighting
 from pcore.render.surfel_fit import Observed
 
 _MOST = 20_000
@@ -57,7 +58,6 @@ def fit_gaussian_light(observed: Observed, means: Tensor) -> Relighting:
     return fit_light(part, means.detach().cpu().float()[lit])
 
 
-@torch.no_grad()
 def gaussian_gains(
     relighting: Relighting,
     surfels: Surfels,
@@ -81,6 +81,20 @@ def gaussian_gains(
     Raises:
         InputError: as `Relighting.gains`.
     """
+    followed = positions.requires_grad or local_maps.to_rest.requires_grad
+    if torch.is_grad_enabled() and followed:
+        raise InputError(NO_GRADIENT)
+    with torch.no_grad():
+        return _gains(relighting, surfels, positions, local_maps, world)
+
+
+def _gains(
+    relighting: Relighting,
+    surfels: Surfels,
+    positions: Tensor,
+    local_maps: LocalMaps,
+    world: float,
+) -> Tensor:
     lit = lit_of(surfels.normals)
     rest, moved = surfels.places[lit], positions.detach().cpu().float()[lit]
     over = Surfels.at_rest(rest, surfels.normals[lit], surfels.heights[lit])

@@ -20,6 +20,11 @@ from pcore.relight.lamps import Light, falling_of
 from pcore.relight.relight_config import DEFAULT, RelightConfig
 from pcore.relight.shadows import Shadows, shadows_of
 
+NO_GRADIENT = (
+    "light: a gradient is asked for, and shadows have none; pose without a light that stands still "
+    '(light="baked"), or use torch.no_grad()'
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Relighting:
@@ -121,10 +126,7 @@ class Relighting:
             raise InputError("light: expected points with surfels, got none for light to fall on")
         followed = (posed.positions, posed.surfels.places, posed.surfels.normals)
         if torch.is_grad_enabled() and any(one.requires_grad for one in followed):
-            raise InputError(
-                "light: a gradient is asked for, and shadows have none; pose without a light that "
-                "stands still, or use torch.no_grad()"
-            )
+            raise InputError(NO_GRADIENT)
         bad = int((~torch.isfinite(posed.positions).all(dim=1)).sum())
         if bad:
             raise InputError(

@@ -23,6 +23,7 @@ COMMANDS = (
     *("undo", "redo", "add", "select", "enable", "order", "remove_handle", "cancel"),
     *(
         "play",
+        "set",
         "key",
         "unkey",
         "overlay",
@@ -37,7 +38,7 @@ COMMANDS = (
     *("save", "open"),
 )
 """Wishes that are all fulfilled, in their order."""
-NEWEST = ("set", "rename", "time", "compare")
+NEWEST = ("rename", "time", "compare")
 """Wishes of which only the newest counts."""
 OF_TAB = ("camera_key", "screenshot", "film")
 """Wishes that are all fulfilled and need to know which tab has them."""
@@ -88,12 +89,21 @@ class Actions:
         self._editor.select(index)
 
     def set(self, index: int, path: str, value: Any) -> None:
-        """Change a value of an edit."""
+        """Change a value of an edit, as a step of its own."""
+        self._editor.begin()
         self._editor.set(index, path, value)
+
+    def slide(self, index: int, path: str, value: Any) -> None:
+        """Show another value of an edit, which `settle` keeps once the slider rests."""
+        self._editor.slide(index, path, value)
+
+    def settle(self) -> None:
+        """Keep what a slider shows."""
+        self._stays(self._editor.settle())
 
     def rename(self, index: int, name: str) -> None:
         """Name an edit."""
-        self._editor.session.rename(index, name or None)
+        self._editor.rename(index, name or None)
 
     def enable(self, index: int, on: bool) -> None:
         """Let an edit act, or leave it out."""

@@ -13,11 +13,16 @@ from torch import Tensor
 
 from pcore.editing.dragging import Mirror
 from pcore.editing.tracks import set_key, set_value, tracks_of
-from pcore.errors import EditError
+from pcore.errors import EditError, PcoreError
 from pcore.geometry.extent import size_of
 from pcore.studio.cage_handles import KINDS, loose_box, moved_vertices, write_cage
 from pcore.studio.edit_forms import AXES, SLIDERS, value_at
-from pcore.studio.edit_handles import handles_of_edit, with_handle, without_handle
+from pcore.studio.edit_handles import (
+    handles_of_edit,
+    handles_or_error,
+    with_handle,
+    without_handle,
+)
 from pcore.studio.handle_edit import arriving, handle_points
 from pcore.studio.handle_pose import HandlePose, degrees_of, turn_of_degrees
 from pcore.studio.selection_editor import SelectionEditor
@@ -34,12 +39,20 @@ class Editor(SelectionEditor):
 
     @property
     def handles(self) -> list[HandlePose]:
-        """The handles of the selected edit where they are now; none of kinds without."""
-        index = self.shown.selected
-        if index is None:
-            return []
-        state, raw = self.state, self._held_raw or self.raw(index)
-        return handles_of_edit(raw, state, index)
+        """The handles of the selected edit where they are now; none of kinds without, or `lost`."""
+        found = self._found
+        return [] if isinstance(found, PcoreError) else found
+
+    @property
+    def lost(self) -> PcoreError | None:
+        """Why the selected edit shows no handles, where a file of it is gone."""
+        found = self._found
+        return found if isinstance(found, PcoreError) else None
+
+    @property
+    def _found(self) -> list[HandlePose] | PcoreError:
+        index, raw = self.shown.selected, self.present
+        return [] if index is None or raw is None else handles_or_error(raw, self.state, index)
 
     @property
     def present(self) -> dict[str, Any] | None:
@@ -92,6 +105,7 @@ class Editor(SelectionEditor):
 
         A place where space folds is shown; the last good one is remembered.
         """
+        self.settle()
         index, number = self._held()
         raw = self.raw(index)
         before = handles_of_edit(raw, self.session.state, index)[number]

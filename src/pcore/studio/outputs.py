@@ -21,6 +21,7 @@ from pcore.geometry.camera_path import path_through
 from pcore.studio.guard import is_file_name
 
 AUTOSAVE = "autosave.json"
+_SPARED = "autosave"
 _FPS = 24
 
 
@@ -39,11 +40,13 @@ class Outputs:
     run: Path
 
     def named(self, name: str, ending: str) -> Path:
-        """Return a file beside the edit file, by the name that a page gives.
+        """Return a file beside the edit file, or that one, by the name that a page gives.
 
         Raises:
             InputError: the name has folders in it, or another ending.
         """
+        if name == self.edit.name:  # Whoever started the page named it, in letters of any kind.
+            return self.edit
         if not is_file_name(name) or not name.lower().endswith(ending):
             raise InputError(
                 f"name of a file: expected letters, numbers and - _ . that end in {ending}, got "
@@ -73,6 +76,21 @@ class Outputs:
         self.folder.mkdir(parents=True, exist_ok=True)
         write_session(self.autosave, session, {"cameras": list(cameras)})
 
+    def spare(self) -> Path | None:
+        """Move an autosave that is newer than the edit file aside; return where, if there is one.
+
+        Raises:
+            OSError: it cannot be moved.
+        """
+        if not self.left_over:
+            return None
+        return self.autosave.rename(self.next(_SPARED, ".json"))
+
+    def is_spared(self, name: str) -> bool:
+        """Whether a name is one of an autosave that was moved aside."""
+        number = name.removeprefix(f"{_SPARED}_").removesuffix(".json")
+        return name == f"{_SPARED}_{number}.json" and number.isdecimal()
+
     def forget(self) -> None:
         """Remove the autosave: everything in it is saved, or not wanted."""
         self.autosave.unlink(missing_ok=True)
@@ -86,10 +104,12 @@ class Outputs:
         except OSError:
             return False
 
-    def line(self, picture: str, cameras: Path, *, time: float, light: str | None) -> str:
-        """The command that makes the same picture."""
-        words = ["pcore", "render", str(self.run), "--edit", str(self.edit)]
-        words += ["--time", f"{time:g}", "--cameras", str(cameras)]
+    def line(
+        self, picture: str, cameras: Path, *, edit: Path, time: float, light: str | None
+    ) -> str:
+        """The command that makes the same picture of the edits in a file."""
+        words = ["pcore", "render", str(self.run), "--edit", str(edit)]
+        words += ["--time", repr(time), "--cameras", str(cameras)]
         words += ["--light", light] if light else []
         return shlex.join([*words, "-o", picture])
 

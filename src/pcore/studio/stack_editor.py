@@ -13,10 +13,11 @@ from pcore.editing.selection import Selector
 from pcore.editing.session import EditSession
 from pcore.editing.stack import raw_edit
 from pcore.editing.state import EditState
-from pcore.errors import EditError
+from pcore.editing.tracks import set_value
+from pcore.errors import EditError, PcoreError
 from pcore.geometry.surfels import spacing_of
 from pcore.studio.edit_forms import new_edit
-from pcore.studio.edit_handles import ONE, handles_of_edit
+from pcore.studio.edit_handles import ONE, handles_or_error
 
 CLICKS = ("nothing", "handle", "pin")
 TOOLS = ("box", "brush", "lasso", "ball")
@@ -70,6 +71,8 @@ class StackEditor:
         self._dragged: EditState | None = None
         self._held_raw: dict[str, Any] | None = None
         self._kept: dict[str, Any] | None = None
+        self._sliding: tuple[int, str] | None = None
+        self._good: Any = None
         self._gesture = 0
         self._check_selected()
 
@@ -110,13 +113,42 @@ class StackEditor:
         if path in self.session.tracks(index):
             self.session.key(index, path, self.session.time, value)
             return
-        parent, _, last = path.rpartition("/")
-        if last.isdecimal():  # One of several numbers, which an edit may leave out altogether.
-            whole = [0.0, 1.0] if parent == "limits" else [0.0, 0.0, 0.0]
-            whole = list(self.raw(index).get(parent, whole))
-            whole[int(last)] = value
-            path, value = parent, whole
+        path, value = self._whole_value(index, path, value)
         self.session.set(index, path, value, merge=f"{index} {path} {self._gesture}")
+
+    def slide(self, index: int, path: str, value: Any) -> None:
+        """Show the selected edit with another value; `settle` keeps it.
+
+        A value with which space folds is shown; the last good one is remembered.
+        """
+        if self._sliding != (index, path):
+            self.settle()
+        raw = self.raw(self.session.stack.checked(index))
+        set_value(raw, *self._whole_value(index, path, value))
+        state = self.session.preview(raw, at=index, frames="quick")
+        self._dragged, self._held_raw, self._sliding = state, raw, (index, path)
+        if not len(state.folds):
+            self._good = value
+
+    def settle(self) -> bool:
+        """Keep the value that `slide` shows, as one step; whether it stays, as `drop`."""
+        sliding, good, shown = self._sliding, self._good, self._dragged
+        if sliding is None or shown is None:
+            return True
+        self.cancel()
+        self.begin()
+        if good is not None:
+            self.set(*sliding, good)
+        return not len(shown.folds)
+
+    @property
+    def sliding(self) -> bool:
+        """Whether a value is shown that is not kept yet."""
+        return self._sliding is not None
+
+    def rename(self, index: int, name: str | None) -> None:
+        """Name an edit; what is typed in a row is one step to undo, as of `set`."""
+        self.session.rename(index, name, merge=f"{index} name {self._gesture}")
 
     def begin(self) -> None:
         """Make the next change of a value a step of its own."""
@@ -151,7 +183,7 @@ class StackEditor:
 
     def cancel(self) -> None:
         """Put what is dragged back to where it was."""
-        self._dragged = self._held_raw = self._kept = None
+        self._dragged = self._held_raw = self._kept = self._sliding = self._good = None
 
     def region(self) -> dict[str, Any]:
         """The selection as a region of an edit file.
@@ -166,6 +198,16 @@ class StackEditor:
     def _whole(self, index: int) -> dict[str, Any]:
         """An edit as an edit file has it, with all its keyframes."""
         return raw_edit(self.session.stack.edits[self.session.stack.checked(index)])
+
+    def _whole_value(self, index: int, path: str, value: Any) -> tuple[str, Any]:
+        """Path and value to write; of one of several numbers, which an edit may lack, all."""
+        parent, _, last = path.rpartition("/")
+        if not last.isdecimal():
+            return path, value
+        whole = [0.0, 1.0] if parent == "limits" else [0.0, 0.0, 0.0]
+        whole = list(self.raw(index).get(parent, whole))
+        whole[int(last)] = value
+        return parent, whole
 
     def _kind(self, index: int) -> str:
         return str(self._whole(index)["type"])
@@ -185,7 +227,7 @@ class StackEditor:
         handle = None if gone else self.shown.handle
         selected = index if count else None
         if handle is not None and selected is not None:
-            raw = self.raw(selected)
-            if handle >= len(handles_of_edit(raw, self.session.state, selected)):
+            found = handles_or_error(self.raw(selected), self.session.state, selected)
+            if isinstance(found, PcoreError) or handle >= len(found):
                 handle = None
         self._select(selected, handle=handle)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
 
 _LARGEST = 4096
 _MOST_FRAMES = 2000
+_EVERY = 2.0
+"""Seconds between two autosaves, at least."""
 
 
 class StudioFiles:
@@ -33,18 +37,48 @@ class StudioFiles:
         self._studio = studio
         self.cameras: list[tuple[float, Camera]] = []
         self.saved, self.line = True, ""
+        self.edit = studio.outputs.edit
+        self._kept, self._written = False, -_EVERY
+        self._later: threading.Timer | None = None
         self._stopped = threading.Event()
 
     def autosave(self) -> None:
-        """Keep what would be lost; a full disk is said and ends nothing."""
+        """Keep what would be lost, soon; a full disk is said and ends nothing."""
         self.saved = False
+        late = self._written + _EVERY - time.monotonic()
+        if late <= 0:
+            self._keep()
+        elif self._later is None:
+            self._later = threading.Timer(late, lambda: self._studio.worker.do(self._keep))
+            self._later.daemon = True
+            self._later.start()
+
+    def close(self) -> None:
+        """Keep at once what waits for that."""
+        if self._later is not None:
+            self._later.cancel()
+            self._keep()
+
+    def _keep(self) -> None:
+        self._later = None
+        if self.saved:
+            return
+        self._written = time.monotonic()
         try:
+            self._spare()
             self._studio.outputs.keep(self._studio.editor.session, self._frames())
         except (OSError, EditError) as error:
             self._studio.say(f"⚠ Autosave is not possible: {plain(str(error))}")
 
+    def _spare(self) -> None:
+        """Before an autosave goes: move one of an earlier page, that nobody restored, aside."""
+        spared = None if self._kept else self._studio.outputs.spare()
+        self._kept = True
+        if spared is not None:
+            self._studio.say(f"What was not saved before is kept; *Open* takes {spared.name}.")
+
     def save(self, name: str) -> None:
-        """Write the edit file, by the name that the page gives.
+        """Write the edit file, by the name that the page gives; from now on it is the one saved.
 
         Raises:
             InputError: a name that is none.
@@ -53,9 +87,10 @@ class StudioFiles:
         outputs, editor = self._studio.outputs, self._studio.editor
         path = outputs.named(name, ".json")
         path.parent.mkdir(parents=True, exist_ok=True)
+        self._spare()  # The edit file is older than it only now.
         editor.session.save(path)
         outputs.forget()
-        self.saved = True
+        self.saved, self.edit = True, path
         self._studio.say(f"Saved as {path.name}.")
 
     def open(self, name: str) -> None:
@@ -65,11 +100,16 @@ class StudioFiles:
             InputError: a name that is none, or no such file.
             EditError: the file is not valid or does not fit the points.
         """
+        if self._studio.outputs.is_spared(name):
+            self._resume(self._studio.outputs.folder / name)
+            self.autosave()
+            return
         path = self._studio.outputs.named(name, ".json")
         if not path.is_file():
             raise InputError(f"open: expected an edit file in {path.parent.name}, got no {name}")
         self._studio.editor.session.load(path)
         self._studio.editor.select(None)
+        self.edit = path
         self._studio.say(f"Opened {name}.")
 
     def camera_key(self, viewport: Viewport, what: str) -> None:
@@ -89,7 +129,9 @@ class StudioFiles:
         posed = studio.drawer.posed(editor.state, still=editor.shown.still)
         path, cameras = write_picture(studio.outputs, editor.asset, posed, camera)
         light = None if editor.shown.still or editor.asset.light is None else "baked"
-        line = studio.outputs.line("OUT", cameras, time=editor.session.time, light=light)
+        line = studio.outputs.line(
+            "OUT", cameras, edit=self.edit, time=editor.session.time, light=light
+        )
         unsaved = "" if self.saved else "\n\nSave first: the command reads the saved edits."
         self.line = f"The same picture on the command line:\n\n```\n{line}\n```{unsaved}"
         studio.say(f"Wrote {path.name}.")
@@ -132,9 +174,13 @@ class StudioFiles:
         Raises:
             EditError: it is damaged, or of another object.
         """
+        self._resume(self._studio.outputs.autosave)
+        self._kept = True
+
+    def _resume(self, path: Path) -> None:
         studio = self._studio
         asset = studio.editor.asset
-        found = read_session(studio.outputs.autosave, asset.points, rig=asset.rig)
+        found = read_session(path, asset.points, rig=asset.rig)
         studio.editor.resume(found.session)
         frames: Any = found.view.get("cameras", []) if isinstance(found.view, dict) else []
         self.cameras = [key for key in map(_camera_key, frames) if key is not None]

@@ -1,0 +1,145 @@
+"""Pictures of Gaussians have the right gradients through the one door, or say that they have none.
+
+Against central differences in float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from gaussian_asset import asset_of_gaussians
+from pcore.asset.asset import Asset
+from pcore.asset.gaussian_content import GaussianContent
+from pcore.deform.base import Deformation
+from pcore.gaussians.carry import polar
+from pcore.gaussians.gaussians import Gaussians
+from pcore.geometry.camera import Camera
+
+STEP = 1e-6
+COUNT = 40
+PLANES = ("rgb", "alpha", "depth")
+
+
+@dataclass(frozen=True)
+class Arm(Deformation):
+    """Turn what lies beyond x = 0 about y by an angle that grows with x, a parameter of torch."""
+
+    angle: Tensor
+
+    def __call__(self, points: Tensor) -> Tensor:
+        x, y, z = points.unbind(dim=-1)
+        angle = self.angle.to(points) * x.clamp_min(0).square()
+        cos, sin = angle.cos(), angle.sin()
+        return torch.stack([cos * x + sin * z, y, cos * z - sin * x], dim=-1)
+
+
+def rod() -> Gaussians:
+    draw = torch.Generator().manual_seed(5)
+
+    def random(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=draw, dtype=torch.float64)
+
+    means = random(COUNT, 3) * torch.tensor([2.0, 0.5, 0.5]) - torch.tensor([0.7, 0.25, 0.25])
+    return Gaussians(
+        means=means,
+        quats=random(COUNT, 4) - 0.5,
+        scales=0.08 + 0.1 * random(COUNT, 3),
+        opacities=0.3 + 0.5 * random(COUNT),
+        sh=random(COUNT, 4, 3) - 0.3,
+    )
+
+
+def camera(focal: Tensor | float = 16.0, place: Tensor | None = None) -> Camera:
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, 3] = torch.tensor([0.3, 0.1, 2.6])
+    if place is not None:
+        pose = torch.cat([pose[:, :3], torch.cat([pose[:3, 3] + place, pose[3:, 3]])[:, None]], 1)
+    return Camera(world_from_camera=pose, width=12, height=9, fx=focal, fy=focal, cx=6.0, cy=4.5)
+
+
+def with_means(asset: Asset, means: Tensor) -> Asset:
+    content = asset.content
+    assert isinstance(content, GaussianContent)
+    return replace(
+        asset, content=replace(content, gaussians=replace(content.gaussians, means=means))
+    )
+
+
+def loss_of(asset: Asset, posed: object, seen: Camera) -> Tensor:
+    image = asset.render(posed, seen)  # pyright: ignore
+    weights = torch.Generator().manual_seed(1)
+    total = image.rgb.new_zeros(())
+    for name in PLANES:
+        plane = getattr(image, name)
+        mixed = torch.rand(plane.shape, generator=weights, dtype=torch.float64)
+        total = total + (plane.nan_to_num(nan=0.0) * mixed).sum()
+    return total
+
+
+CASES: dict[str, tuple[Tensor, Callable[[Tensor], Tensor]]] = {
+    "angle": (
+        torch.tensor(1.3, dtype=torch.float64),
+        lambda angle: loss_of(ASSET, ASSET.pose(Arm(angle)), camera()),
+    ),
+    "focal length": (
+        torch.tensor(16.0, dtype=torch.float64),
+        lambda focal: loss_of(ASSET, None, camera(focal)),
+    ),
+    "place of the camera": (
+        torch.zeros(3, dtype=torch.float64),
+        lambda place: loss_of(ASSET, None, camera(place=place)),
+    ),
+    "means, posed": (
+        rod().means,
+        lambda means: loss_of(
+            with_means(ASSET, means),
+            with_means(ASSET, means).pose(Arm(torch.tensor(0.9, dtype=torch.float64))),
+            camera(),
+        ),
+    ),
+}
+ASSET = asset_of_gaussians(rod())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_against_differences(name: str) -> None:
+    value, loss = CASES[name]
+    asked = value.clone().requires_grad_(True)
+    (gradient,) = torch.autograd.grad(loss(asked), asked)
+    direction = torch.rand(
+        value.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64
+    )
+    with torch.no_grad():
+        ends = [loss(value + sign * STEP * direction) for sign in (1, -1)]
+    expected = float(ends[0] - ends[1]) / (2 * STEP)
+    assert abs(expected) > 1e-3
+    assert float((gradient * direction).sum()) == pytest.approx(expected, rel=1e-5)
+
+
+def test_turns_of_colours_have_a_gradient() -> None:
+    draw = torch.Generator().manual_seed(0)
+    maps = torch.eye(3, dtype=torch.float64) + 0.3 * torch.randn(
+        5, 3, 3, generator=draw, dtype=torch.float64
+    )
+    maps[0] *= torch.tensor([1.0, 1.0, -1.0])  # One that mirrors.
+    maps[1] = 2 * torch.eye(3)  # One whose axes are equally long.
+    assert torch.autograd.gradcheck(polar, maps.requires_grad_(True), eps=1e-6, atol=1e-6)
+
+
+def test_a_batch_is_its_pictures() -> None:
+    cameras = [camera(), camera(18.0)]
+    batch = ASSET.render(None, Camera.stack(cameras))
+    assert batch.rgb.shape == (2, 9, 12, 3)
+    for index, one in enumerate(cameras):
+        alone = ASSET.render(None, one)
+        assert torch.equal(batch.rgb[index], alone.rgb)
+        assert torch.equal(batch.depth[index].isnan(), alone.depth.isnan())
+
+
+def test_nothing_is_followed_that_does_not_ask() -> None:
+    assert not ASSET.render(None, camera()).rgb.requires_grad
