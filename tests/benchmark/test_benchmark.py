@@ -502,13 +502,3 @@ def test_a_recipe_makes_all_its_models(tmp_path: Path, capsys: pytest.CaptureFix
         assert message in capsys.readouterr().err
     assert main([*words, "--size", "9"]) == 2
     assert "expected no models or options besides -o, got size" in capsys.readouterr().err
-
-
-def test_the_recipe_of_the_papers_says_what_is_missing(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    recipe = Path(__file__).parents[2] / "examples" / "recipes" / "paper_scenes.yaml"
-    assert main(["benchmark", "make", "--recipe", str(recipe), "-o", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
-    assert "missing: butterfly.glb (Objaverse, by name)" in said
-    assert "motion_two.glb" in said

@@ -154,6 +154,30 @@ def test_who_did_not_look_is_not_counted(made: Path, capsys: pytest.CaptureFixtu
     assert "expected answers of at least one person" in capsys.readouterr().err
 
 
+def test_who_answered_nothing_or_no_catch_trial_is_not_counted(
+    made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = [answers(made, person, first) for person in "abc"]
+    for path, kept in zip(paths[1:], (0, 6), strict=True):
+        record = json.loads(path.read_text())
+        record["answers"] = record["answers"][:kept]
+        path.write_text(json.dumps(record))
+    assert main(["study", "read", str(made / "key.json"), *map(str, paths)]) == 0
+    said = capsys.readouterr().out
+    assert "1 person" in said
+    assert "person b: no answers, not counted" in said
+    assert "person c: none of the catch trials answered, not counted" in said
+
+
+def test_catch_trials_that_could_not_be_made_are_told(
+    pictures: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [f"{name}={folder}" for name, folder in pictures.items()]
+    out = ["-o", str(tmp_path / "five"), "--catch", "5"]
+    assert main(["study", "make", "--pairs", *words, *out]) == 0
+    assert "3 of 5 catch trials: each needs a picture of its own" in capsys.readouterr().out
+
+
 def test_copies_count_once_and_holes_are_told(
     made: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -77,7 +77,8 @@ class StudyMakeCommand:
             f"then: pcore study read {self.output / KEY_FILE} answers-*.json",
         ]
         if caught < self.catch:
-            lines.insert(1, "note: films have no catch trials; give pictures where these matter")
+            said = "each needs a picture of its own, and films make none"
+            lines.insert(1, f"note: {caught} of {self.catch} catch trials: {said}")
         print_lines(Console(), lines)
 
 

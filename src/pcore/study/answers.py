@@ -116,11 +116,8 @@ def read_answers(paths: Sequence[Path], key: Key, *, caught: float) -> Sheets:
             notes.append(f"{path.name}: a copy of a file that is counted already")
             continue
         people[found.person] = found
-        if len(found.answers) < found.asked:
-            notes.append(
-                f"{path.name}: {len(found.answers)} of {found.asked} pairs were answered; these "
-                "count"
-            )
+        if 0 < len(found.answers) < found.asked:
+            notes.append(f"{path.name}: {len(found.answers)} of {found.asked} pairs were answered")
     counted = [one for one in people.values() if _attentive(one, key, caught, notes)]
     if not counted:
         raise InputError(
@@ -171,9 +168,15 @@ def _check_trials(path: Path, found: Answers, key: Key) -> None:
 
 
 def _attentive(person: Answers, key: Key, caught: float, notes: list[str]) -> bool:
-    """Whether somebody got enough catch trials right."""
+    """Whether somebody answered, and got enough catch trials right."""
+    if not person.answers:
+        notes.append(f"person {person.person}: no answers, not counted")
+        return False
     known = [one for one in person.answers if key.trials[one.trial].catch]
     right = sum(one.chosen == key.trials[one.trial].keys[0] for one in known)
+    if not known and caught > 0 and any(one.catch for one in key.trials):
+        notes.append(f"person {person.person}: none of the catch trials answered, not counted")
+        return False
     if right < caught * len(known):
         notes.append(
             f"person {person.person}: {right} of {len(known)} catch trials right, not counted"
