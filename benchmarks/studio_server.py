@@ -17,8 +17,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-_EVERY, _SELDOM = 20, 500
-"""Commands between two looks at the splats, and between two pictures at rest with an autosave."""
+_OFTEN, _EVERY, _SELDOM = 10, 20, 500
+"""Commands between two cards in the panel, looks at the splats, and pictures with an autosave."""
 _MOST = 8
 """Edits in the stack."""
 _EDITS: tuple[dict[str, Any], ...] = (
@@ -58,6 +58,8 @@ def main(commands: int) -> dict[str, float]:
             hand = _Hand(page)
             for number in range(commands):
                 hand.work(number)
+                if number % _OFTEN == 0:
+                    draw.card(number // _OFTEN)
                 if number % _EVERY == 0:
                     draw.move()
                 if number % _SELDOM == 0:
@@ -78,6 +80,11 @@ class _Drawing:
         self._page = page
         points = page.editor.asset.points
         self._camera = orbit_around(points, size=(400, 400))[0]
+
+    def card(self, number: int) -> None:
+        editor = self._page.editor
+        editor.select(number % len(editor.session.stack.edits))
+        self._page._refresh()
 
     def move(self) -> None:
         eye = self._camera.center

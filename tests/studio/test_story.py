@@ -36,6 +36,13 @@ def test_the_whole_story(browser: Any, run: Path, free_port: int) -> None:
         page.fill("Angle", "30")
         until(lambda: kept(run)["edits"][1].get("angle_deg") == 30)
 
+        page.tab.locator('input[value="Twist"]').last.click()
+        page.tab.keyboard.press("Control+a")
+        page.tab.keyboard.type("left arm")
+        until(lambda: kept(run)["edits"][1].get("name") == "left arm")
+        page.says("2 · left arm")
+        page.tab.locator('input[value="left arm"]').first.press("Enter")
+
         page.drag((200, 420), (520, 520), key="Shift")
         page.go_to("Select")
         page.says("are selected")
@@ -62,6 +69,7 @@ def test_the_whole_story(browser: Any, run: Path, free_port: int) -> None:
         page.press("Film")
         until((run / "studio" / "film_001.mp4").is_file)
         page.says("Wrote film_001.mp4")
+        page.says("pcore animate")
 
         words = ["render", str(run), "--edit", str(edit), "--time", "1"]
         words += ["--cameras", str(picture.with_suffix(".json")), "-o", str(run / "out")]

@@ -58,6 +58,7 @@ def test_hands_on_the_page(browser: Any, run: Path, free_port: int) -> None:
         page.go_to("Edit")
         page.click(MIDDLE, "Control")
         page.says("1 edit, not saved")
+        until((run / "studio" / "autosave.json").is_file)
         start = kept(run)["edits"][0]["handles"][0]["to"]
         keys.press("z")
         page.shows("z")
@@ -88,6 +89,7 @@ def test_hands_on_the_page(browser: Any, run: Path, free_port: int) -> None:
         page.choose("New edit", "Cage")
         page.press("Add")
         page.says("3 edits")
+        until(lambda: len(kept(run)["edits"]) == 3)
         cage = kept(run)["edits"][2]
         assert Path(cage["before"]) == run / "studio" / "cage_001.ply"
         assert len(cage["after"]) >= 8

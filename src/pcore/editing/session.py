@@ -78,13 +78,13 @@ class EditSession(Undoable):
         label = f"{'mute' if muted else 'unmute'} {self._name(index)}"
         return self._rewrite(index, lambda raw: raw.update(enabled=not muted), label)
 
-    def rename(self, index: int, name: str | None) -> EditState:
-        """Give an edit a name, or none.
+    def rename(self, index: int, name: str | None, *, merge: str | None = None) -> EditState:
+        """Give an edit a name, or none; `merge` as `do`.
 
         Raises:
             EditError: an empty name or a very long one.
         """
-        return self._rewrite(index, lambda raw: raw.update(name=name), "rename")
+        return self._rewrite(index, lambda raw: raw.update(name=name), "rename", merge)
 
     def duplicate(self, index: int) -> EditState:
         """Put a copy of an edit behind it; errors as `do`."""

@@ -23,10 +23,12 @@ COMMANDS = (
     *("undo", "redo", "add", "select", "enable", "order", "remove_handle", "cancel"),
     *(
         "play",
+        "set",
         "key",
         "unkey",
         "overlay",
         "still",
+        "exact",
         "mirror",
         "lock",
         "click",
@@ -37,7 +39,7 @@ COMMANDS = (
     *("save", "open"),
 )
 """Wishes that are all fulfilled, in their order."""
-NEWEST = ("set", "rename", "time", "compare")
+NEWEST = ("rename", "time", "compare")
 """Wishes of which only the newest counts."""
 OF_TAB = ("camera_key", "screenshot", "film")
 """Wishes that are all fulfilled and need to know which tab has them."""
@@ -88,12 +90,21 @@ class Actions:
         self._editor.select(index)
 
     def set(self, index: int, path: str, value: Any) -> None:
-        """Change a value of an edit."""
+        """Change a value of an edit, as a step of its own."""
+        self._editor.begin()
         self._editor.set(index, path, value)
+
+    def slide(self, index: int, path: str, value: Any) -> None:
+        """Show another value of an edit, which `settle` keeps once the slider rests."""
+        self._editor.slide(index, path, value)
+
+    def settle(self) -> None:
+        """Keep what a slider shows."""
+        self._stays(self._editor.settle())
 
     def rename(self, index: int, name: str) -> None:
         """Name an edit."""
-        self._editor.session.rename(index, name or None)
+        self._editor.rename(index, name or None)
 
     def enable(self, index: int, on: bool) -> None:
         """Let an edit act, or leave it out."""
@@ -142,6 +153,10 @@ class Actions:
     def still(self, on: bool) -> None:
         """Whether the light stands still."""
         self._shown(still=on)
+
+    def exact(self, pixels: int) -> None:
+        """Show exact pictures of so many pixels squared while things move; 0: splats."""
+        self._shown(exact=pixels)
 
     def mirror(self, axis: str | None = None) -> None:
         """Across which axis handles move in pairs; None is the next one."""
@@ -214,6 +229,10 @@ class Actions:
             raise EditError("expected a selected edit, got none; click one in the list")
         return index
 
+    def _pass(self, time: float) -> None:
+        self._editor.at(time)
+        self._studio.panels.at(time)
+
     def _run_time(self) -> None:
         pause = threading.Event()
         while self.playing:
@@ -221,5 +240,5 @@ class Actions:
             length = max(times[-1] - times[0], 1e-9)
             time = self._editor.session.time
             later = (time - times[0] + _PLAY * length) % length + times[0]
-            self._studio.newest("play", lambda later=later: self.time(later), light=True)
+            self._studio.newest("play", lambda later=later: self._pass(later), light=True)
             pause.wait(_STEP)

@@ -6,7 +6,7 @@ from typing import Any
 
 from pcore.editing.dragging import Mirror
 from pcore.editing.state import EditState
-from pcore.errors import EditError
+from pcore.errors import EditError, PcoreError
 from pcore.studio.cage_handles import KINDS, cage_handles, with_image, with_vertex, without_vertex
 from pcore.studio.formula_handles import CENTRED, MOVING, formula_handle, with_formula_handle
 from pcore.studio.handle_edit import arriving, mirrored, moved_handle, placed
@@ -31,6 +31,16 @@ def handles_of_edit(raw: dict[str, Any], state: EditState, index: int) -> list[H
     if raw["type"] in KINDS:
         return cage_handles(raw)
     return [formula_handle(raw, arriving(state, index))] if raw["type"] in ONE else []
+
+
+def handles_or_error(
+    raw: dict[str, Any], state: EditState, index: int
+) -> list[HandlePose] | PcoreError:
+    """The same, or why there are none: a file of the edit is gone."""
+    try:
+        return handles_of_edit(raw, state, index)
+    except PcoreError as error:
+        return error
 
 
 def with_handle(

@@ -28,6 +28,8 @@ class EditPanel(Panel):
         super().__init__(gui, wishes)
         self._list, self._card, self._sliders = list[Any](), list[Any](), dict[str, Any]()
         self._built: Any = None
+        self._name: Any = None
+        self._typed: str | None = None
         self._place: Any = None
         self._turn: Any = None
         kinds = {LABELS[kind]: kind for kind in (*NEW, *CAGES)}
@@ -59,19 +61,33 @@ class EditPanel(Panel):
         """Bring it to the state of an editor, with the names of kept selections."""
         self._mirror.value, self._lock.value = editor.shown.mirror, editor.shown.lock
         self._click.value = editor.shown.click
-        built = (_rows(editor), editor.shown.selected, _region(editor), names, _held(editor))
+        rows = [row[::2] for row in _rows(editor)]
+        built = (rows, editor.shown.selected, _region(editor), names, _held(editor))
         if built != self._built:
             self._built = built
             self._rebuild(editor, names)
-        index = editor.shown.selected
-        if index is not None:
-            raw = editor.raw(index)
+        for button, label in zip(self._list, _labels(editor), strict=False):
+            if button.label != label:
+                button.label = label
+        raw = editor.present
+        if raw is not None:
+            self._show_name(raw)
             for slider in _sliders(editor, raw):
                 widget, value = self._sliders.get(slider.path), value_at(raw, slider)
                 # A slider that somebody holds already shows this very value.
                 if widget is not None and abs(widget.value - value) > 1e-9:
                     widget.value = min(max(value, widget.min), widget.max)
             self._show_handle(editor)
+
+    def _show_name(self, raw: dict[str, Any]) -> None:
+        """Show the name of an edit, unless letters were typed after it that are yet to come."""
+        if self._typed is not None:
+            if raw.get("name") == (self._typed or None):
+                self._typed = None
+            return
+        name = raw.get("name") or LABELS[raw["type"]]
+        if self._name.value != name:
+            self._name.value = name
 
     def _show_handle(self, editor: Editor) -> None:
         number, handles = editor.shown.handle, editor.handles
@@ -86,15 +102,13 @@ class EditPanel(Panel):
         for old in [*self._list, *self._card]:
             old.remove()
         self._list, self._card, self._sliders = [], [], {}
-        self._place = self._turn = None
+        self._name = self._typed = self._place = self._turn = None
         selected = editor.shown.selected
         with self._edits:
-            rows = _rows(editor)
-            if not rows:
+            labels = _labels(editor)
+            if not labels:
                 self._list.append(self._gui.add_markdown(NO_EDIT))
-            for index, (kind, name, enabled) in enumerate(rows):
-                off = "" if enabled else " (off)"
-                label = f"{index + 1} · {name or LABELS[kind]}{off}"
+            for index, label in enumerate(labels):
                 button = self._gui.add_button(label, color=None if index == selected else "gray")
                 self._on_click(button, "select", index)
                 self._list.append(button)
@@ -106,15 +120,20 @@ class EditPanel(Panel):
     def _build_card(self, editor: Editor, index: int, names: list[str]) -> None:
         gui, raw = self._gui, editor.raw(index)
         kind = raw["type"]
-        name = gui.add_text("Name", raw.get("name") or LABELS[kind])
-        self._on_update(name, "rename", index)
+        name = self._name = gui.add_text("Name", raw.get("name") or LABELS[kind])
+
+        @name.on_update
+        async def _(event: Any) -> None:
+            self._typed = None if event.client_id is None else event.target.value
+            self._say("rename", event, index, event.target.value)
+
         enabled = gui.add_checkbox("On", raw.get("enabled", True))
         self._on_update(enabled, "enable", index)
         self._card += [name, enabled]
         for slider in _sliders(editor, raw):
             value = min(max(value_at(raw, slider), slider.low), slider.high)
             widget = gui.add_slider(slider.label, slider.low, slider.high, slider.step, value)
-            self._on_update(widget, "set", index, slider.path)
+            self._on_update(widget, "slide", index, slider.path)
             self._sliders[slider.path] = widget
             self._card.append(widget)
         for path, options in CHOICES.get(kind, {}).items():
@@ -172,9 +191,17 @@ def _sliders(editor: Editor, raw: dict[str, Any]) -> list[Any]:
 
 
 def _rows(editor: Editor) -> list[tuple[str, str | None, bool]]:
-    """What the list says of every edit; where that stays, only values change."""
+    """What the list says of every edit: kind, name, whether it acts."""
     entries = [raw_edit(entry) for entry in editor.session.stack.edits]
     return [(one["type"], one.get("name"), one.get("enabled", True)) for one in entries]
+
+
+def _labels(editor: Editor) -> list[str]:
+    """What the buttons of the list say."""
+    return [
+        f"{number} · {name or LABELS[kind]}{'' if enabled else ' (off)'}"
+        for number, (kind, name, enabled) in enumerate(_rows(editor), start=1)
+    ]
 
 
 def _region(editor: Editor) -> Any:

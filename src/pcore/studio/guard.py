@@ -21,7 +21,17 @@ _LOCAL = frozenset({"127.0.0.1", "localhost", "::1"})
 _ANYWHERE = frozenset({"0.0.0.0", "::", ""})
 LARGEST_MESSAGE = 1 << 20
 """Bytes of a message from a page; a drag is some hundred."""
-_PLACE = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[\\/](?:[^\s:;,'\"\\/]+[\\/])*([^\s:;,'\"\\/]+)")
+_ONE = r"[^\s:;,'\"\\/](?:[^:;,'\"\n\\/]*[^\s:;,'\"\\/])?"
+"""A folder, of which spaces may be a part but not an end."""
+_PLACE = re.compile(rf"(?<![\w.])(?:[A-Za-z]:|~|\.\.?)?[\\/](?:{_ONE}[\\/])*([^\s:;,'\"\\/]+)")
+_FILE = r"([\w-][\w. -]*\.[A-Za-z]\w{1,11})\b"
+_BELOW = re.compile(
+    rf"(?:(?:^|(?<=: )|(?<=['\"]))(?:{_ONE}[\\/])+|(?<![\w./\\-])(?!docs/)(?:[\w.-]+[\\/])+){_FILE}"
+)
+"""A file in a folder below, but a page of our docs.
+
+What has no ending may be a place in an edit, as handles/0/to.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +127,7 @@ REFUSED = HTTPStatus.FORBIDDEN
 
 def plain(text: str) -> str:
     """Return a message without the folders of this machine, of which only last names are kept."""
-    return _PLACE.sub(r"\1", text)
+    return _BELOW.sub(r"\1", _PLACE.sub(r"\1", text))
 
 
 def is_file_name(name: str) -> bool:

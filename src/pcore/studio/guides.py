@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from pcore.deform.frame import axis_frame, axis_vector, bend_frame
 from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.regions import FALLOFF
 from pcore.editing.selection import Rim
+from pcore.errors import PcoreError
 from pcore.geometry.extent import size_of
 from pcore.studio.cage_handles import KINDS, cage_shapes
 from pcore.studio.edit_forms import AXES
@@ -55,7 +57,8 @@ class GuideMaker:
         raw, rim = editor.present, torch.zeros(0, 3)
         if raw is not None:
             rim = self._rim(editor, raw)
-            parts = [*_shape(editor, raw), *_lock(editor)]
+            with contextlib.suppress(PcoreError):  # A file is gone: `Editor.lost` says so.
+                parts = [*_shape(editor, raw), *_lock(editor)]
         lines = [one for one, _ in parts] or [torch.zeros(0, 2, 3, dtype=torch.float64)]
         colors = [torch.tensor(paint).expand(len(one), 3) for one, paint in parts]
         empty = [torch.zeros(0, 3, dtype=torch.int64)]

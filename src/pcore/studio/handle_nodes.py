@@ -49,7 +49,11 @@ class HandleNodes:
         self._shapes: Any = None
         self._grip: Any = None
         self._turn, self._turning = STILL, False
-        self._by_ball = False
+        self._by_ball = self._held = False
+
+    def release(self) -> None:
+        """Hear no more of a drag that goes on: it was put back."""
+        self._held = False
 
     def show(self, editor: Editor, *, warn: bool, moved: bool) -> None:
         """Show the handles of an editor where they are.
@@ -144,6 +148,9 @@ class HandleNodes:
 
     def _tell(self, event: Any, position: Any, wxyz: Any) -> None:
         if event.client_id is None:
+            return
+        self._held = event.phase == "start" or self._held
+        if event.phase == "update" and not self._held:
             return
         x, y, z = self._frame.to_world(position).tolist()
         # Who drags the ball itself turns nothing.

@@ -58,6 +58,11 @@ def open_server(guard: Guard, *, label: str) -> viser.ViserServer:
     return server
 
 
+def sweep(server: viser.ViserServer) -> None:
+    """Forget messages of widgets that are gone; viser itself does that when tabs join alone."""
+    server._run_garbage_collector()  # pyright: ignore[reportPrivateUsage]
+
+
 def require_viser() -> None:
     """Raise DependencyError where viser is not installed."""
     if find_spec("viser") is None:

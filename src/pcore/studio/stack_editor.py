@@ -13,13 +13,16 @@ from pcore.editing.selection import Selector
 from pcore.editing.session import EditSession
 from pcore.editing.stack import raw_edit
 from pcore.editing.state import EditState
-from pcore.errors import EditError
+from pcore.editing.tracks import put_at, set_value
+from pcore.errors import EditError, PcoreError
 from pcore.geometry.surfels import spacing_of
 from pcore.studio.edit_forms import new_edit
-from pcore.studio.edit_handles import ONE, handles_of_edit
+from pcore.studio.edit_handles import ONE, handles_or_error
 
 CLICKS = ("nothing", "handle", "pin")
 TOOLS = ("box", "brush", "lasso", "ball")
+MOVING = {"splats": 0, "pictures, 100 pixels": 100, "pictures, 200 pixels": 200}
+"""What is shown while things move: splats, or exact pictures of so many pixels squared."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +40,7 @@ class Shown:
         lock: "off", or the axis along which alone handles move: "x", "y" or "z".
         click: what a click without a key puts: "nothing", "handle" or "pin".
         tool: what a drag with Shift selects with, one of `TOOLS`.
+        exact: pixels, along a square's side, of exact pictures while things move; 0: splats.
         brush: radius of the brush, and of the ball of a click, in shares of the object's size.
     """
 
@@ -51,6 +55,7 @@ class Shown:
     click: str = "nothing"
     tool: str = "box"
     brush: float = 0.05
+    exact: int = 0
 
 
 class StackEditor:
@@ -68,8 +73,11 @@ class StackEditor:
         self.spacing = max(spacing_of(asset.points), 1e-9)
         self.selector = Selector(rest=asset.points)
         self._dragged: EditState | None = None
+        self._passing: tuple[int, EditState] | None = None
         self._held_raw: dict[str, Any] | None = None
         self._kept: dict[str, Any] | None = None
+        self._sliding: tuple[int, str] | None = None
+        self._good: Any = None
         self._gesture = 0
         self._check_selected()
 
@@ -81,7 +89,17 @@ class StackEditor:
     @property
     def state(self) -> EditState:
         """The object as it is shown: while something is dragged, as it would be."""
-        return self._dragged or self.session.state
+        return self._dragged or self._present
+
+    def refine(self) -> None:
+        """Show the exact state of the present time from now on."""
+        self._passing = None
+
+    @property
+    def _present(self) -> EditState:
+        """The state of the session; while its time goes by, a quick one with the same points."""
+        passing, number = self._passing, self.session.history.present.number
+        return passing[1] if passing and passing[0] == number else self.session.state
 
     @property
     def dragging(self) -> bool:
@@ -90,7 +108,7 @@ class StackEditor:
 
     def raw(self, index: int) -> dict[str, Any]:
         """An edit as an edit file has it, keyframes at the present time."""
-        return raw_edit(self.session.state.script.edits[index])
+        return raw_edit(self._present.script.edits[index])
 
     def add(self, kind: str) -> None:
         """Add an edit that changes nothing yet, in the selection if there is one."""
@@ -107,16 +125,46 @@ class StackEditor:
 
         Changes of one value in a row are one step to undo; `begin` starts another.
         """
-        if path in self.session.tracks(index):
-            self.session.key(index, path, self.session.time, value)
-            return
+        whole, merge = self._whole(index), f"{index} {path} {self._gesture}"
         parent, _, last = path.rpartition("/")
-        if last.isdecimal():  # One of several numbers, which an edit may leave out altogether.
-            whole = [0.0, 1.0] if parent == "limits" else [0.0, 0.0, 0.0]
-            whole = list(self.raw(index).get(parent, whole))
-            whole[int(last)] = value
-            path, value = parent, whole
-        self.session.set(index, path, value, merge=f"{index} {path} {self._gesture}")
+        if last.isdecimal() and parent not in whole:  # One of several, which are left out.
+            whole[parent] = [0.0, 1.0] if parent == "limits" else [0.0, 0.0, 0.0]
+        put_at(whole, path, self.session.time, value)
+        self.session.replace(index, whole, merge=merge)
+
+    def slide(self, index: int, path: str, value: Any) -> None:
+        """Show the selected edit with another value; `settle` keeps it.
+
+        A value with which space folds is shown; the last good one is remembered.
+        """
+        if self._sliding != (index, path):
+            self.settle()
+        raw = self.raw(self.session.stack.checked(index))
+        set_value(raw, *self._whole_value(index, path, value))
+        state = self.session.preview(raw, at=index, frames="quick")
+        self._dragged, self._held_raw, self._sliding = state, raw, (index, path)
+        if not len(state.folds):
+            self._good = value
+
+    def settle(self) -> bool:
+        """Keep the value that `slide` shows, as one step; whether it stays, as `drop`."""
+        sliding, good, shown = self._sliding, self._good, self._dragged
+        if sliding is None or shown is None:
+            return True
+        self.cancel()
+        self.begin()
+        if good is not None:
+            self.set(*sliding, good)
+        return not len(shown.folds)
+
+    @property
+    def sliding(self) -> bool:
+        """Whether a value is shown that is not kept yet."""
+        return self._sliding is not None
+
+    def rename(self, index: int, name: str | None) -> None:
+        """Name an edit; what is typed in a row is one step to undo, as of `set`."""
+        self.session.rename(index, name, merge=f"{index} name {self._gesture}")
 
     def begin(self) -> None:
         """Make the next change of a value a step of its own."""
@@ -151,7 +199,7 @@ class StackEditor:
 
     def cancel(self) -> None:
         """Put what is dragged back to where it was."""
-        self._dragged = self._held_raw = self._kept = None
+        self._dragged = self._held_raw = self._kept = self._sliding = self._good = None
 
     def region(self) -> dict[str, Any]:
         """The selection as a region of an edit file.
@@ -166,6 +214,16 @@ class StackEditor:
     def _whole(self, index: int) -> dict[str, Any]:
         """An edit as an edit file has it, with all its keyframes."""
         return raw_edit(self.session.stack.edits[self.session.stack.checked(index)])
+
+    def _whole_value(self, index: int, path: str, value: Any) -> tuple[str, Any]:
+        """Path and value to write; of one of several numbers, which an edit may lack, all."""
+        parent, _, last = path.rpartition("/")
+        if not last.isdecimal():
+            return path, value
+        whole = [0.0, 1.0] if parent == "limits" else [0.0, 0.0, 0.0]
+        whole = list(self.raw(index).get(parent, whole))
+        whole[int(last)] = value
+        return parent, whole
 
     def _kind(self, index: int) -> str:
         return str(self._whole(index)["type"])
@@ -185,7 +243,7 @@ class StackEditor:
         handle = None if gone else self.shown.handle
         selected = index if count else None
         if handle is not None and selected is not None:
-            raw = self.raw(selected)
-            if handle >= len(handles_of_edit(raw, self.session.state, selected)):
+            found = handles_or_error(self.raw(selected), self.session.state, selected)
+            if isinstance(found, PcoreError) or handle >= len(found):
                 handle = None
         self._select(selected, handle=handle)

@@ -13,10 +13,17 @@ class StatusLine:
         """Begin the tour, or without."""
         self._step = 0 if tour else None
 
-    def go_on(self, label: str) -> None:
-        """Go on with the tour where a command, by its label, was what it waits for."""
-        done = (label == "do anchors", "anchors" in label, label != "do twist", True)
-        if self._step is not None and self._step < len(done) and done[self._step]:
+    def go_on(self, editor: Editor, *, saved: bool) -> None:
+        """Go on with the tour over every step that is done."""
+        edits = [editor.raw(index) for index in range(len(editor.session.stack.edits))]
+        handles = [one for raw in edits for one in raw.get("handles", ())]
+        done = (
+            bool(handles),
+            any(one.get("to") != one.get("near") for one in handles),
+            any(raw["type"] == "twist" and raw["angle_deg"] for raw in edits),
+            saved,
+        )
+        while self._step is not None and self._step < len(done) and done[self._step]:
             self._step += 1
 
     def text(self, editor: Editor, *, saved: bool, said: str, drawn: bool) -> str:

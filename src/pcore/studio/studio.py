@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -11,22 +10,21 @@ from pcore.studio.actions import COMMANDS, NEWEST, OF_TAB, Actions
 from pcore.studio.dialogs import ask_to_restore, show_help
 from pcore.studio.drawing import Drawer
 from pcore.studio.editor import Editor
+from pcore.studio.gestures import Gestures
 from pcore.studio.guard import Guard
 from pcore.studio.guide_nodes import GuideNodes
 from pcore.studio.guides import GuideMaker
 from pcore.studio.handle_nodes import HandleNodes
-from pcore.studio.handle_pose import HandlePose
 from pcore.studio.help_text import WORKING
 from pcore.studio.hotkeys import HOTKEYS
 from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import SIZE, PageFrame
 from pcore.studio.select_actions import SELECT_COMMANDS, SelectActions
-from pcore.studio.server import open_server
+from pcore.studio.server import open_server, sweep
 from pcore.studio.showing import Showing
 from pcore.studio.status_line import StatusLine
 from pcore.studio.stroke_nodes import HELD, StrokeNodes
 from pcore.studio.studio_files import StudioFiles
-from pcore.studio.tabs import Tabs
 from pcore.studio.viewport import Viewport
 from pcore.studio.widgets import Panels
 
@@ -36,15 +34,16 @@ _AWAY = 1.5
 """Distance of the first camera in sizes of the object."""
 _ANGLE = 0.7
 """Its vertical field of view, radians."""
-_CLICK = 0.5
-"""Seconds within which two messages are of one click."""
+
+_SWEEP = 100
+"""Commands between two sweeps of messages that nobody needs."""
 
 
 def _nowhere(error: Exception) -> None:
     """Say nothing."""
 
 
-class Studio(Tabs):
+class Studio(Gestures):
     """A running page. `close` ends it."""
 
     def __init__(
@@ -80,7 +79,7 @@ class Studio(Tabs):
         self.frame = PageFrame.around(asset.points)
         self.files = StudioFiles(self)
         self.actions, self.selecting = Actions(self), SelectActions(self)
-        self._guides, self._grabbed = GuideMaker(), 0.0
+        self._guides, self._refreshed = GuideMaker(), 0
         self.wishes = self._wishes()
         self._showing = Showing(self.editor, self.drawer, self.frame)
         self._seen = self.editor.session.history.present.number
@@ -93,7 +92,9 @@ class Studio(Tabs):
     def close(self) -> None:
         """End the page; the autosave stays."""
         self.actions.playing = False
+        self.perform(lambda: None)
         self.worker.stop()
+        self.files.close()
         self.server.stop()
 
     # Tabs
@@ -142,6 +143,9 @@ class Studio(Tabs):
 
         @client.camera.on_update
         async def _(_: Any) -> None:
+            if self.editor.shown.exact:
+                self.worker.draw(self._move, self._rest)
+                return
             viewport.moving()
             self.worker.draw(None, self._rest)
 
@@ -174,6 +178,8 @@ class Studio(Tabs):
         wishes |= {name: self._newest_of(name, getattr(actions, name)) for name in NEWEST}
         wishes |= {name: self._of_tab(getattr(actions, name)) for name in OF_TAB}
         wishes |= {name: self._wish(getattr(self.selecting, name)) for name in SELECT_COMMANDS}
+        wishes["slide"] = self._slide
+        wishes["cancel"] = self._cancel
         wishes["brush"] = self._newest_of("brush", self.selecting.brush)
         return wishes | {
             "top": self._top,
@@ -183,51 +189,9 @@ class Studio(Tabs):
             "take_over": self._take_over,
         }
 
-    async def _clicked(self, event: Any) -> None:
-        tab, place = int(event.client_id), event.screen_pos
-        if event.modifier in HELD:
-            self._of_tab(self.selecting.dab)(tab, place, HELD[event.modifier])
-        elif event.modifier or time.monotonic() > self._grabbed + _CLICK:
-            pin = event.modifier == "alt" or (
-                not event.modifier and self.editor.shown.click == "pin"
-            )
-            self._of_tab(self.actions.place)(tab, place, pin)
-
-    async def _boxed(self, event: Any) -> None:
-        choose = self._of_tab(self.selecting.choose)
-        how = HELD[event.modifier]
-        choose(int(event.client_id), event.screen_min, event.screen_max, how)
-
-    def _stroked(self, event: Any, how: str) -> None:
-        tab = int(event.client_id)
-        viewport = self._viewports.get(tab)
-        if event.phase == "start" and not self._may(tab):
-            return
-        if viewport is None or tab != self._owner:
-            return
-        self.selecting.collect(event)
-        if event.phase == "end":
-            self.perform(lambda: self.selecting.stroke(viewport, how))
-            self.perform(lambda: self.selecting.lift(viewport))
-        else:
-            self.newest("stroke", lambda: self.selecting.stroke(viewport, how), light=True)
-
-    def _select_handle(self, tab: int, number: int) -> None:
-        self._grabbed = time.monotonic()  # The page tells of the click behind the ball, too.
-        if self._may(tab):
-            self.perform(lambda: self.editor.select_handle(number))
-
-    def _dragged(self, tab: int, phase: str, pose: HandlePose) -> None:
-        if tab != self._owner:
-            return
-        if phase == "end":
-            self.perform(self.actions.drop)
-        else:
-            self.newest("drag", lambda: self.actions.drag(pose), light=True)
-
     def _top(self, tab: int, name: str) -> None:
         if name == "Save":
-            self.wishes["save"](tab, self.outputs.edit.name)
+            self.wishes["save"](tab, self.files.edit.name)
         else:
             self.wishes[name.lower()](tab)
 
@@ -250,11 +214,13 @@ class Studio(Tabs):
     def _refresh(self) -> None:
         """Bring everything to the editor's state: panel, handles, splats, and pictures at rest."""
         editor = self.editor
-        number = editor.session.history.present.number
-        if number != self._seen:
-            self._seen = number
-            self.files.autosave()
-            self._line.go_on(self.editor.session.history.present.label)
+        self._note()
+        self._line.go_on(editor, saved=self.files.saved)
+        if (lost := editor.lost) is not None:
+            self._complain(lost)
+        self._refreshed += 1
+        if self._refreshed % _SWEEP == 0:
+            sweep(self.server)
         self.panels.show(
             editor,
             self._status(),
@@ -270,14 +236,23 @@ class Studio(Tabs):
         self.guides.show(self._guides.of(editor))
         self.worker.draw(self._move, self._rest)
 
+    def _note(self) -> None:
+        """Where edits changed: keep them."""
+        number = self.editor.session.history.present.number
+        if number != self._seen:
+            self._seen = number
+            self.files.autosave()
+
     def _show_drag(self) -> None:
         editor = self.editor
         warn = len(editor.state.folds) > 0
-        self.nodes.show(editor, warn=warn, moved=False)
+        moved = editor.sliding or self.actions.playing
+        self.nodes.show(editor, warn=warn, moved=moved)
         self.guides.show(self._guides.of(editor))
         self.worker.draw(self._move, self._rest)
 
     def _let_go(self) -> None:
+        self.nodes.release()
         self.selecting.take_back()
         self.editor.cancel()
 

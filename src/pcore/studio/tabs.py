@@ -5,9 +5,10 @@ from __future__ import annotations
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-from pcore.errors import PcoreError
+from pcore.errors import EditError, PcoreError
 from pcore.studio.guard import plain
 from pcore.studio.viewport import Viewport
 from pcore.studio.worker import Worker
@@ -112,6 +113,9 @@ class Tabs(ABC):
                 do()
             except PcoreError as error:
                 self._complain(error)
+            except OSError as error:  # A full disk, a folder that nobody may write to.
+                name = Path(str(error.filename or "file")).name
+                self._complain(EditError(f"{name}: {error.strerror or error}"))
             finally:
                 with self._lock:
                     done.set()

@@ -1,0 +1,228 @@
+"""A whole page whose tab is not a browser: what its widgets wish, its files, its messages."""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from objects import demo
+
+from pcore.errors import EditError
+from pcore.studio.editor import Editor
+from pcore.studio.guard import Guard
+from pcore.studio.handle_pose import HandlePose
+from pcore.studio.outputs import Outputs
+from pcore.studio.status_line import StatusLine
+
+pytest.importorskip("viser", reason="the extra studio is not installed")
+from pcore.studio.studio import _SWEEP, Studio
+
+TAB = 1
+
+
+@pytest.fixture
+def page(tmp_path: Path, free_port: int) -> Iterator[Studio]:
+    with closing(opened(tmp_path, free_port)) as studio:
+        yield studio
+
+
+def opened(folder: Path, port: int, edit: str = "edit.json") -> Studio:
+    outputs = Outputs(folder=folder / "studio", edit=folder / "studio" / edit, run=folder)
+    studio = Studio(demo(), Guard(port=port), outputs, title="demo")
+    studio._owner = TAB
+    return studio
+
+
+def wish(page: Studio, name: str, *values: Any) -> None:
+    page.wishes[name](TAB, *values)
+    assert page.worker.wait()
+
+
+def until(holds: Callable[[], bool]) -> None:
+    end = time.monotonic() + 10
+    while not holds():
+        assert time.monotonic() < end, "it did not happen in time"
+        time.sleep(0.02)
+
+
+def test_a_slider_is_drawn_at_once_and_kept_as_one_step_when_it_rests(page: Studio) -> None:
+    wish(page, "add", "twist")
+    history = page.editor.session
+    depth = history.history.now
+    for angle in (10.0, 20.0, 30.0):
+        wish(page, "slide", 0, "angle_deg", angle)
+    assert page.editor.present == {**page.editor.raw(0), "angle_deg": 30.0}
+    assert history.history.now == depth
+    until(lambda: page.editor.raw(0)["angle_deg"] == 30.0)
+    wish(page, "slide", 0, "angle_deg", 40.0)
+    wish(page, "undo")
+    assert page.editor.raw(0)["angle_deg"] == 30.0, "two drags are two steps"
+    assert history.history.now == depth + 1
+
+
+def test_autosaves_are_seconds_apart_and_the_last_one_is_written_at_the_end(page: Studio) -> None:
+    page.files._written = time.monotonic() + 100
+    wish(page, "add", "twist")
+    wish(page, "add", "bend")
+    assert not page.outputs.autosave.exists()
+    page.close()
+    assert json.loads(page.outputs.autosave.read_text())["now"] == 2
+
+
+def test_letters_of_a_name_are_one_step_and_leave_its_field(page: Studio) -> None:
+    wish(page, "add", "twist")
+    panel, depth = page.panels._edits, page.editor.session.history.now
+    field = panel._name
+    for name in ("l", "le", "left arm"):
+        wish(page, "rename", 0, name)
+    assert panel._name is field
+    assert panel._list[0].label == "1 · left arm"
+    assert page.editor.session.history.now == depth + 1
+    wish(page, "undo")
+    assert panel._name is field
+    assert field.value == "Twist"
+
+
+def test_a_drag_that_was_put_back_stays_so_until_it_begins_anew(page: Studio) -> None:
+    page.actions._editor.place_handle(10)
+    page.editor.select_handle(0)
+    start = page.editor.handles[0].place
+
+    def tell(phase: str) -> None:
+        x, y, z = page.frame.to_page(start)
+        event = SimpleNamespace(client_id=TAB, phase=phase)
+        page.nodes._tell(event, (x, y, z + 0.3), None)
+        assert page.worker.wait()
+
+    tell("start")
+    assert page.editor.dragging
+    wish(page, "cancel")
+    tell("update")
+    assert not page.editor.dragging
+    tell("end")
+    assert page.editor.handles[0] == HandlePose(place=start, rests=True)
+    tell("start")
+    assert page.editor.dragging
+
+
+def test_save_goes_where_it_was_saved_last_and_the_command_names_that(
+    tmp_path: Path, free_port: int
+) -> None:
+    with closing(opened(tmp_path, free_port, "Körper (1).json")) as page:
+        wish(page, "add", "twist")
+        wish(page, "top", "Save")
+        assert page.outputs.edit.is_file(), "its own name needs not be one that pages may give"
+        wish(page, "save", "other.json")
+        wish(page, "add", "bend")
+        wish(page, "top", "Save")
+        assert len(json.loads((tmp_path / "studio" / "other.json").read_text())["edits"]) == 2
+        line = page.outputs.line(
+            "OUT", Path("c.json"), edit=page.files.edit, time=1 / 3, light=None
+        )
+        assert "other.json" in line
+        assert f"--time {1 / 3!r}" in line
+
+
+@pytest.mark.parametrize("how", ["edited", "saved"])
+def test_what_nobody_restored_is_moved_aside_and_opened_later(
+    page: Studio, tmp_path: Path, how: str
+) -> None:
+    before = Editor(demo())
+    before.add("taper")
+    page.outputs.keep(before.session, [])
+    if how == "edited":
+        wish(page, "add", "twist")
+    wish(page, "top", "Save")
+    wish(page, "open", "autosave_001.json")
+    assert page.editor.raw(0)["type"] == "taper"
+    assert not page.files.saved
+
+
+def test_a_cage_whose_file_is_gone_is_said_and_the_panel_goes_on(page: Studio) -> None:
+    wish(page, "add", "cage")
+    page.editor.select_handle(0)
+    (page.outputs.folder / "cage_001.ply").unlink()
+    wish(page, "lock", "x")
+    assert page.panels._edits._lock.value == "x"
+    assert "cage_001.ply" in page._said
+    assert str(page.outputs.folder) not in page._said
+    wish(page, "order", 0, "Delete")
+    assert not page.editor.session.stack.edits
+
+
+def test_a_full_disk_at_a_picture_is_said(page: Studio) -> None:
+    def full() -> None:
+        raise OSError(28, "No space left on device", "/home/anna/picture_001.png")
+
+    page.perform(full)
+    assert page.worker.wait()
+    assert page._said == "⚠ picture_001.png: No space left on device"
+
+
+def test_messages_to_tabs_do_not_pile_up(page: Studio) -> None:
+    page.editor.add("twist")
+    page.editor.add("bend")
+    kept = page.server._websock_server._broadcast_buffer.message_from_id  # pyright: ignore
+    counts = list[int]()
+    for _ in range(2):
+        for number in range(10):
+            page.editor.select(number % 2)
+            page._refresh()
+        page._refreshed += _SWEEP - page._refreshed % _SWEEP - 1
+        page._refresh()
+        counts.append(len(kept))
+    assert counts[1] == counts[0]
+
+
+def test_a_value_that_folds_is_shown_and_the_last_good_one_kept() -> None:
+    editor = Editor(demo())
+    editor.add("part")
+    editor.slide(0, "translation/0", 0.01)
+    editor.slide(0, "translation/0", 0.8)
+    assert len(editor.state.folds)
+    assert not editor.settle()
+    assert editor.raw(0)["translation"] == [0.01, 0.0, 0.0]
+
+
+def test_every_slider_of_an_edit_slides_and_a_changed_one_settles_the_last() -> None:
+    editor = Editor(demo())
+    editor.add("rigid")
+    depth = editor.session.history.now
+    editor.slide(0, "translation/0", 0.1)
+    editor.slide(0, "translation/2", 0.2)
+    assert editor.settle()
+    assert editor.raw(0)["translation"] == [0.1, 0.0, 0.2]
+    assert editor.session.history.now == depth + 2
+    with pytest.raises(EditError):
+        editor.slide(5, "angle_deg", 1.0)
+
+
+def test_the_tour_follows_what_is_done() -> None:
+    editor, line = Editor(demo()), StatusLine(tour=True)
+
+    def step(*, saved: bool = False) -> str:
+        line.go_on(editor, saved=saved)
+        return line.text(editor, saved=saved, said="", drawn=True).splitlines()[-1][:8]
+
+    assert step(saved=True) == "**1 of 4"
+    editor.place_handle(10)
+    assert step() == "**2 of 4"
+    editor.undo()
+    editor.redo()
+    editor.place_handle(500)
+    assert step() == "**2 of 4"
+    editor.select_handle(0)
+    x, y, z = editor.handles[0].place
+    editor.drag(HandlePose(place=(x, y, z + 0.02)))
+    assert editor.drop()
+    assert step() == "**3 of 4"
+    editor.undo()
+    editor.add("twist")
+    assert step() == "**3 of 4"
+    editor.set(1, "angle_deg", 20.0)
+    assert step() == "**4 of 4"
+    assert step(saved=True) == "That was"
