@@ -102,7 +102,6 @@ def check_agreement(agreement: Agreement, *, where: str, scene: str) -> str | No
     if agreement.psnr >= enough:
         return None
     return (
-        f"{agreement.psnr:.1f} dB{silhouettes} are few for photos that it was trained on: look at "
-        "`pcore render`; --variance or --antialiased may be other than its trainer's, or "
-        f"{_MOVED}"
+        f"{agreement.psnr:.1f} dB{silhouettes} are few for its own photos: --variance or "
+        f"--antialiased may be other than its trainer's, or {_MOVED}"
     )
