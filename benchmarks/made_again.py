@@ -2,6 +2,10 @@
 
     python benchmarks/made_again.py DATA/knight [--renderer blender] [--states test run] [--views 4]
 
+First the numbers: camera poses of both splits, and the maps of the analytic states (bent about the
+axis of the set's own `bend60`), as `pcore benchmark make` makes them, and their largest difference
+from the set's; meshes of the set are in single precision. `--states` without any ends there.
+
 The set has meshes and no paint: each vertex gets the mean colour of 25 training pictures that show
 it, divided by the light that our studio shines on it. Printed for each state, over the views:
 difference of the silhouettes (alpha, of 255: mean over the picture, largest), and of the colours
@@ -18,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from PIL import Image
 
 from pcore.benchmark.blender_renderer import blender
@@ -29,8 +34,11 @@ from pcore.benchmark.look import (
     linear_rgba,
     smooth_patches,
 )
+from pcore.benchmark.making import SPLITS
+from pcore.benchmark.model_states import formulas
 from pcore.benchmark.renderers import Job, embedded
 from pcore.benchmark.true_picture import Shape, light_on
+from pcore.sample.sample_render import camera_poses
 
 _PHOTOS = 25
 
@@ -40,13 +48,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("--renderer", choices=("embedded", "blender"), default="embedded")
-    parser.add_argument("--states", nargs="+", default=["test", "run"])
+    parser.add_argument("--states", nargs="*", default=["test", "run"])
     parser.add_argument("--views", type=int, default=4)
     given = parser.parse_args()
     with np.load(given.data / "meshes.npz", allow_pickle=False) as file:
         meshes = {name: file[name] for name in file.files}
     faces = meshes["faces"].astype(np.int64)
     vertices = meshes["canonical"].astype(np.float64)
+    print(f"{given.data.name} poses: {told_poses(given.data)}")
+    print(f"{given.data.name} maps: {told_maps(given.data, meshes)}", flush=True)
+    if not given.states:
+        return
     look = Look(
         materials=(Material(color=(1.0, 1.0, 1.0, 1.0)),),
         material_of_face=np.zeros(len(faces), dtype=np.int64),
@@ -67,6 +79,30 @@ def main() -> None:
             chosen = blender(look, resolution=size)
         made = [exposed(shot.rgba, exposure) for shot in chosen(jobs)]
         print(f"{given.data.name} {state} {given.renderer}: {told(made, truth)}", flush=True)
+
+
+def told_poses(folder: Path) -> str:
+    """Largest difference of the entries of the camera poses of both splits."""
+    worst: dict[str, float] = {}
+    for split, place in SPLITS.items():
+        record = json.loads((folder / f"transforms_{split}.json").read_text())
+        known = np.array([one["transform_matrix"] for one in record["frames"]])
+        ours = camera_poses(len(known), **place)
+        worst[split] = float(np.abs(known - ours).max())
+    return ", ".join(f"{split} {value:.1e}" for split, value in worst.items())
+
+
+def told_maps(folder: Path, meshes: dict[str, Any]) -> str:
+    """Largest distance of the vertices of each analytic state, in radii of the object."""
+    vertices = meshes["canonical"].astype(np.float64)
+    record = json.loads((folder / "bend60" / "deformation.json").read_text())
+    bend_axis = record["axis"].lower()
+    worst: dict[str, float] = {}
+    for name, one in formulas(vertices, bend_axis).items():
+        moved = one.deformation(torch.from_numpy(vertices)).numpy()
+        worst[name] = float(np.linalg.norm(moved - meshes[name], axis=1).max())
+    told = ", ".join(f"{name} {value:.1e}" for name, value in worst.items())
+    return f"{told} (--bend-axis {bend_axis})"
 
 
 def views(folder: Path, shape: Shape, count: int, split: str = "test") -> tuple[list[Job], Any]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 from benchmarks.attention_workload import measure_attention
 from benchmarks.drag_workload import measure_drag
+from benchmarks.gaussian_workload import measure_gaussians
 from benchmarks.metrics import Metric
 from benchmarks.papr_workloads import measure_render, measure_step
 from benchmarks.plan import Plan
@@ -19,4 +20,5 @@ WORKLOADS: dict[str, Callable[[Plan], Iterator[tuple[str, Metric]]]] = {
     "render": measure_render,
     "drag": measure_drag,
     "studio": measure_studio,
+    "gaussians": measure_gaussians,
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -309,6 +310,41 @@ def test_paint_of_an_older_kind_of_material(tmp_path: Path) -> None:
     model = read_model(save(made, tmp_path))
     rgba = model.look.rgba(model.faces, np.array([0]), np.full((1, 3), 1 / 3))
     assert rgba[0] == pytest.approx([0.5, 0.25, 1, 1])
+
+
+@pytest.mark.parametrize(
+    ("moved", "message"),
+    [
+        ([1], "KHR_texture_transform"),
+        ({"rotation": "x"}, "KHR_texture_transform.rotation"),
+        ({"texCoord": -1}, "KHR_texture_transform.texCoord"),
+        ({"offset": [float("nan"), 0]}, "KHR_texture_transform.offset.0"),
+        ({"scale": [1]}, "KHR_texture_transform.scale"),
+        ({"texCoord": 2}, "TEXCOORD_0 or 1, got TEXCOORD_2"),
+    ],
+)
+def test_a_damaged_texture_transform_is_named(tmp_path: Path, moved: Any, message: str) -> None:
+    made = figure()
+    info = made.tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    info["extensions"] = {"KHR_texture_transform": moved}
+    with pytest.raises(InputError, match=message):
+        read_model(save(made, tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("texture", "message"),
+    [
+        ({"extensions": {"EXT_texture_webp": 3}}, "EXT_texture_webp"),
+        ({"extensions": {"KHR_texture_basisu": {"source": 0}}}, "got KHR_texture_basisu"),
+    ],
+)
+def test_a_texture_that_is_not_read_is_named(tmp_path: Path, texture: Any, message: str) -> None:
+    made = figure()
+    made.tree["textures"] = [texture]
+    with pytest.raises(InputError, match=message):
+        read_model(save(made, tmp_path))
+    made.tree["textures"] = [{"extensions": {"EXT_texture_webp": {"source": 0}}}]
+    assert read_model(save(made, tmp_path)).look.materials[0].texture is not None
 
 
 def test_two_skeletons_move_each_their_own_mesh(tmp_path: Path) -> None:

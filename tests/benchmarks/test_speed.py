@@ -12,6 +12,7 @@ import torch
 from benchmarks.__main__ import main
 from benchmarks.attention_workload import measure_attention
 from benchmarks.drag_workload import measure_drag
+from benchmarks.gaussian_workload import measure_gaussians
 from benchmarks.measure import in_turns
 from benchmarks.papr_workloads import measure_render, measure_step
 from benchmarks.plan import Plan
@@ -70,6 +71,9 @@ def test_the_baseline_holds_the_bars() -> None:
     assert bars["drag/cage/30000/seconds"] == bars["drag/anchor/30000/seconds"] == 0.03
     assert bars["drag/cage/30000/bind"] == bars["drag/anchor/30000/bind"] == 10
     assert bars["render/200x200/30000/fast/psnr"] == 50
+    assert bars["gaussians/100x100/10000/both/seconds"] == 0.025
+    assert bars["gaussians/200x200/10000/edited/seconds"] == 0.025
+    assert bars["gaussians/400x400/100000/at_rest/seconds"] == 0.3
     assert bars["step/64x64/30000/gradient_error/ours"] == 1e-3
     assert metrics.regressions(baseline, baseline) == []
 
@@ -171,6 +175,13 @@ def test_drags_are_measured() -> None:
     }
     for kind in ("cage", "anchor"):
         assert found[f"drag/{kind}/300/seconds"].value < found[f"drag/{kind}/300/bind"].value
+
+
+def test_pictures_of_gaussians_are_measured() -> None:
+    found = dict(measure_gaussians(Plan(device=torch.device("cpu"), quick=True, turns=1)))
+    names = ["10x10/200/both", "20x20/200/edited", "40x40/600/at_rest"]
+    assert [*found] == [f"gaussians/{name}/seconds" for name in names]
+    assert all(metric.value > 0 for metric in found.values())
 
 
 def test_the_budgets_of_the_page_are_measured() -> None:

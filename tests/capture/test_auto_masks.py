@@ -55,3 +55,16 @@ def test_a_region_that_no_photo_shows_is_refused() -> None:
     far = Region(center=torch.tensor([0.0, 0.0, 500.0]), radius=1.0)
     with pytest.raises(InputError, match="--box"):
         find_masks(shot, far)
+
+
+def test_the_region_is_the_sphere_where_no_box_is_known() -> None:
+    """Its cube reaches over the whole of these photos, its sphere does not."""
+    shot, truth = photos(8)
+    found = find_masks(shot, Region(center=torch.zeros(3), radius=1.4))
+    assert min(_overlap(m, t) for m, t in zip(found.masks, truth, strict=True)) > 0.9
+
+
+def test_photos_without_known_background_are_refused() -> None:
+    shot, _ = photos(4)
+    with pytest.raises(InputError, match=r"fills 4 of 4 photos.*--box"):
+        find_masks(shot, Region(center=torch.zeros(3), radius=2.9))

@@ -171,6 +171,15 @@ def test_masks_that_lead_out(tmp_path: Path) -> None:
         load_scene(tmp_path / "scene")
 
 
+@pytest.mark.parametrize("link", ["sparse", "sparse/0/images.bin", "transforms.json"])
+def test_models_that_lead_out(tmp_path: Path, link: str) -> None:
+    write_ngp(tmp_path / "scene") if link == "transforms.json" else write_colmap(tmp_path / "scene")
+    (tmp_path / "scene" / link).rename(tmp_path / "secret")
+    (tmp_path / "scene" / link).symlink_to(tmp_path / "secret")
+    with pytest.raises(SceneError, match="leads out of the scene's folder"):
+        load_scene(tmp_path / "scene")
+
+
 def test_names_that_lead_out(tmp_path: Path) -> None:
     photos = shots()
     write_photos(tmp_path / "images", [shot.name for shot in photos])

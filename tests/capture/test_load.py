@@ -313,6 +313,7 @@ def test_a_focal_length_replaces_the_angle(scene: Path) -> None:
         ({"fl_y": -3.0}, "expected positive focal lengths"),
         ({"cx": 400.0}, r"inside the image of 12 x 8 pixels, got 400, 4; are they"),
         ({"cy": -1.0}, r"inside the image of 12 x 8 pixels, got 6, -1"),
+        ({"w": 12, "h": 8, "cy": -90.0}, r"inside the image of 12 x 8 pixels, got 6, -90"),
         ({"k1": 0.03, "p2": -0.001}, r"pinhole camera, got k1 = 0.03, p2 = -0.001; undistort"),
         ({"is_fisheye": True}, r"got a fisheye lens \(is_fisheye\); undistort"),
         ({"camera_model": "OPENCV_FISHEYE"}, r"got a fisheye lens \(camera_model OPENCV_FISH"),
@@ -322,6 +323,12 @@ def test_lenses_that_cannot_be(scene: Path, keys: dict[str, Any], message: str) 
     change(scene / "transforms_train.json", **keys)
     with pytest.raises(SceneError, match=rf"transforms_train\.json.*{message}"):
         load_scene(scene)
+
+
+def test_a_cut_picture_may_lie_beside_the_axis(scene: Path) -> None:
+    change(scene / "transforms_train.json", w=12, h=8, cx=-5.0, cy=14.0)
+    camera = load_scene(scene).split("train")[0].camera
+    assert (camera.cx, camera.cy) == (-5.0, 14.0)
 
 
 def test_distortion_of_one_frame(scene: Path) -> None:

@@ -6,8 +6,10 @@ import pytest
 import torch
 from PIL import Image
 
+from capture_files import shots, write_model, write_photos
 from pcore.capture.load import load_scene
 from pcore.capture.mask_folder import match_masks, write_masks
+from pcore.data.image_files import read_mask
 from pcore.errors import SceneError
 from room_scene import HEIGHT, WIDTH, write_room
 
@@ -77,3 +79,25 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     for split in again.splits:
         for view in again.split(split):
             assert torch.allclose(view.alpha(), known[view.name], atol=1 / 255)
+
+
+def test_photos_of_one_name_have_masks_in_folders_of_their_own(tmp_path: Path) -> None:
+    photos = shots(6)
+    for number, shot in enumerate(photos):
+        shot.name = f"cam{number % 2}/{number // 2:04d}.png"
+    write_photos(tmp_path / "rig" / "images", [shot.name for shot in photos])
+    write_model(tmp_path / "rig" / "sparse" / "0", photos)
+    views = load_scene(tmp_path / "rig").split("train")
+    masks = list(torch.eye(24)[: len(views), None].expand(-1, 16, -1))
+    write_masks(views, masks, tmp_path / "cut")
+    found = match_masks([view.image.path for view in views], tmp_path / "cut").files
+    read = [read_mask(found[view.image.path], size=(24, 16)) for view in views]
+    assert all(torch.equal(one, other) for one, other in zip(read, masks, strict=True))
+
+
+@pytest.mark.parametrize("size", [(WIDTH // 2, HEIGHT // 2), (3 * WIDTH, 3 * HEIGHT)])
+def test_masks_of_scaled_photos_fit(tmp_path: Path, size: tuple[int, int]) -> None:
+    _mask(tmp_path / "mask.png")
+    Image.open(tmp_path / "mask.png").resize(size, Image.Resampling.BOX).save(tmp_path / "s.png")
+    mask = read_mask(tmp_path / "s.png", size=(WIDTH, HEIGHT))
+    assert torch.equal(mask, read_mask(tmp_path / "mask.png", size=(WIDTH, HEIGHT)))

@@ -1,18 +1,21 @@
 """Photos and videos without poses: the child process, its limits and what is kept of it."""
 
 import json
+import struct
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from capture_files import write_photos
 from pcore.capture import structure
 from pcore.capture.layouts import layout_of
 from pcore.capture.load import load_scene
 from pcore.capture.structure import Patience, with_poses
+from pcore.capture.video_frames import choose_frames
 from pcore.errors import DependencyError, SceneError
 
 FAKE = """
@@ -112,6 +115,20 @@ def test_without_colmap(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         load_scene(photos)
 
 
+def test_masks_beside_photos_without_poses_are_used(
+    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake(monkeypatch)
+    photos.rename(tmp_path / "images")
+    capture = tmp_path / "capture"
+    capture.mkdir()
+    (tmp_path / "images").rename(capture / "images")
+    write_photos(capture / "masks", [f"IMG_{i}.png" for i in range(10)], mode="L")
+    scene = load_scene(capture)
+    assert scene.name == "capture"
+    assert scene.split("train")[0].has_alpha
+
+
 def video(path: Path, frames: int) -> Path:
     av = pytest.importorskip("av")
     with av.open(str(path), "w") as container:
@@ -134,6 +151,21 @@ def test_videos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         scene = load_scene(given)
         assert sum(len(split) for split in scene.views.values()) == 12
     assert list(folder.iterdir()) == [folder / "walk.mp4"]
+
+
+def test_portrait_videos_are_turned(tmp_path: Path) -> None:
+    """As a phone writes them: wide frames, and a track that is turned by 90 degrees clockwise."""
+    path = video(tmp_path / "walk.mp4", 4)
+    content = bytearray(path.read_bytes())
+    start = content.find(b"tkhd") + 44
+    content[start : start + 36] = struct.pack(">9i", 0, 1 << 16, 0, -1 << 16, 0, 0, 0, 0, 1 << 30)
+    path.write_bytes(content)
+    choose_frames(path, tmp_path / "frames", print)
+    with Image.open(tmp_path / "frames" / "0000.jpg") as frame:
+        assert frame.size == (16, 24)
+        # The last row of what is stored is the first column: bright pixels lie in even rows.
+        pixels = np.asarray(frame.convert("L"), dtype=float)
+    assert pixels[:, 15].mean() > 40 + pixels[:, 0].mean()
 
 
 def test_videos_without_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

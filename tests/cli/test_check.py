@@ -1,17 +1,23 @@
 """`pcore check`: what it says, what it writes, what it refuses."""
 
+import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from PIL import Image
+from rich.console import Console
 
 from pcore.capture import triangulation
 from pcore.capture.load import load_scene
 from pcore.capture.triangulation import PoseAgreement, Triangulated
+from pcore.cli.check import CheckCommand, _looking_factor, commands_of
 from pcore.cli.main import main
 from pcore.data.pictures import write_mask
+from pcore.data.points import save_points
 from pcore.evaluation.check_page import check_page
 from pcore.evaluation.scene_check import SceneCheck, check_scene
 from room_scene import RADIUS, cameras, picture, sparse_points, write_room
@@ -62,9 +68,16 @@ def test_masks_go_out_and_come_back(tmp_path: Path) -> None:
 
 def test_a_corrected_copy_is_a_scene_with_masks_cut_to_the_object(tmp_path: Path) -> None:
     room = write_room(tmp_path / "room", 12)
+    points = sparse_points()
+    save_points(room / "points.ply", points.positions)
+    content = json.loads((room / "transforms.json").read_text())
+    content["ply_file_path"] = "points.ply"
+    (room / "transforms.json").write_text(json.dumps(content))
     fixed = tmp_path / "fixed"
     assert main(["check", str(room), *BOX, "--fix", str(fixed)]) == 0
     before, after = load_scene(room), load_scene(fixed)
+    assert after.sparse is not None
+    assert torch.equal(after.sparse.positions, points.positions)
     lower, upper = (torch.tensor([float(x) for x in BOX[i : i + 3]]) for i in (1, 4))
     assert after.region is not None
     assert torch.allclose(after.region.center, (lower + upper) / 2, atol=1e-5)
@@ -213,3 +226,64 @@ def test_poses_are_held_against_features(
     assert words in said
     assert "the dense part of the sparse points" in said
     assert "reprojection" not in said
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [(0.0, "nothing to learn; are the masks black"), (1.0, "98 % of the picture")],
+)
+def test_masks_of_nothing_and_of_everything_are_not_called_good(
+    tmp_path: Path, value: float, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room = write_room(tmp_path / "room", 9)
+    (tmp_path / "cut").mkdir()
+    for number in range(9):
+        mask = torch.full((48, 64), value)
+        mask[0, :] = 0  # One row of background: masks without any are those of plain photos.
+        write_mask(tmp_path / "cut" / f"{number:04d}.png", mask)
+    assert main(["check", str(room), *BOX, "--masks", str(tmp_path / "cut")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert words in said
+    assert "ok masks" not in said
+
+
+def test_photos_of_one_name_in_two_splits_keep_their_own_masks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Those of other splits of a rendered scene have none, and are not cut with another's."""
+    room = write_room(tmp_path / "room", 9)
+    content = json.loads((room / "transforms.json").read_text())
+    for split, frames in (("train", content["frames"]), ("test", content["frames"][3:5])):
+        (room / split).mkdir()
+        for number, frame in enumerate(frames):
+            photo = room / split / f"{number}.png"
+            shutil.copy(room / frame["file_path"], photo)
+        own = [{**frame, "file_path": f"{split}/{i}.png"} for i, frame in enumerate(frames)]
+        (room / f"transforms_{split}.json").write_text(json.dumps({**content, "frames": own}))
+    (room / "transforms.json").unlink()
+    assert main(["check", str(room), *BOX, "--fix", str(tmp_path / "fixed")]) == 0
+    assert "without 2 photos of other splits" in capsys.readouterr().out
+    fixed = load_scene(tmp_path / "fixed")
+    assert sum(len(fixed.split(name)) for name in fixed.splits) == 9
+
+
+def test_photos_of_captures_are_looked_at_small_whatever_divides_them(tmp_path: Path) -> None:
+    room = write_room(tmp_path / "room", 9)
+    content = json.loads((room / "transforms.json").read_text())
+    for frame in content["frames"]:
+        with Image.open(room / frame["file_path"]) as photo:
+            photo.resize((1009, 757)).save(room / frame["file_path"])  # Both are primes.
+    assert _looking_factor(room, Console()) == 3
+
+
+def test_a_capture_whose_exposure_drifts_is_trained_with_colours_of_each_view(
+    tmp_path: Path,
+) -> None:
+    room = load_scene(write_room(tmp_path / "room", 9))
+    found = check_scene(room, room)
+    drifting = replace(found.quality, stops=torch.linspace(0, 2, 9)[:, None].expand(-1, 3))
+    said = [
+        commands_of(replace(found, quality=one), CheckCommand(scene=Path("room")), 1)[0]
+        for one in (found.quality, drifting)
+    ]
+    assert ["--exposure per-view" in line for line in said] == [False, True]

@@ -3,11 +3,14 @@
 import errno
 import io
 import os
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from pcore.cli.console import ProgressDisplay, clock, guarded
+from pcore.cli.output import check_place
+from pcore.errors import InputError
 from pcore.training.events import (
     BudgetReport,
     PopulationReport,
@@ -103,14 +106,24 @@ def test_clock(seconds: float, shown: str) -> None:
     assert clock(seconds) == shown
 
 
-def test_a_full_disk_is_one_message(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EFBIG, errno.EEXIST])
+def test_a_full_disk_is_one_message(capsys: pytest.CaptureFixture[str], code: int) -> None:
     def fill() -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "RUN/picture.png")
+        raise OSError(code, os.strerror(code), "RUN/picture.png")
 
     assert guarded(fill) == 2
     said = capsys.readouterr().err
-    assert said.startswith("Error: RUN/picture.png: No space left on device; ")
+    assert said.startswith(f"Error: RUN/picture.png: {os.strerror(code)}; ")
     assert "undamaged" in said
+
+
+@pytest.mark.parametrize("place", ["FILE", "FILE/x", "FILE/x/y", "/proc/x", "/proc/x/y"])
+def test_a_place_that_cannot_be_made_is_said_before_any_work(tmp_path: Path, place: str) -> None:
+    (tmp_path / "FILE").touch()
+    with pytest.raises(InputError, match=r"is a file: expected|nothing can be written into /"):
+        check_place(tmp_path / place)
+    check_place(tmp_path / "new" / "folder")
+    assert [one.name for one in tmp_path.iterdir()] == ["FILE"]
 
 
 def test_our_own_bugs_keep_their_traceback() -> None:

@@ -1,6 +1,7 @@
 """`pcore import gaussians` and `pcore export`: files of Gaussians and runs."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,9 +9,13 @@ import pytest
 import torch
 import tyro
 from rich.console import Console
+from tests.asset.test_lit_gaussians import TURN, lit_asset
 from tests.data.splat_files import write_ply
 from tests.gaussians.some import some_gaussians
 
+import tiny_scene
+from pcore.asset.importing import save_imported
+from pcore.asset.saving import load
 from pcore.cli.deform import DeformCommand, deform
 from pcore.cli.export import ExportCommand, export
 from pcore.cli.import_gaussians import ImportGaussiansCommand, import_gaussians
@@ -20,6 +25,7 @@ from pcore.errors import CheckpointError, InputError
 from pcore.files.gaussian_file import load_gaussians
 from pcore.files.run_folder import RunFolder
 from pcore.gaussians.render import Footprint
+from pcore.gaussians.spherical_harmonics import colors
 
 
 @pytest.fixture
@@ -123,3 +129,68 @@ def test_what_cannot_be_is_refused_and_leaves_nothing(folder: Path):
     (run / "gaussians.safetensors").unlink()
     with pytest.raises(CheckpointError, match="no model"):
         exported(run, "out.ply")
+
+
+def test_a_run_remembers_the_scene_that_it_was_shown(tmp_path: Path):
+    scene = tiny_scene.write_scene(tmp_path / "scene", states=False, meshes=False)
+    gaussians = some_gaussians(40)
+    run = save_imported(
+        gaussians.to(dtype=torch.float32),
+        Footprint(),
+        tmp_path / "run",
+        file=tmp_path / "gs.ply",
+        scene=scene,
+        factor=2,
+    )
+    assert run.record.scene_or(None).resolve() == scene.resolve()
+    assert run.record.factor == 2
+    assert run.scene().split("train")[0].camera.width == tiny_scene.SIZE // 2
+    # Both may move together; without photos a file of that name is no scene.
+    (tmp_path / "run").rename(tmp_path / "other")
+    assert load(tmp_path / "other").record.scene_folder is not None
+    (tmp_path / "gs.ply").write_bytes(b"")
+    bare = save_imported(
+        gaussians.to(dtype=torch.float32), Footprint(), tmp_path / "b", file=tmp_path / "gs.ply"
+    )
+    assert bare.record.scene_folder is None
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_a_file_of_ours_tells_its_screen_filter(folder: Path, flat: bool):
+    run = folder / "own"
+    own = Footprint(flat=flat)
+    save_imported(some_gaussians(40).to(dtype=torch.float32), own, run, file=folder / "gs.ply")
+    out = exported(run, "gs.ply", to="splats")
+    assert f"variance={own.variance:.9g} antialiased=1".encode() in out.read_bytes()
+    again = load_gaussians(imported(folder)).footprint
+    assert (again.antialiased, again.flat) == (True, flat)
+    assert again.variance == pytest.approx(own.variance, rel=1e-8)
+    # It stays through an edit, and a split.
+    bend = {"type": "bend", "axis": "x", "angle_deg": 60}
+    (folder / "e.json").write_text(json.dumps({"version": 2, "edits": [bend]}))
+    moved = folder / "moved.ply"
+    deform(DeformCommand(input=out, edit=folder / "e.json", output=moved, split=0.1))
+    told = read_splats(moved)
+    assert len(told.gaussians) > 40
+    assert told.footprint == again
+    # Options are for files of others, and mean what they say.
+    shutil.rmtree(folder / "run")
+    assert load_gaussians(imported(folder, variance=0.2)).footprint.variance == 0.2
+    shutil.rmtree(folder / "run")
+    with pytest.raises(InputError, match="variance above 0, got 0"):
+        imported(folder, variance=0.0)
+
+
+def test_edited_splats_are_lit_as_the_run_is(folder: Path):
+    asset = lit_asset().save(folder / "lit")
+    (folder / "turn.json").write_text(json.dumps(TURN))
+    out = exported(folder / "lit", "lit.ply", to="splats", edit=folder / "turn.json")
+    posed = asset.pose(TURN)
+    gains = asset.content.gains_of(posed.content)
+    assert gains is not None
+    assert float(gains.max() - gains.min()) > 0.2
+    drawn, eye = asset.splats(posed, torch.tensor([0.0, 0.0, 4.0]), gains=gains), 4.0
+    found = read_splats(out).gaussians.to(dtype=torch.float32)
+    seen = torch.nn.functional.normalize(found.means - torch.tensor([0.0, 0.0, eye]), dim=1)
+    expected = torch.from_numpy(drawn.rgb)
+    torch.testing.assert_close(colors(found.sh, seen).clamp(0, 1), expected, atol=2e-5, rtol=0)

@@ -11,8 +11,10 @@ import pytest
 from toys import write_scene
 
 from pcore.cli.main import main
+from pcore.cli.sweep_places import placed
 from pcore.sweep.sweep_storage import fetch
 from pcore.sweep.sweep_tables import TABLES
+from pcore.sweep.sweep_trial import Trial
 
 PLAN = """
 version: 1
@@ -140,6 +142,11 @@ def test_failures_are_listed_and_cost_nobody_else(
         (("points: 60", "points:"), "'points': expected a value or a list, got None"),
         (("preset: tiny, steps", "presets: tiny, steps"), "setting 'papr', finetune: "),
         (("scale:1.5", "twist90"), "twist90"),
+        (("steps: 3", "masks: nowhere"), "train: 'masks': expected a file or folder, seen from"),
+        (
+            ("rays: plain", "edit: [nope.json]"),
+            "eval: 'edit': expected a file or folder, seen from",
+        ),
         (("version: 1", "version: 1\nresources: {cpus: 4096}"), "expected a machine with 4096"),
         (("version: 1", "version: 1\nresources: {memory_gb: 1000000}"), "GB of memory for each"),
     ],
@@ -152,6 +159,32 @@ def test_mistakes_are_said_before_anything_starts(
     assert sweep(plan) == 2
     assert said in capsys.readouterr().err
     assert not (plan.parent / "out").exists()
+
+
+def test_files_of_options_are_seen_from_the_plan(tmp_path: Path) -> None:
+    for name in ("lean.json", "theirs"):
+        (tmp_path / name).touch()
+    verbs: Any = {
+        "train": {"masks": "auto", "init": "hull", "steps": 3},
+        "eval": {"edit": ["lean.json"]},
+        "compare": {"pictures": ["other=theirs"]},
+    }
+    trial = Trial(
+        scene="ball",
+        setting="papr",
+        seed=0,
+        scene_folder=tmp_path,
+        folder=tmp_path,
+        verbs=verbs,
+        threads=1,
+        device="cpu",
+    )
+    (found,) = placed([trial], tmp_path)
+    assert found.verbs == {
+        "train": verbs["train"],
+        "eval": {"edit": [str(tmp_path / "lean.json")]},
+        "compare": {"pictures": [f"other={tmp_path / 'theirs'}"]},
+    }
 
 
 def test_a_folder_of_somebody_else_is_left_alone(
@@ -174,6 +207,10 @@ def test_a_storage_brings_trials_to_another_machine(
     url = f"memory://{plan.parent}/sweep"
     assert sweep(plan, "--storage", url) == 0
     out, other = plan.parent / "out", plan.parent / "other"
+    capsys.readouterr()
+    assert main(["sweep", str(plan), "-o", str(other), "--storage", url, "--dry-run"]) == 0
+    assert "0 to run, 1 at a time: about 0:00" in capsys.readouterr().out
+    assert not other.exists()
     first = main(["sweep", str(plan), "-o", str(other), "--storage", url])
     assert first == 0
     assert "4 of 4 trials are finished already" in capsys.readouterr().out

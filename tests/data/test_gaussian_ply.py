@@ -156,6 +156,11 @@ def test_nothing_to_be_seen_is_refused():
     columns["opacity"][:] = -np.inf
     with pytest.raises(InputError, match="opacity 0 in all 10"):
         read(ply_bytes(columns))
+    columns["opacity"][:] = -60.0
+    with pytest.raises(InputError, match=r"opacities of at most .*1 / 255"):
+        read(ply_bytes(columns))
+    with pytest.raises(InputError, match="at least one Gaussian, got none"):
+        read(ply_bytes({name: values[:0] for name, values in columns.items()}))
     columns["opacity"][0] = np.inf  # Opacity 1, as converters write it.
     assert float(read(ply_bytes(columns)).gaussians.opacities[0]) == 1.0
 

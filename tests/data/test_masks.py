@@ -111,7 +111,7 @@ def test_a_mask_narrows_an_alpha_channel(photos: Path) -> None:
 )
 def test_masks_that_cannot_be_used(photos: Path, mask_path: str | None, message: str) -> None:
     save_masks(photos, Image.fromarray(DISC))
-    Image.new("L", (6, 4)).save(photos / "masks" / "small.png")
+    Image.new("L", (6, 6)).save(photos / "masks" / "small.png")
     (photos / "masks" / "text.png").write_text("no image")
     change_frame(photos / "transforms_train.json", 1, mask_path=mask_path)
     with pytest.raises(SceneError, match=message):

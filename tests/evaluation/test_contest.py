@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from safetensors import SafetensorError
 from tests.asset.test_lit_gaussians import lit_asset
 
 import tiny_scene
@@ -123,9 +124,12 @@ def test_what_was_killed_goes_on(states: SceneStates, tmp_path: Path) -> None:
     assert drawn == ["walk"]
 
 
-def test_one_failure_stops_nothing(states: SceneStates, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", [RuntimeError, SafetensorError, KeyError])
+def test_one_failure_stops_nothing(
+    states: SceneStates, tmp_path: Path, kind: type[Exception]
+) -> None:
     def broken() -> Contestant:
-        raise RuntimeError("needs a GPU with nvcc")
+        raise kind("needs a GPU with nvcc")
 
     folds = Folds(**{**vars(perfect()), "name": "folds"})
     entries = [
@@ -135,9 +139,8 @@ def test_one_failure_stops_nothing(states: SceneStates, tmp_path: Path) -> None:
     ]
     contest = Contest(folder=tmp_path, states=states.select(["all"]), stamp="x")
     lines = lines_of(contest.run(entries), "standard")
-    assert lines[0].failed == dict.fromkeys(
-        ["canonical", "grown", "walk"], "RuntimeError: needs a GPU with nvcc"
-    )
+    why = f"{kind.__name__}: {kind('needs a GPU with nvcc')}"
+    assert lines[0].failed == dict.fromkeys(["canonical", "grown", "walk"], why)
     assert lines[1].failed == {"walk": "state walk: folds at 3 points"}
     assert lines[2].failed == {}
     rows = quality_rows(lines, ["grown", "walk"], "foreground_psnr")

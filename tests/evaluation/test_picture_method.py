@@ -108,3 +108,18 @@ def test_no_folder_and_no_pictures(tmp_path: Path) -> None:
     (tmp_path / "empty" / "canonical" / "r_0.png").write_bytes(b"no picture")
     with pytest.raises(InputError, match=r"r_0\.png"):
         open_pictures("x", tmp_path / "empty")
+
+
+def test_a_damaged_picture_fails_its_own_state_and_capitals_are_endings(
+    folder: Path, states: SceneStates
+) -> None:
+    for path in folder.glob("canonical/*.png"):
+        path.rename(path.with_suffix(".PNG"))
+    (folder / "grown" / "r_0.png").write_bytes(b"no picture")
+    method = open_pictures("theirs", folder)
+    assert method.tells == "opacity"
+    canonical, grown = states.select(["grown"])
+    (row, *_) = evaluate([method], [canonical])
+    assert row.scores["psnr"] is not None
+    with pytest.raises(InputError, match=r"r_0.png"):
+        evaluate([method], [grown])

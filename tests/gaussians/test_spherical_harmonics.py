@@ -6,7 +6,7 @@ from numpy.polynomial.legendre import leggauss
 from torch.nn.functional import normalize
 
 from pcore.gaussians.carry import polar
-from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE, basis, colors, rotated
+from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE, basis, brightened, colors, rotated
 
 
 def directions(count=200, seed=0):
@@ -73,3 +73,26 @@ def test_gradients_reach_coefficients_and_directions():
     sh = torch.randn(4, 9, 3, dtype=torch.float64, requires_grad=True)
     d = directions(4).requires_grad_()
     assert torch.autograd.gradcheck(lambda s, v: colors(s + 1, v), (sh, d))
+
+
+@pytest.mark.parametrize("degree", range(HIGHEST_DEGREE + 1))
+def test_factors_on_coefficients_are_factors_on_colours(degree):
+    source = torch.Generator().manual_seed(degree)
+    sh = torch.randn(50, (degree + 1) ** 2, 3, generator=source, dtype=torch.float64)
+    factors = 3 * torch.rand(50, generator=source, dtype=torch.float64)
+    seen = colors(sh, directions(50))
+    assert (seen == 0).any()  # Dark ones stay dark.
+    found = colors(brightened(sh, factors), directions(50))
+    torch.testing.assert_close(found, seen * factors[:, None], atol=1e-14, rtol=1e-12)
+
+
+@pytest.mark.parametrize("degree", range(HIGHEST_DEGREE + 1))
+def test_the_colours_are_those_of_gsplat(degree):
+    """Its own reference in torch; the pieces that are compiled for a GPU are not asked."""
+    reference = pytest.importorskip("gsplat.cuda._torch_impl")
+    source = torch.Generator().manual_seed(degree)
+    sh = torch.randn(50, (degree + 1) ** 2, 3, generator=source, dtype=torch.float64)
+    expected = reference._spherical_harmonics(degree, directions(50), sh)
+    torch.testing.assert_close(
+        colors(sh, directions(50)), (0.5 + expected).clamp_min(0), atol=1e-6, rtol=1e-6
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -66,7 +67,9 @@ def test_there_must_be_more_points_than_neighbours(
 
 
 def test_states_without_photos_say_so(places: SceneStates, scene: Path, tmp_path: Path) -> None:
-    run = Given(asset=load(tiny_scene.write_run(tmp_path / "run", scene)), stamp="x")
+    asset = load(tiny_scene.write_run(tmp_path / "run", scene))
+    record = replace(asset.record, notes={"processor_seconds": 100.0})
+    run = Given(asset=replace(asset, record=record), stamp="x")
     states = places.select(["all"])
     assert has_end_views(places, states)
     assert not has_end_views(places, places.select(["walk"]))
@@ -80,4 +83,35 @@ def test_states_without_photos_say_so(places: SceneStates, scene: Path, tmp_path
     one, two = (outcomes[title, "grown"].rows[0].scores for title in STAGES.values())
     assert one["strain_99"] == two["strain_99"]
     assert one["psnr"] != two["psnr"]
-    assert len([*(tmp_path / "trained").glob("motion-run-grown.safetensors")]) == 1
+    cost = outcomes[STAGES[2], "grown"].cost
+    assert cost.seconds is not None
+    assert cost.seconds > 100.0  # Of the object, and of both stages on it.
+    assert cost.megabytes
+    assert outcomes[STAGES[2], "canonical"].cost.seconds is None
+    # Both rows are of one training.
+    (kept,) = (tmp_path / "trained").glob("motion-run-grown-*.safetensors")
+    # One damaged file is a row, and stops nothing.
+    kept.write_bytes(kept.read_bytes()[:100])
+    entries = motion_entries([run], places, tmp_path / "trained", CONFIG)
+    again = replace(contest, stamp="y").run(entries)
+    assert [one.state for one in again if one.failed is None] == ["canonical"] * 2
+    assert "delete it" in (again[1].failed or "")
+
+
+def test_another_training_or_other_steps_are_learned_anew(
+    places: SceneStates, scene: Path, tmp_path: Path
+) -> None:
+    run = Given(asset=load(tiny_scene.write_run(tmp_path / "run", scene)), stamp="x")
+    (grown,) = (state for state in places.select(["grown"]) if state.name == "grown")
+    brief = replace(CONFIG, steps=1)
+
+    def learn(given: Given, config: MotionConfig) -> None:
+        method = motion_entries([given], places, tmp_path, config)[0].make().method
+        method.pose(grown)
+
+    learn(run, brief)
+    learn(run, brief)
+    assert len([*tmp_path.glob("motion-*.safetensors")]) == 1
+    learn(replace(run, stamp="y"), brief)
+    learn(run, replace(brief, steps=2))
+    assert len([*tmp_path.glob("motion-*.safetensors")]) == 3

@@ -11,7 +11,8 @@ from objects import TWIST, demo
 
 from pcore.editing.stack import raw_edit
 from pcore.errors import EditError
-from pcore.studio.edit_forms import CHOICES, NEW, SLIDERS, value_at
+from pcore.geometry.extent import size_of
+from pcore.studio.edit_forms import CHOICES, NEW, SLIDERS, SOFT, value_at
 from pcore.studio.editor import Editor
 from pcore.studio.handle_pose import HandlePose
 
@@ -232,6 +233,78 @@ def test_keys_are_set_where_a_slider_is_moved(editor: Editor) -> None:
     editor.at(1.0)
     editor.unkey(0)
     assert editor.key_times == [0.0]
+
+
+@pytest.mark.parametrize("kind", NEW)
+def test_a_key_keys_every_number_of_the_form_and_changes_nothing(editor: Editor, kind: str) -> None:
+    soft = () if kind == "stretch" else (SOFT,)  # Half an object that is stretched folds.
+    if soft:
+        editor.choose(editor.asset.points[:, 2] > editor.asset.points[:, 2].median())
+    editor.add(kind)
+    first, *others = SLIDERS[kind]
+    editor.set(0, first.path, first.rest + 2 * first.step)
+    before, depth = editor.state.points.clone(), editor.session.history.now
+    editor.key(0, "smooth")
+    assert editor.session.history.now == depth + 1
+    assert torch.equal(editor.state.points, before)
+    editor.at(1.0)
+    for slider in (*others, *soft):
+        one = slider.scaled(size_of(editor.asset.points))
+        by = one.step if slider is SOFT or not one.rest else -one.step
+        editor.set(0, one.path, value_at(editor.raw(0), one) + by)
+    there = editor.state.points.clone()
+    assert not torch.equal(there, before)
+    editor.at(0.0)
+    editor.refine()
+    assert torch.equal(editor.state.points, before), "no other time reads anything else"
+    editor.at(1.0)
+    assert torch.equal(editor.state.points, there)
+
+
+def test_numbers_of_a_vector_may_have_keys_of_their_own(editor: Editor) -> None:
+    track = {"keyframes": [[0, 0.0], [1, 0.4]]}
+    editor.session.do({"type": "rigid", "translation": [track, 0.1, 0.0]})
+    editor.select(0)
+    editor.at(1.0)
+    editor.set(0, "translation/1", 0.3)
+    editor.set(0, "translation/0", 0.5)
+    assert editor.raw(0)["translation"] == pytest.approx([0.5, 0.3, 0.0])
+    editor.at(0.5)
+    editor.key(0)
+    assert editor.raw(0)["translation"] == pytest.approx([0.25, 0.3, 0.0])
+    x, y, z = editor.handles[0].place
+    editor.at(1.0)
+    editor.drag(HandlePose(place=(x + 1.0, y, z)))
+    editor.drop()
+    assert editor.raw(0)["translation"][0] == pytest.approx(1.25)
+    editor.at(0.0)
+    assert editor.raw(0)["translation"] == pytest.approx([0.0, 0.3, 0.0])
+
+
+def test_what_is_turned_at_one_time_is_not_at_another(editor: Editor) -> None:
+    place = pulled(editor).place
+    editor.key(0)
+    editor.at(1.0)
+    editor.drag(HandlePose(place=place, turn=(0.9659258, 0.0, 0.2588190, 0.0)))
+    editor.drop()
+    assert editor.handles[0].turn == pytest.approx((0.9659258, 0.0, 0.2588190, 0.0))
+    editor.at(0.0)
+    assert editor.handles[0].turn == (1.0, 0.0, 0.0, 0.0)
+
+
+def test_while_time_goes_by_frames_are_quick_and_exact_once_it_rests(tmp_path: Path) -> None:
+    editor = Editor(demo(), TWIST)
+    editor.at(0.4)
+    quick = editor.state
+    assert quick is editor.state
+    assert editor.raw(0)["angle_deg"] == pytest.approx(20.0)
+    editor.refine()
+    assert editor.state is editor.session.state
+    assert editor.state is not quick
+    assert torch.equal(editor.state.points, quick.points)
+    editor.at(0.6)
+    editor.set(0, "angle_deg", 11.0)
+    assert editor.raw(0)["angle_deg"] == 11.0, "a command is shown, whatever went by before"
 
 
 def test_a_handle_with_keys_is_keyed_where_it_is_dropped(editor: Editor) -> None:

@@ -1,5 +1,8 @@
 import http.client
+import socket
 import threading
+import urllib.request
+from contextlib import closing
 
 import pytest
 
@@ -32,6 +35,25 @@ def test_it_shows_its_page_to_whom_has_the_token_and_nothing_else(free_port: int
             assert ask(guard, "/", method="POST", **shown)[0] == 501
             with pytest.raises(InputError, match="another pcore page"):
                 page_server(guard, b"")
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_it_listens_at_an_address_of_the_sixth_version() -> None:
+    try:
+        with closing(socket.socket(socket.AF_INET6)) as probe:
+            probe.bind(("::1", 0))
+            port = int(probe.getsockname()[1])
+    except OSError:
+        pytest.skip("this machine has no ::1")
+    guard = Guard(host="::1", port=port)
+    with page_server(guard, b"the page") as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            with urllib.request.urlopen(guard.url, timeout=5) as answer:
+                assert answer.status == 200
         finally:
             server.shutdown()
             thread.join()

@@ -69,6 +69,7 @@ def test_the_whole_story(browser: Any, run: Path, free_port: int) -> None:
         page.press("Film")
         until((run / "studio" / "film_001.mp4").is_file)
         page.says("Wrote film_001.mp4")
+        page.says("pcore animate")
 
         words = ["render", str(run), "--edit", str(edit), "--time", "1"]
         words += ["--cameras", str(picture.with_suffix(".json")), "-o", str(run / "out")]

@@ -69,6 +69,44 @@ def test_a_newer_drawing_keeps_the_quick_one_that_nobody_did(
     assert told == ["quick"]
 
 
+def test_commands_come_between_the_steps_of_a_job(worker: Worker, told: list[str]) -> None:
+    def job() -> Iterator[None]:
+        for number in range(3):
+            worker.do(lambda number=number: told.append(f"command {number}"))
+            told.append(f"step {number}")
+            yield
+
+    worker.go_on(job())
+    assert worker.wait()
+    assert told == [f"{what} {number}" for number in range(3) for what in ("step", "command")]
+
+
+def test_a_job_that_fails_is_over_and_one_that_waits_is_closed(told: list[str]) -> None:
+    worker = Worker(lambda error: told.append(f"failed: {error}"), rest=0.02)
+
+    def failing() -> Iterator[None]:
+        yield
+        raise ValueError("no frame")
+
+    begun = threading.Event()
+
+    def endless() -> Iterator[None]:
+        try:
+            while True:
+                begun.set()
+                yield
+        finally:
+            told.append("closed")
+
+    worker.start()
+    worker.go_on(failing())
+    assert worker.wait()
+    worker.go_on(endless())
+    assert begun.wait(5)
+    worker.stop()
+    assert told == ["failed: no frame", "closed"]
+
+
 def test_what_fails_ends_nothing(worker: Worker, told: list[str]) -> None:
     def fail(_: Callable[[], bool]) -> Iterator[None]:
         raise ValueError("no picture")

@@ -38,10 +38,10 @@ def solid() -> Gaussians:
     return replace(some_gaussians(300), opacities=torch.full((300,), 0.9))
 
 
-def photos_of(gaussians: Gaussians) -> list[Photo]:
+def photos_of(gaussians: Gaussians, far: float = 0.0) -> list[Photo]:
     """On black, as a trainer composites them."""
     result = []
-    for distance in (3.0, 3.5, 4.0):
+    for distance in (far + 3.0, far + 3.5, far + 4.0):
         seen = render(
             PosedGaussians(gaussians=gaussians),
             [camera(distance)],
@@ -70,6 +70,25 @@ def test_a_moved_world_is_found_out():
     found = agreement_with(moved, FOOTPRINT, photos_of(gaussians))
     with pytest.raises(InputError, match=r"overlap by .*--transform"):
         check_agreement(found, where="a.ply", scene="s")
+
+
+def test_a_turned_world_is_found_out_however_much_empty_space_agrees():
+    one = solid()
+    # Bright to the right, dark to the left; far away, so that the pictures are mostly empty.
+    side = torch.where(one.means[:, :1] > 0, 1.5, -1.5)
+    gaussians = replace(one, sh=side[:, :, None].expand(-1, 1, 3).contiguous())
+    photos = photos_of(gaussians, far=9.0)
+    turned = replace(gaussians, sh=-gaussians.sh)
+    found = agreement_with(turned, FOOTPRINT, photos)
+    assert found.overlap is not None
+    assert found.overlap > 0.95
+    whole = agreement_with(turned, FOOTPRINT, [replace(p, has_alpha=False) for p in photos])
+    assert whole.psnr > 15
+    with pytest.raises(InputError, match=r"overlap by .*--transform"):
+        check_agreement(found, where="a.ply", scene="s")
+    doubt = check_agreement(replace(found, psnr=20.0), where="a.ply", scene="s")
+    assert doubt is not None
+    assert "--variance" in doubt
 
 
 def test_photos_without_masks_are_judged_by_their_colours():

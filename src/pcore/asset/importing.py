@@ -15,6 +15,7 @@ from pcore.files.provenance import Provenance, pcore_version, provenance_of
 from pcore.files.records import to_dict
 from pcore.files.run_folder import RunFolder, write_guard
 from pcore.files.run_place import bytes_needed
+from pcore.files.run_record import relative
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint
 from pcore.model.papr_config import ReferenceOrigin
@@ -67,6 +68,7 @@ def save_imported(
     *,
     file: Path,
     scene: Path | None = None,
+    factor: int = 1,
     background: Color | None = None,
 ) -> Asset:
     """Make an asset of Gaussians that another program trained.
@@ -76,14 +78,15 @@ def save_imported(
         footprint: how that program met pixels.
         folder: new or empty folder for the run.
         file: where they come from.
-        scene: folder of their photos; None where they are not known.
+        scene: folder of their photos, which is that of the run; None where they are not known.
+        factor: by which the photos are down-scaled.
         background: of their pictures; None is white.
 
     Raises:
         InputError: the folder is in use.
         TrainingError: it cannot be written.
     """
-    name = str(scene or file)
+    name, folder = str(scene or file), Path(folder)
     lower, upper = gaussians.means.amin(dim=0).tolist(), gaussians.means.amax(dim=0).tolist()
     provenance = Provenance(
         scene=name,
@@ -94,11 +97,12 @@ def save_imported(
         pcore=pcore_version(),
     )
     source = {"file": str(file), "footprint": to_dict(footprint)}
+    known = {} if scene is None else {"factor": factor}
     with RunFolder.create(
-        Path(folder),
+        folder,
         stage="import",
-        scene=name,
-        config={"model": "gaussians", "source": source},
+        scene=name if scene is None else relative(scene, folder),
+        config={"model": "gaussians", "source": source, **known},
         needed=bytes_needed(sum(tensor.numel() for tensor in vars(gaussians).values())),
     ) as run:
         saved = SavedGaussians(gaussians=gaussians, footprint=footprint, provenance=provenance)

@@ -17,7 +17,7 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import BaseModel, ConfigDict
 
 from pcore.benchmark.look import FloatArray, Look, Material, Texture, smooth_patches
-from pcore.data.gltf import Extensions, Glb, Index, Number, Primitive
+from pcore.data.gltf import Glb, Index, Number, Primitive
 from pcore.data.gltf_arrays import item, read_accessor, read_bytes
 from pcore.data.gltf_mesh import primitive_faces, shown_primitives
 from pcore.errors import InputError
@@ -36,10 +36,21 @@ class _Part(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True)
 
 
+class _Moved(_Part):
+    offset: tuple[Number, Number] = (0.0, 0.0)
+    scale: tuple[Number, Number] = (1.0, 1.0)
+    rotation: Number = 0.0
+    texCoord: Index | None = None  # noqa: N815
+
+
+class _InfoExtensions(_Part):
+    KHR_texture_transform: _Moved = _Moved()
+
+
 class _TextureInfo(_Part):
     index: Index
     texCoord: Index = 0  # noqa: N815
-    extensions: Extensions = {}
+    extensions: _InfoExtensions = _InfoExtensions()
 
 
 class _Pbr(_Part):
@@ -63,10 +74,20 @@ class _Material(_Part):
     alphaCutoff: Number = 0.5  # noqa: N815
 
 
+class _Webp(_Part):
+    source: Index
+
+
+class _TextureExtensions(_Part):
+    model_config = ConfigDict(extra="allow")
+
+    EXT_texture_webp: _Webp | None = None
+
+
 class _Texture(_Part):
     sampler: Index | None = None
     source: Index | None = None
-    extensions: Extensions = {}
+    extensions: _TextureExtensions = _TextureExtensions()
 
 
 class _Sampler(_Part):
@@ -175,16 +196,16 @@ def _texture(glb: Glb, paint: _Paint, info: _TextureInfo) -> Texture:
         sampler = item(paint.samplers, texture.sampler, "samplers", glb.where)
     source = texture.source
     if source is None:
-        webp = texture.extensions.get("EXT_texture_webp", {}).get("source")
-        if not isinstance(webp, int):
-            names = ", ".join(texture.extensions) or "nothing"
+        webp = texture.extensions.EXT_texture_webp
+        if webp is None:
+            names = ", ".join(texture.extensions.model_extra or {}) or "nothing"
             raise InputError(
                 f"{glb.where}: expected a texture in PNG, JPEG or WebP, got {names}; export with "
                 "plain images"
             )
-        source = webp
-    moved = info.extensions.get("KHR_texture_transform", {})
-    uv_set = int(moved.get("texCoord", info.texCoord))
+        source = webp.source
+    moved = info.extensions.KHR_texture_transform
+    uv_set = info.texCoord if moved.texCoord is None else moved.texCoord
     if uv_set >= _MOST_SETS:
         raise InputError(
             f"{glb.where}: expected textures that use TEXCOORD_0 or 1, got TEXCOORD_{uv_set}"
@@ -193,18 +214,10 @@ def _texture(glb: Glb, paint: _Paint, info: _TextureInfo) -> Texture:
         pixels=_pixels(glb, item(paint.images, source, "images", glb.where)),
         wrap=(_WRAP.get(sampler.wrapS, "repeat"), _WRAP.get(sampler.wrapT, "repeat")),
         uv_set=uv_set,
-        offset=_pair(moved.get("offset", (0.0, 0.0)), glb.where),
-        scale=_pair(moved.get("scale", (1.0, 1.0)), glb.where),
-        rotation=float(moved.get("rotation", 0.0)),
+        offset=moved.offset,
+        scale=moved.scale,
+        rotation=moved.rotation,
     )
-
-
-def _pair(value: Any, where: str) -> tuple[float, float]:
-    try:
-        first, second = (float(one) for one in value)
-    except (TypeError, ValueError):
-        raise InputError(f"{where}: expected two numbers of a texture, got {value!r}") from None
-    return first, second
 
 
 def _pixels(glb: Glb, image: _Image) -> NDArray[np.uint8]:

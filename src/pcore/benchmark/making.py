@@ -20,7 +20,13 @@ from PIL import Image
 from pcore.benchmark.blender_renderer import blender
 from pcore.benchmark.look import FloatArray
 from pcore.benchmark.model import Model
-from pcore.benchmark.model_states import BenchmarkPlan, State, canonical_shape, plan_states
+from pcore.benchmark.model_states import (
+    CAMERA_RADIUS,
+    BenchmarkPlan,
+    State,
+    canonical_shape,
+    plan_states,
+)
 from pcore.benchmark.renderers import Job, Renderer, embedded
 from pcore.benchmark.true_picture import Shape
 from pcore.errors import InputError
@@ -29,7 +35,11 @@ from pcore.sample.sample_render import camera_poses, sample_surface, seen_sample
 from pcore.sample.sample_states import ANGLE_X
 
 Progress = Callable[[int, int], None]
-_RADIUS = 4.0
+SPLITS = {
+    "train": {"radius": CAMERA_RADIUS, "highest": 0.97, "phase": 0.0},
+    "test": {"radius": CAMERA_RADIUS, "highest": 0.93, "phase": 1.234},
+}
+"""Where the cameras of a split stand, as `camera_poses` takes it."""
 _SAMPLES = 50_000
 
 
@@ -80,8 +90,8 @@ def _write(
     states: dict[str, State],
     progress: Progress | None,
 ) -> None:
-    train = camera_poses(plan.train_views, radius=_RADIUS, highest=0.97, phase=0.0)
-    test = camera_poses(plan.test_views, radius=_RADIUS, highest=0.93, phase=1.234)
+    train = camera_poses(plan.train_views, **SPLITS["train"])
+    test = camera_poses(plan.test_views, **SPLITS["test"])
     canonical = Shape.of(vertices, model.faces, model.look)
     renderer = _renderer(model, plan, canonical)
     jobs: list[Job] = []
@@ -91,7 +101,9 @@ def _write(
         shape = Shape.of(state.vertices, model.faces, model.look)
         jobs += _views(folder / name, "test", test, state.angle_x, shape)
         if plan.state_train_views:
-            learned = camera_poses(plan.state_train_views, radius=_RADIUS, highest=0.97, phase=0.0)
+            learned = camera_poses(
+                plan.state_train_views, radius=CAMERA_RADIUS, highest=0.97, phase=0.0
+            )
             jobs += _views(folder / name, "train", learned, state.angle_x, shape)
         write_json(folder / name / "deformation.json", state.description)
     _take_all(jobs, renderer, progress)
@@ -174,7 +186,7 @@ def _write_manifest(
             "rule": "p -> (p - centre) * scale of the model with z up; centre: of the canonical "
             "bounding box; largest vertex norm 1",
         },
-        "camera_radius": _RADIUS,
+        "camera_radius": CAMERA_RADIUS,
         "camera_angle_x": ANGLE_X,
         "canonical_pose": None if plan.canonical is None else list(plan.canonical),
         "states": {name: state.description for name, state in states.items()},

@@ -23,7 +23,7 @@ from pcore.data.gltf import Glb, read_glb, read_gltf
 from pcore.data.gltf_animation import Clip, at_time, read_clips
 from pcore.data.gltf_mesh import read_shape
 from pcore.data.meshes import read_mesh
-from pcore.data.point_ply import read_point_ply
+from pcore.data.point_ply import PointPly, read_point_ply
 from pcore.errors import InputError
 
 Up = Literal["y", "z"]
@@ -84,10 +84,9 @@ def read_model(path: Path, *, up: Up | None = None) -> Model:
     shape = read_mesh(path)  # All that can be wrong with the shape is said there.
     suffix, content = path.suffix.lower(), path.read_bytes()
     if suffix == ".ply":
-        faces, colors = shape.faces.numpy(), read_point_ply(content, str(path)).colors()[0]
-        return _static(
-            path, shape.vertices.numpy(), faces, _vertex_paint(colors, len(faces)), up or "z"
-        )
+        points, faces = read_point_ply(content, str(path)), shape.faces.numpy()
+        look = _vertex_paint(points.colors()[0], len(faces))
+        return _static(path, shape.vertices.numpy(), faces, look, up or "z", _ply_normals(points))
     if suffix == ".obj":
         return _obj(path, up or "y")
     axis = up or "y"
@@ -115,24 +114,53 @@ def _z_up(vertices: FloatArray, up: Up) -> FloatArray:
 
 
 def _obj(path: Path, up: Up) -> Model:
-    """An OBJ through trimesh, which reads its paint."""
+    """An OBJ through trimesh, which splits its vertices at seams and hard edges."""
     try:
-        mesh: Any = trimesh.load(path, process=False, force="mesh", maintain_order=True)
+        loaded: Any = trimesh.load(path, process=False)
+        parts = [*getattr(loaded, "geometry", {"": loaded}).values()]
+        mesh: Any = trimesh.util.concatenate(parts)
     except Exception as error:
         raise InputError(f"{path}: expected a mesh with its paint, got: {error}") from None
     faces = np.asarray(mesh.faces, dtype=np.int64)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    return _static(path, vertices, faces, _painted(mesh, len(faces)), up)
+    # In trimesh's cache are normals of the file; asked for them, it would make up others.
+    known = ["vertex_normals" in one._cache for one in parts]
+    normals = None
+    if any(known) or _says_flat(path):
+        pairs = zip(parts, known, strict=True)
+        rows = [p.vertex_normals if has else np.zeros((len(p.vertices), 3)) for p, has in pairs]
+        normals = np.concatenate(rows).astype(np.float64)
+    return _static(path, vertices, faces, _painted(mesh, len(faces)), up, normals)
+
+
+def _says_flat(path: Path) -> bool:
+    """Whether smoothing is switched off in an OBJ, and never on."""
+    lines = (line.split() for line in path.read_bytes().decode("latin-1").splitlines())
+    groups = {words[1] for words in lines if len(words) > 1 and words[0] == "s"}
+    return bool(groups) and groups <= {"off", "0"}
+
+
+def _ply_normals(points: PointPly) -> FloatArray | None:
+    names = points.normals()
+    if names is None:
+        return None
+    # Scanners write NaN where they know no normal; 0 says so.
+    return np.nan_to_num(points.values(names).astype(np.float64), posinf=0.0, neginf=0.0)
 
 
 def _static(
-    path: Path, vertices: FloatArray, faces: NDArray[np.int64], look: Look, up: Up
+    path: Path,
+    vertices: FloatArray,
+    faces: NDArray[np.int64],
+    look: Look,
+    up: Up,
+    normals: FloatArray | None,
 ) -> Model:
     return Model(
         name=path.stem,
         vertices=_z_up(vertices, up),
         faces=faces,
-        look=replace(look, smooth=smooth_patches(vertices, None)),
+        look=replace(look, smooth=smooth_patches(vertices, normals)),
         up=up,
     )
 

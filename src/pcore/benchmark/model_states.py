@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,12 +17,29 @@ from pcore.benchmark.model import Model
 from pcore.benchmark.renderers import RendererName
 from pcore.editing.script import EditScript
 from pcore.errors import InputError
-from pcore.sample.sample_states import ANGLE_X, deformed_states, describe_state
+from pcore.sample.sample_states import (
+    ANGLE_X,
+    Axis,
+    DeformedState,
+    deformed_states,
+    describe_state,
+)
 
 Light = Literal["fixed", "baked"]
+_Pose = tuple[str, float, FloatArray]
+"""Clip, time, vertices (V, 3)."""
+
+CAMERA_RADIUS = 4.0
+"""Distance of the cameras from the middle of the canonical shape, in its radii."""
+_FARTHEST = 2.8
+"""Largest norm of a vertex that is sure to be in the widened pictures of every camera: a ball of
+radius r is in them while r <= sqrt(R^2 - 1 / tan(angle_x / 2)^2), R the cameras' distance."""
 
 _LOOKS = 24
 """Times of a clip among which that is taken whose shape differs most from the canonical one."""
+_RESERVED = re.compile(r"|canonical|faces|(train|val|test)(_geometry)?|sample_.*")
+"""Arrays of `meshes.npz` and folders that are not states."""
+_UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 _STILL = 1e-4
 """Mean displacement, in radii of the object, under which a clip does not move."""
 
@@ -38,6 +56,7 @@ class BenchmarkPlan:
         light: "fixed": it stands still while the object moves; "baked": it sticks to the surface.
         renderer: who takes the pictures.
         analytic: make twist60, bend60, stretch and scale2x.
+        bend_axis: about which bend60 bends; None: z for a long x, y for a long z.
         edits: name -> edit file, each a state.
         clips: (clip, time) of states; a time of None is that which differs most.
         every_clip: make a state of each clip.
@@ -52,6 +71,7 @@ class BenchmarkPlan:
     light: Light = "fixed"
     renderer: RendererName = "embedded"
     analytic: bool = True
+    bend_axis: Axis | None = None
     edits: tuple[tuple[str, EditScript], ...] = ()
     clips: tuple[tuple[str, float | None], ...] = ()
     every_clip: bool = True
@@ -103,33 +123,98 @@ def plan_states(
 
     Raises:
         EditError: an edit that does not fit or folds space.
-        InputError: a clip that is not there, or two states of one name.
+        InputError: a clip that is not there, or a shape that the cameras do not see whole.
     """
     states: dict[str, State] = {}
     notes: list[str] = []
     if plan.analytic:
-        extents = np.ptp(vertices, axis=0)
-        axis: Literal["x", "z"] = "z" if extents[2] >= extents[0] else "x"
-        for name, one in deformed_states(vertices, axis=axis).items():
+        for name, one in formulas(vertices, plan.bend_axis).items():
             moved = one.deformation(torch.from_numpy(vertices)).numpy()
             description = describe_state(one, vertices, moved)
             states[name] = State(vertices=moved, angle_x=one.angle_x, description=description)
-    for name, script in plan.edits:
+    for given, script in plan.edits:
+        name = _free(_UNFIT.sub("_", given).lstrip(".-"), states)
+        if name != given:
+            notes.append(_renamed(f"edit {given!r}", name))
         moved = script.bound(torch.from_numpy(vertices)).setting.points.numpy()
+        _in_sight(name, moved)
         text = json.loads(script.to_json())
         _add(states, name, vertices, moved, {"type": "edit", "edit": text})
     chosen = list(plan.clips)
     if plan.every_clip:
         chosen += [(one.name, None) for one in model.clips if one.name not in dict(chosen)]
+    poses: list[_Pose] = []
     for name, time in chosen:
         moved, found = _of_clip(model, name, time, vertices, (center, scale))
         displaced = float(np.linalg.norm(moved - vertices, axis=1).mean())
         if displaced < _STILL and time is None:
             notes.append(f"left out: the clip {name!r} does not move the shape")
             continue
-        about = {"type": "animation", "clip": name, "time": found}
-        _add(states, _slug(name), vertices, moved, about)
+        poses.append((name, found, moved))
+    _add_clips(states, notes, vertices, poses)
     return states, notes
+
+
+def formulas(vertices: FloatArray, bend_axis: Axis | None) -> dict[str, DeformedState]:
+    """The analytic states of vertices (V, 3) by name, along z or x, whichever is longer."""
+    extents = np.ptp(vertices, axis=0)
+    axis: Literal["x", "z"] = "z" if extents[2] >= extents[0] else "x"
+    return deformed_states(vertices, axis=axis, bend_axis=bend_axis)
+
+
+def _add_clips(
+    states: dict[str, State], notes: list[str], vertices: FloatArray, poses: Sequence[_Pose]
+) -> None:
+    """Add the states of clips under names of their own, and in sight of the cameras."""
+    taken = [_slug(name) for name, _, _ in poses]
+    travels = {name for name, _, moved in poses if _reach(moved) > _FARTHEST}
+    for name, time, moved in poses:
+        about: dict[str, Any] = {"type": "animation", "clip": name, "time": time}
+        own = f"{name} {time:g}" if taken.count(_slug(name)) > 1 else name
+        state = _free(_slug(own), states)
+        if state != _slug(name):
+            notes.append(_renamed(f"clip {name!r} at {time:g} s", state))
+        if name in travels:
+            away = _middle(moved) - _middle(vertices)
+            about["removed_motion"] = away.tolist()
+            moved = moved - away
+            notes.append(
+                f"the clip {name!r} leaves the cameras' sight: the motion of its middle is taken "
+                f"out of the state {state!r} (removed_motion in deformation.json)"
+            )
+        _in_sight(state, moved)
+        _add(states, state, vertices, moved, about)
+
+
+def _middle(vertices: FloatArray) -> FloatArray:
+    return 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+
+
+def _reach(vertices: FloatArray) -> float:
+    return float(np.linalg.norm(vertices, axis=1).max())
+
+
+def _in_sight(name: str, after: FloatArray) -> None:
+    if _reach(after) > _FARTHEST:
+        raise InputError(
+            f"benchmark: state {name!r}: expected a shape within {_FARTHEST:g} radii of the "
+            f"canonical middle, which the cameras see from {CAMERA_RADIUS:g}, got one that reaches "
+            f"{_reach(after):.2f}; deform it less, or take another time of the clip"
+        )
+
+
+def _free(name: str, states: Mapping[str, State]) -> str:
+    """The name, with a number where it is in use, a prefix where it is the benchmark's own."""
+    own = f"state_{name}" if _RESERVED.fullmatch(name) else name
+    number, found = 1, own
+    while found in states:
+        number += 1
+        found = f"{own}_{number}"
+    return found
+
+
+def _renamed(what: str, name: str) -> str:
+    return f"the {what} is the state {name!r}, as its own name is in use or not one of a folder"
 
 
 def _of_clip(
@@ -160,8 +245,6 @@ def _add(
     after: FloatArray,
     about: dict[str, Any],
 ) -> None:
-    if name in states or name in ("train", "test"):
-        raise InputError(f"benchmark: expected states of different names, got {name!r} twice")
     if not np.isfinite(after).all():
         raise InputError(f"benchmark: expected finite places in the state {name!r}, got NaN")
     grown = float(np.linalg.norm(after, axis=1).max() / np.linalg.norm(before, axis=1).max())

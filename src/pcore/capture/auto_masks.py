@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -29,6 +29,9 @@ _ROUNDS, _ITERATIONS = 3, 2
 _LOOSE, _JUDGED, _SURE = 0.6, 0.75, 0.85
 """Share of the views that see a voxel and must have it in their mask: where the object is looked
 for, where masks are judged, and where there is object for certain."""
+_FULL, _MOSTLY = 0.97, 0.5
+"""Share of a picture that leaves no background, and share of the photos that may lack it."""
+_ON_SPHERE = 400
 _FEW = 8
 """Fewer points than that have no outline to go by."""
 _DOUBTFUL, _BAD = 0.12, 0.6
@@ -42,8 +45,8 @@ class Photo:
 
     Attributes:
         name: of its view.
-        camera: pose and lens, for the size of `rgb`.
-        rgb: (H, W, 3) float32 in [0, 1].
+        camera: pose and lens, for the size that its mask shall have.
+        rgb: (H, W, 3) float32 in [0, 1], of that size or smaller (`shrunk`).
     """
 
     name: str
@@ -82,7 +85,7 @@ def find_masks(
         photos: at least two, of posed cameras.
         region: where the object is, world units.
         points: (N, 3) points of the object where some are known; their outline is tighter than
-            that of the region's box.
+            that of the region.
         judged: further photos that get masks and have no vote on the hull, such as test views.
         progress: told (photos cut, cuts in all).
 
@@ -90,19 +93,18 @@ def find_masks(
         Masks of `photos`, then of `judged`.
 
     Raises:
-        InputError: no photo shows the region, or no cut leaves anything.
+        InputError: no photo shows the region, most show nothing else, or no cut leaves anything.
         DependencyError: OpenCV is not installed.
     """
     small, others = [_shrunk(photo) for photo in photos], [_shrunk(photo) for photo in judged]
     everyone = [*small, *others]
-    known = region.corners if points is None or len(points) < _FEW else points
+    whole = region.corners if region.box is not None else _sphere(region)
+    known = whole if points is None or len(points) < _FEW else points
     seeds = [_outline(photo.camera, known) for photo in everyone]
     # What the points leave out of the object lies in their box.
-    rooms = [_outline(photo.camera, region.corners) for photo in everyone]
-    if not any(seed.any() for seed in seeds):
-        raise InputError(
-            "automatic masks: none of the photos shows the object's region; give its --box"
-        )
+    rooms = [_outline(photo.camera, whole) for photo in everyone]
+    nears = [_near(a, b, region) for a, b in zip(seeds, rooms, strict=True)]
+    _check_background(seeds[: len(small)], nears[: len(small)])
     masks: list[Bits] = []
     cores: list[Bits] | None = None
     total, done = (_ROUNDS - 1) * len(small) + len(everyone), 0
@@ -111,13 +113,15 @@ def find_masks(
         masks = []
         for number, photo in enumerate(everyone if last else small):
             core = None if cores is None else cores[number]
-            masks.append(_cut(photo.rgb, seeds[number], rooms[number], core))
+            near = _near(seeds[number], rooms[number], region)
+            masks.append(_cut(photo.rgb, seeds[number], near, core))
             done += 1
             if progress is not None:
                 progress(done, total)
         voters = [(one.camera, mask) for one, mask in zip(small, masks, strict=False)]
         votes = (_JUDGED,) if last else (_LOOSE, _SURE)
         seeds, cores = _voted(voters, region, votes, [one.camera for one in everyone])
+    _check_filled(masks, "what is cut out")
     sized = (
         _resized(mask, one.camera) for mask, one in zip(masks, [*photos, *judged], strict=True)
     )
@@ -125,6 +129,25 @@ def find_masks(
         masks=tuple(sized),
         agreement=tuple(overlap(a, b) for a, b in zip(masks, seeds, strict=True)),
     )
+
+
+def _check_background(seeds: Sequence[Bits], nears: Sequence[Bits]) -> None:
+    """Refuse photos of something else, and those that say nothing of the background."""
+    if not any(seed.any() for seed in seeds):
+        raise InputError(
+            "automatic masks: none of the photos shows the object's region; give its --box"
+        )
+    _check_filled(nears, "the object's region")
+
+
+def _check_filled(pictures: Sequence[Bits], what: str) -> None:
+    """Refuse cuts without background: whole pictures agree with one another and are no masks."""
+    filled = sum(float(one.mean()) > _FULL for one in pictures)
+    if filled > _MOSTLY * len(pictures):
+        raise InputError(
+            f"automatic masks: {what} fills {filled} of {len(pictures)} photos, so that nothing "
+            "is known to be background; give a tighter --box"
+        )
 
 
 def _voted(
@@ -160,16 +183,19 @@ def overlap(mask: Bits, other: Bits) -> float:
     return 1.0 if union == 0 else int((mask & other).sum()) / union
 
 
-def _shrunk(photo: Photo) -> Photo:
-    camera = photo.camera
-    scale = _LONGEST / max(camera.width, camera.height)
+def shrunk(rgb: Tensor) -> Tensor:
+    """A photo (H, W, 3) in the size that is cut, by the mean of areas."""
+    height, width = rgb.shape[:2]
+    scale = _LONGEST / max(width, height)
     if scale >= 1:
-        return photo
-    width, height = max(1, round(scale * camera.width)), max(1, round(scale * camera.height))
-    pixels = require_opencv().resize(photo.rgb.numpy(), (width, height), interpolation=3)
-    return Photo(
-        name=photo.name, camera=camera.resized(width, height), rgb=torch.from_numpy(pixels)
-    )
+        return rgb
+    size = max(1, round(scale * width)), max(1, round(scale * height))
+    return torch.from_numpy(require_opencv().resize(rgb.numpy(), size, interpolation=3))
+
+
+def _shrunk(photo: Photo) -> Photo:
+    rgb = shrunk(photo.rgb)
+    return replace(photo, camera=photo.camera.resized(rgb.shape[1], rgb.shape[0]), rgb=rgb)
 
 
 def _outline(camera: Camera, points: Tensor) -> Bits:
@@ -186,23 +212,41 @@ def _outline(camera: Camera, points: Tensor) -> Bits:
     return cv2.fillConvexPoly(picture, hull, 1)
 
 
-def _cut(rgb: Tensor, seed: Bits, room: Bits, core: Bits | None) -> Bits:
+def _sphere(region: Region) -> Tensor:
+    """(N, 3) points evenly on the sphere of a region (a Fibonacci lattice)."""
+    number = torch.arange(_ON_SPHERE) + 0.5
+    z = 1 - 2 * number / _ON_SPHERE
+    turn = number * math.pi * (3 - math.sqrt(5))
+    around = (1 - z**2).sqrt()
+    ball = torch.stack([around * turn.cos(), around * turn.sin(), z], dim=-1)
+    return region.center + region.radius * ball
+
+
+def _reach(seed: Bits) -> int:
+    """Pixels around an outline in which the cut may still find object."""
+    return max(2, round(_MARGIN * math.sqrt(float(seed.sum()))))
+
+
+def _near(seed: Bits, room: Bits, region: Region) -> Bits:
+    """What is not known to be background: a sphere has room in it, a box may be tight."""
+    return room if region.box is None else _grown(seed, _reach(seed)) | room
+
+
+def _cut(rgb: Tensor, seed: Bits, near: Bits, core: Bits | None) -> Bits:
     """GrabCut (H, W) 0 or 1 from an outline; the inner part of a core is object for certain.
 
-    What lies outside of both the room and the outline's surroundings is background for certain.
+    What does not lie near is background for certain.
     """
     cv2 = require_opencv()
     if not seed.any():
         return seed
-    reach = max(2, round(_MARGIN * math.sqrt(float(seed.sum()))))
-    near = _grown(seed, reach) | room
     if near.all():
         return seed  # Nothing of the picture is known to be background.
     trimap = np.full(seed.shape, cv2.GC_BGD, dtype=np.uint8)
     trimap[near > 0] = cv2.GC_PR_BGD
     trimap[seed > 0] = cv2.GC_PR_FGD
     if core is not None:
-        trimap[_shrunken(core, reach) > 0] = cv2.GC_FGD
+        trimap[_shrunken(core, _reach(seed)) > 0] = cv2.GC_FGD
     pixels = (255 * rgb.clamp(0, 1)).round().byte().numpy()
     models = np.zeros((1, 65)), np.zeros((1, 65))
     # OpenCV draws its clusters from a generator of its own, which is shared by the process.

@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from pcore.capture.colmap_model import image_count, kind_of, read_model
+from pcore.capture.colmap_model import image_count, kind_of, model_files, read_model
 from pcore.capture.colmap_records import Model, ModelImage
 from pcore.capture.photo_folders import find_photos
-from pcore.capture.photos import Capture, Photo, RawPoints, pictures_in
+from pcore.capture.photos import Capture, Photo, RawPoints, inside, pictures_in
 from pcore.data.scene import Skipped
 from pcore.errors import SceneError
 
@@ -75,6 +75,9 @@ def read_colmap(root: Path, found: FoundModel, factor: int) -> Capture:
     Raises:
         SceneError: damaged files, a lens that is not read, no photo at its place.
     """
+    within = root if found.folder.is_relative_to(root) else found.folder
+    for path in model_files(found.folder):
+        inside(within, path)
     model = read_model(found.folder)
     below = found.folder.relative_to(root).parts if found.folder.is_relative_to(root) else ()
     names = [image.name for image in model.images]

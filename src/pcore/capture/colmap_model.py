@@ -34,17 +34,26 @@ def image_count(folder: Path) -> int:
     return int(struct.unpack("<Q", head)[0]) if len(head) == 8 else 0
 
 
+def model_files(folder: Path) -> list[Path]:
+    """Files of a model: cameras, images, points3D, which need not be there.
+
+    Raises:
+        SceneError: no model.
+    """
+    kind = kind_of(folder)
+    if kind is None:
+        raise SceneError(f"{folder}: expected a model of COLMAP (cameras and images, .bin or .txt)")
+    return [folder / f"{name}{kind}" for name in ("cameras", "images", "points3D")]
+
+
 def read_model(folder: Path) -> Model:
     """Read a model.
 
     Raises:
         SceneError: truncated or damaged files, a lens that is not read (by its name), no image.
     """
-    kind = kind_of(folder)
-    if kind is None:
-        raise SceneError(f"{folder}: expected a model of COLMAP (cameras and images, .bin or .txt)")
-    read = colmap_binary if kind == ".bin" else colmap_text
-    paths = [folder / f"{name}{kind}" for name in ("cameras", "images", "points3D")]
+    paths = model_files(folder)
+    read = colmap_binary if paths[0].suffix == ".bin" else colmap_text
     cameras = dict(read.cameras(paths[0]))
     images = list(read.images(paths[1]))
     if not images:

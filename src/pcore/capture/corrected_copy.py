@@ -16,7 +16,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from pcore.capture.transforms_capture import REGION_KEY
-from pcore.data.pictures import write_photo
+from pcore.data.pictures import to_bytes, write_photo
+from pcore.data.points import save_points
 from pcore.data.scene import Scene, View
 from pcore.data.whole_file import replace_file
 from pcore.errors import InputError
@@ -26,6 +27,9 @@ _MARGIN = 0.08
 """Room around the object in a crop, as a share of its size."""
 _LEAST = 16
 _TRACE = 0.05
+_POINTS = "sparse_points.ply"
+Key = tuple[str, str]
+"""Split and name of a view: names alone are unique within a split."""
 Part = tuple[int, int, int, int]
 """Left, top, right, bottom, pixels."""
 
@@ -34,17 +38,18 @@ def write_corrected(
     scene: Scene,
     folder: Path,
     *,
-    masks: Mapping[str, Tensor] | None = None,
-    leave_out: Collection[str] = (),
+    masks: Mapping[Key, Tensor] | None = None,
+    leave_out: Collection[Key] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
-    """Write `transforms.json` and `images/`: undistorted, with alpha, cut to the object.
+    """Write `transforms.json`, `images/` and sparse points: undistorted, with alpha, cut.
 
     Args:
         scene: whose views are copied, in the size that they were opened in.
         folder: new or empty, outside of the scene's own.
-        masks: name of a view -> (h, w) mask in any size; None takes the alpha that views have.
-        leave_out: names of views.
+        masks: split and name of a view -> (h, w) mask in any size; views without one are left out.
+            None takes the alpha that views have.
+        leave_out: splits and names of views.
         progress: told (pictures written, pictures in all).
 
     Returns:
@@ -59,19 +64,20 @@ def write_corrected(
         (split, view)
         for split in scene.splits
         for view in scene.split(split)
-        if view.name not in leave_out
+        if (split, view.name) not in leave_out and (masks is None or (split, view.name) in masks)
     ]
     (folder / "images").mkdir(parents=True, exist_ok=True)
     frames: list[dict[str, Any]] = []
     names: dict[str, list[str]] = {split: [] for split in scene.splits}
     taken: set[str] = set()
-    parts = _parts([view for _, view in chosen], masks)
-    for number, ((split, view), part) in enumerate(zip(chosen, parts, strict=True)):
+    own = [None if masks is None else masks[split, view.name] for split, view in chosen]
+    parts = _parts([view for _, view in chosen], own)
+    for number, ((split, view), mask, part) in enumerate(zip(chosen, own, parts, strict=True)):
         name = f"images/{view.name if view.name not in taken else f'{split}_{view.name}'}.png"
         taken.add(view.name)
         left, top, right, bottom = part
-        kept = _picture(view, masks)[top:bottom, left:right]
-        write_photo(folder / name, kept, opaque=masks is None and not view.has_alpha)
+        kept = _picture(view, mask)[top:bottom, left:right]
+        write_photo(folder / name, kept, opaque=mask is None and not view.has_alpha)
         frames.append(_frame(view.camera, part, name))
         names[split].append(name)
         if progress is not None:
@@ -81,6 +87,11 @@ def write_corrected(
         "frames": frames,
         **{f"{split}_filenames": files for split, files in names.items() if files},
     }
+    if scene.sparse is not None:
+        colors = scene.sparse.colors
+        paint = None if colors is None else to_bytes(colors)
+        save_points(folder / _POINTS, scene.sparse.positions, paint)
+        content["ply_file_path"] = _POINTS
     region = scene.region
     if region is not None:
         content[REGION_KEY] = {"center": region.center.tolist(), "radius": region.radius}
@@ -104,32 +115,31 @@ def _check_folder(scene: Scene, folder: Path) -> None:
         raise InputError(f"{folder}: expected a new or empty folder for the corrected copy")
 
 
-def _picture(view: View, masks: Mapping[str, Tensor] | None) -> Tensor:
+def _picture(view: View, mask: Tensor | None) -> Tensor:
     rgba = view.rgba()
-    if masks is not None:
+    if mask is not None:
         size = (view.camera.height, view.camera.width)
-        mask = F.interpolate(masks[view.name][None, None], size, mode="bilinear")[0, 0]
-        rgba[..., 3] *= mask
+        rgba[..., 3] *= F.interpolate(mask[None, None], size, mode="bilinear")[0, 0]
     return rgba
 
 
-def _parts(views: Sequence[View], masks: Mapping[str, Tensor] | None) -> list[Part]:
+def _parts(views: Sequence[View], masks: Sequence[Tensor | None]) -> list[Part]:
     """What is kept of each picture; one size for pictures of one size, as other tools want it.
 
     With masks it holds the largest object; without, it is what all pictures show.
     """
     kept: list[Part] = []
-    for view in views:
-        masked = masks is not None or view.has_alpha
-        kept.append(_part(view, _picture(view, masks), masked=masked))
+    masked = [mask is not None or v.has_alpha for v, mask in zip(views, masks, strict=True)]
+    for view, mask, cut in zip(views, masks, masked, strict=True):
+        kept.append(_part(view, _picture(view, mask), masked=cut))
     found: list[Part] = []
-    for view, (left, top, right, bottom) in zip(views, kept, strict=True):
+    for view, cut, (left, top, right, bottom) in zip(views, masked, kept, strict=True):
         alike = [
             part
             for part, other in zip(kept, views, strict=True)
             if (other.camera.width, other.camera.height) == (view.camera.width, view.camera.height)
         ]
-        choose = max if masks is not None or view.has_alpha else min
+        choose = max if cut else min
         width = choose(part[2] - part[0] for part in alike)
         height = choose(part[3] - part[1] for part in alike)
         x = min(max(0, (left + right - width) // 2), view.camera.width - width)

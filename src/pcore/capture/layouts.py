@@ -16,7 +16,7 @@ from pcore.capture.phone_folders import (
     read_record3d,
     record3d_metadata,
 )
-from pcore.capture.photos import VIDEOS, Capture, pictures_in
+from pcore.capture.photos import VIDEOS, Capture, inside, pictures_in
 from pcore.capture.pose_files import is_camera_list, read_camera_list, read_nsvf
 from pcore.capture.transforms_capture import read_transforms_capture
 from pcore.data.blender import transforms_path
@@ -84,7 +84,8 @@ def layout_of(path: Path) -> Layout:
     """The one layout of what was given: a folder, or a file or model folder that chooses one.
 
     Raises:
-        SceneError: nothing that is read, or several layouts (names all and how to choose).
+        SceneError: nothing that is read, several layouts (names all and how to choose), or a
+            symbolic link that leads out of the folder.
     """
     if path.is_file():
         return _of_file(path)
@@ -100,6 +101,7 @@ def layout_of(path: Path) -> Layout:
             f"scene {path}: holds {len(found)} layouts, and they may disagree: {listed}. Give the "
             "path of the one that is meant instead of the folder"
         )
+    inside(found[0].root, found[0].path)
     return found[0]
 
 

@@ -7,6 +7,7 @@ the same thing.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -102,21 +103,27 @@ def match_masks(photos: Sequence[Path], folder: Path) -> MatchedMasks:
 def write_masks(views: Sequence[View], masks: Sequence[Tensor], folder: Path) -> None:
     """Write masks as PNG files named like their photos, in the pixels of the photos' files.
 
+    Where photos in several folders have one name, the masks lie in folders of the same names.
+
     Args:
         views: of photos.
         masks: (H, W) in [0, 1] of each view's picture, the lens undone.
         folder: made where it is missing.
 
     Raises:
-        SceneError: two photos of one name.
+        SceneError: two photos of one name in one folder.
         OSError: a file cannot be written.
     """
-    names = [f"{view.image.path.stem}.png" for view in views]
+    photos = [view.image.path for view in views]
+    names = [f"{photo.stem}.png" for photo in photos]
+    if len(set(names)) < len(names):
+        above = Path(os.path.commonpath([photo.parent for photo in photos]))
+        names = [photo.relative_to(above).with_suffix(".png").as_posix() for photo in photos]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise SceneError(f"masks {folder}: two photos would have the mask {twice}; rename one")
-    folder.mkdir(parents=True, exist_ok=True)
     for view, mask, name in zip(views, masks, names, strict=True):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write_mask(folder / name, in_file(view, mask))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from pcore.capture.auto_masks import FoundMasks, Photo, find_masks
+from pcore.capture.auto_masks import FoundMasks, Photo, find_masks, shrunk
 from pcore.capture.photos import natural_key
 from pcore.data.scene import Scene, View
 from pcore.geometry.object_region import Region
@@ -46,9 +46,9 @@ def scene_masks(
 
 
 def photos_of(views: Sequence[View]) -> list[Photo]:
-    """Photos of views, on white where they have an alpha channel."""
+    """Photos of views, on white where they have an alpha channel; small, so that all fit memory."""
     white = torch.ones(3)
-    return [Photo(name=view.name, camera=view.camera, rgb=view.rgb(white)) for view in views]
+    return [Photo(name=v.name, camera=v.camera, rgb=shrunk(v.rgb(white))) for v in views]
 
 
 def ordered_views(scene: Scene) -> tuple[View, ...]:
@@ -56,6 +56,15 @@ def ordered_views(scene: Scene) -> tuple[View, ...]:
 
     Splits of a capture are every eighth photo of one walk around the object.
     """
+    return tuple(view for _, view in _ordered(scene))
+
+
+def ordered_keys(scene: Scene) -> tuple[tuple[str, str], ...]:
+    """Split and name of each of `ordered_views`."""
+    return tuple((split, view.name) for split, view in _ordered(scene))
+
+
+def _ordered(scene: Scene) -> list[tuple[str, View]]:
     splits = ["train"] if scene.states or scene.layout == "NeRF-Synthetic" else scene.splits
-    views = [view for name in splits for view in scene.split(name)]
-    return tuple(sorted(views, key=lambda view: natural_key(view.name)))
+    pairs = [(split, view) for split in splits for view in scene.split(split)]
+    return sorted(pairs, key=lambda pair: natural_key(pair[1].name))

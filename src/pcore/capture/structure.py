@@ -56,7 +56,7 @@ def with_poses(layout: Layout, tell: Tell, patience: Patience | None = None) -> 
     found = find_model(place)
     if found is None:
         raise SceneError(f"{place}: expected the model of {layout.path}; remove this folder")
-    root = place if video else layout.path
+    root = place if video else layout.root
     return Layout(name="COLMAP", root=root, path=found.folder, note=found.note)
 
 

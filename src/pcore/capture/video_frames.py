@@ -42,7 +42,8 @@ def choose_frames(path: Path, folder: Path, tell: Callable[[str], None]) -> None
         with av.open(str(path)) as container:
             best, part = (-1.0, None), 0
             for index, frame in enumerate(container.decode(video=0)):
-                pixels = frame.to_ndarray(format="rgb24")
+                # Phones store frames as the sensor lies, and how they are to be turned.
+                pixels = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90))
                 here = index * min(_FRAMES, total) // total
                 if here > part:
                     _save(best[1], folder, part)

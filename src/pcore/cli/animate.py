@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -40,6 +41,9 @@ class AnimateCommand:
 
     frames: Annotated[int, arg(metavar="N")] = 60
     """How many frames, evenly from the first keyframe to the last."""
+
+    span: Annotated[tuple[float, float] | None, optional("FROM TO")] = None
+    """Times of the first and the last frame; default: those of the first keyframe and the last."""
 
     output: Annotated[Path | None, optional("VIDEO", "-o")] = None
     """The video, .mp4; replaced if it exists. Without it there must be --frames-dir or --points."""
@@ -166,6 +170,8 @@ def _check(command: AnimateCommand) -> None:
     check_given_samples(command.samples)
     if command.output is None and command.points is None and command.frames_dir is None:
         raise InputError("expected -o VIDEO.mp4, --frames-dir or --points FOLDER, got none")
+    if command.span is not None and not -inf < command.span[0] <= command.span[1] < inf:
+        raise InputError(f"--span: expected two times in their order, got {command.span}")
     if command.depth and command.frames_dir is None:
         raise InputError("expected --frames-dir FOLDER with --depth, got none")
     if command.output is not None and command.output.suffix.lower() != ".mp4":
@@ -185,9 +191,12 @@ def _frames(
     """The object in every frame; equal times are computed once."""
     from pcore.cli.diagnosing import note_edit
     from pcore.cli.results import counting
+    from pcore.editing.animation import evenly
 
     known: dict[float, Posed] = {}
     times = animation.times(command.frames)
+    if command.span is not None:
+        times = evenly(*command.span, command.frames)
     with counting(console, "edits") as tell:
         for number, time in enumerate(times, start=1):
             if time not in known:

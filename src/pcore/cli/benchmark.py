@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 
 from pcore.cli.layout import print_lines
 from pcore.cli.options import optional
+from pcore.cli.output import check_place
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -64,6 +65,9 @@ class BenchmarkMakeCommand:
     no_analytic: bool = False
     """Leave out twist60, bend60, stretch and scale2x."""
 
+    bend_axis: Annotated[Literal["x", "y", "z"] | None, optional("{x,y,z}")] = None
+    """Axis about which bend60 bends; default: z where x is longest, else y."""
+
     up: Annotated[Literal["y", "z"] | None, optional("{y,z}")] = None
     """Axis that points up in the model; default: y, z for .ply."""
 
@@ -96,7 +100,7 @@ class BenchmarkMakeCommand:
             print_lines(console, lines)
 
     def folders(self) -> list[Path]:
-        """Where each model goes; InputError before any work when a place is taken."""
+        """Where each model goes; InputError when a place is taken or cannot be made."""
         if not self.models:
             raise InputError("benchmark make: expected at least one model or --recipe, got none")
         names = [path.stem for path in self.models]
@@ -106,6 +110,7 @@ class BenchmarkMakeCommand:
             )
         one = len(names) == 1
         folders = [self.output if one else self.output / name for name in names]
+        check_place(self.output)
         for folder in folders:
             if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
                 raise InputError(
@@ -130,6 +135,7 @@ class BenchmarkMakeCommand:
             light=self.light,
             renderer=self.renderer,
             analytic=not self.no_analytic,
+            bend_axis=self.bend_axis,
             edits=tuple((path.stem, script_of(path)) for path in self.edits),
             clips=tuple(_clip(one) for one in self.clips),
             every_clip=not self.clips,

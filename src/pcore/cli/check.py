@@ -91,8 +91,8 @@ def check(command: CheckCommand, console: Console) -> None:
     if command.html is not None:
         require_jinja()
     prepare_torch(command.threads)
-    factor = command.factor or _looking_factor(command.scene)
-    scene, bare = _opened(command, factor)
+    factor = command.factor or _looking_factor(command.scene, console)
+    scene, bare = _opened(command, factor, console)
     agreement = None
     if command.triangulate and scene.sparse is None:
         done = triangulated(bare, console.print)
@@ -121,11 +121,11 @@ def check(command: CheckCommand, console: Console) -> None:
     console.print(Text(f"next: {following[0]}"), soft_wrap=True)
 
 
-def _opened(command: CheckCommand, factor: int) -> tuple[Scene, Scene]:
+def _opened(command: CheckCommand, factor: int, console: Console) -> tuple[Scene, Scene]:
     """The scene with its masks and without any."""
     from pcore.capture.load import load_scene
 
-    bare = load_scene(command.scene, factor=factor, masks="none")
+    bare = load_scene(command.scene, factor=factor, masks="none", tell=console.print)
     if command.masks == "none":
         return bare, bare
     folder = None if command.masks is None or command.masks in _AUTOMATIC else Path(command.masks)
@@ -135,15 +135,17 @@ def _opened(command: CheckCommand, factor: int) -> tuple[Scene, Scene]:
     return scene, bare
 
 
-def _looking_factor(path: Path) -> int:
-    """A factor that divides the photos' sides and makes them about as long as is looked at."""
+def _looking_factor(path: Path, console: Console) -> int:
+    """A factor that makes photos about as long as is looked at; it divides rendered ones."""
+    from pcore.capture.layouts import RENDERED
     from pcore.capture.load import load_scene
 
-    view = load_scene(path).split("train")[0]
-    width, height = view.camera.width, view.camera.height
-    wish = max(width, height) / _LONGEST
-    fitting = [n for n in range(1, 33) if width % n == 0 and height % n == 0]
-    return max((n for n in fitting if n <= max(1.0, wish * 1.25)), default=1)
+    scene = load_scene(path, tell=console.print)
+    camera = scene.split("train")[0].camera
+    wish = max(1, int(1.25 * max(camera.width, camera.height) / _LONGEST))
+    if scene.layout != RENDERED:
+        return wish
+    return max(n for n in range(1, wish + 1) if camera.width % n == camera.height % n == 0)
 
 
 def _show(found: SceneCheck, console: Console) -> None:
@@ -185,6 +187,7 @@ def _write_masks(found: SceneCheck, command: CheckCommand, console: Console) -> 
 
 def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> None:
     from pcore.capture.corrected_copy import write_corrected
+    from pcore.capture.scene_masks import ordered_keys
     from pcore.cli.results import counting
 
     assert command.fix is not None, "asked for"
@@ -193,17 +196,19 @@ def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> 
         bad |= {*found.agreement.doubtful()}
     if found.reprojection is not None:
         bad |= {*found.reprojection.doubtful()}
-    left_out = [found.views[i].name for i in sorted(bad)]
-    scene = _opened(command, command.factor or 1)[0]
+    keys = ordered_keys(found.scene)
+    left_out = [keys[i] for i in sorted(bad)]
+    scene = _opened(command, command.factor or 1, console)[0]
     if command.box:
         scene = replace(scene, region=found.region)
     masks = None
     if found.masks is not None and found.masks.automatic:
-        names = (view.name for view in found.views)
-        masks = dict(zip(names, found.masks.masks, strict=True))
+        masks = dict(zip(keys, found.masks.masks, strict=True))
     with counting(console, "pictures") as tell:
         count = write_corrected(scene, command.fix, masks=masks, leave_out=left_out, progress=tell)
-    said = f", without {', '.join(left_out)}" if left_out else ""
+    said = f", without {', '.join(name for _, name in left_out)}" if left_out else ""
+    if masks is not None and (bare := sum(map(len, scene.views.values())) - len(masks)) > 0:
+        said += f", and without {bare} photos of other splits, which have no mask"
     console.print(
         Text(f"a corrected copy of {count} photos is in {command.fix}{said}"), soft_wrap=True
     )
@@ -231,7 +236,10 @@ def commands_of(found: SceneCheck, command: CheckCommand, factor: int) -> list[s
     masks = "auto" if automatic and command.masks is None else command.masks
     if masks is not None:
         given += ["--masks", masks]
-    lines = [["pcore", "train", str(command.scene), "-o", f"runs/{found.scene.name}", *given]]
+    uneven = found.quality.drifts or found.quality.odd_exposure
+    colour = ["--exposure", "per-view"] if uneven else []
+    run = ["-o", f"runs/{found.scene.name}", *given, *colour]
+    lines = [["pcore", "train", str(command.scene), *run]]
     if automatic:
         again = ["--masks", "trained"] if masks == "trained" else []
         lines.append(["pcore", "check", str(command.scene), *again, "--masks-out", "masks"])

@@ -24,8 +24,8 @@ EXIT_ERROR = 2
 EXIT_INTERRUPTED = 130
 _LINE_SECONDS = 15.0
 # Errors of the machine, not of pcore: a traceback would not help anybody.
-_DISK = {errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EPERM, errno.EDQUOT, errno.EIO}
-_PLACE = {errno.ENOTDIR, errno.ENAMETOOLONG}
+_DISK = {errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EPERM, errno.EDQUOT, errno.EIO, errno.EFBIG}
+_PLACE = {errno.ENOTDIR, errno.ENAMETOOLONG, errno.EEXIST}
 _ENVIRONMENT = _DISK | _PLACE
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pcore.errors import InputError
+from pcore.errors import EditError, InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pcore.cli.export import ExportCommand
     from pcore.data.splat_file import SplatFile
     from pcore.editing.script import EditScript
+    from pcore.gaussians.render import Footprint
     from pcore.geometry.camera import Camera
 
 _ENDINGS = {"glb": (".glb",), "obj": (".obj",), "usd": (".usd", ".usda", ".usdc")}
@@ -111,21 +112,17 @@ def write_splats(command: ExportCommand, asset: Asset, console: Console) -> list
     times = _times(command)
     if isinstance(asset.content, GaussianContent):
         footprint = asset.content.footprint
-        file = splats_of(asset.content.gaussians, str(command.run_folder), flat=footprint.flat)
-        posed, notes = _carried(command, file, times)
-        antialiased = footprint.antialiased
+        name = str(command.run_folder)
+        gaussians = asset.content.gaussians
+        file = splats_of(gaussians, name, flat=footprint.flat, footprint=footprint)
+        posed, notes = _carried(command, asset, file, times)
     else:
         posed, notes = _fitted(command, asset, times, console)
-        antialiased = True
     several = command.frames is not None
     names = numbered(command.output, len(times)) if several else [command.output]
     for path, file in zip(names, posed, strict=True):
         notes += save_splats(path, file)
-    if antialiased:
-        notes.append(
-            "they were trained antialiased: switch that on in the viewer (SuperSplat) or trainer "
-            "(gsplat: rasterize_mode), or they look a little bolder"
-        )
+    notes += _of_filter(posed[0].footprint, command.output.suffix.lower())
     first = posed[0].gaussians
     head = _said(names, f"{len(first):,} Gaussians of degree {first.degree}")
     return [head, *(f"  note: {line}" for line in dict.fromkeys(notes))]
@@ -155,11 +152,29 @@ def _fitted(
     if edit is not None:
         like = likeness(asset, fitted, moved[-1], edit, time=times[-1])
         notes.append(f"{like:.1f} dB to pictures of the edited run, its light baked in")
-    return [splats_of(one, str(command.run_folder)) for one in moved], notes
+    name = str(command.run_folder)
+    return [splats_of(one, name, footprint=fitted.footprint) for one in moved], notes
+
+
+def _of_filter(footprint: Footprint | None, kind: str) -> list[str]:
+    """How pictures of a written file come out as those of the run."""
+    from pcore.data.splat_file import filter_words
+
+    if footprint is None:
+        return []
+    words = filter_words(footprint)
+    read = "reads from a comment of the file" if kind == ".ply" else "must be told"
+    notes = [f"their screen filter, which `pcore import gaussians` {read}: {words}"]
+    if footprint.antialiased:
+        notes.append(
+            "they were trained antialiased: switch that on in the viewer (SuperSplat) or trainer "
+            "(gsplat: rasterize_mode), or they look a little bolder"
+        )
+    return notes
 
 
 def _carried(
-    command: ExportCommand, file: SplatFile, times: list[float | None]
+    command: ExportCommand, asset: Asset, file: SplatFile, times: list[float | None]
 ) -> tuple[list[SplatFile], list[str]]:
     """Gaussians of a run at all times, and what is odd about the edit."""
     from pcore.asset.posing import script_of
@@ -171,7 +186,34 @@ def _carried(
     scripts: list[EditScript] = [script_of(command.edit, time) for time in times]
     edited = [edited_gaussians(file, script, split=command.split) for script in scripts]
     notes = [line for one in edited for line in (*edit_notes(one), *one.bound.notes)]
-    return [one.file for one in edited], notes
+    files: list[SplatFile] = []
+    for one, time in zip(edited, times, strict=True):
+        lit, said = _lit(one.file, asset, command, time)
+        files.append(lit)
+        notes += said
+    return files, notes
+
+
+def _lit(
+    file: SplatFile, asset: Asset, command: ExportCommand, time: float | None
+) -> tuple[SplatFile, list[str]]:
+    """Edited Gaussians in the light that stands still, as they are drawn; what is to be said."""
+    from pcore.gaussians.spherical_harmonics import brightened
+
+    try:
+        posed = asset.pose(command.edit, time=time)
+    except EditError as error:
+        # What may be carried with a note may be too folded to be lit.
+        return file, [f"the light of the photos is baked in, for no light can be told: {error}"]
+    gains = asset.content.gains_of(posed.content)
+    if gains is None:
+        return file, ["the light of the photos is baked in: `pcore light` estimates it"]
+    # A piece of a split Gaussian is lit as the whole.
+    gains = gains[file.rows]
+    own = file.gaussians
+    lit = replace(file, gaussians=replace(own, sh=brightened(own.sh, gains)))
+    span = f"{float(gains.min()):.2f} to {float(gains.max()):.2f}"
+    return lit, [f"the light stands still: colours are those of the photos times {span}"]
 
 
 def _times(command: ExportCommand) -> list[float | None]:

@@ -35,8 +35,8 @@ class ImportGaussiansCommand:
     """Folder to make; it must be new or empty."""
 
     scene: Folder = None
-    """Folder of the photos it was trained on: some are compared with what the Gaussians show, so
-    that a wrong world is found out."""
+    """Folder of the photos it was trained on, which the run remembers: some are compared with what
+    the Gaussians show, so that a wrong world is found out."""
 
     factor: Annotated[int, arg(metavar="N")] = 1
     """Down-scale the photos by this whole number."""
@@ -45,8 +45,8 @@ class ImportGaussiansCommand:
     """Trainers may move the world: nerfstudio's dataparser_transforms.json, whose map is undone."""
 
     variance: Annotated[float | None, optional("X")] = None
-    """Variance of the screen filter of its trainer, pixels squared; default: 0.3, or 0.5 where the
-    file has two scales (2DGS)."""
+    """Variance of the screen filter of its trainer, pixels squared; default: what a file of pcore
+    says, else 0.3, or 0.5 where the file has two scales (2DGS)."""
 
     antialiased: bool = False
     """It was trained with opacities that make up for the filter (gsplat's "antialiased")."""
@@ -70,30 +70,36 @@ def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
     """
     from pcore.asset.importing import save_imported
     from pcore.cli.runtime import prepare_torch
+    from pcore.data.splat_file import filter_words
     from pcore.data.splat_formats import read_splats
     from pcore.gaussians.render import Footprint
 
     prepare_torch(command.threads)
     file = read_splats(command.file)
-    footprint = Footprint(
-        variance=command.variance or (_DISCS if file.flat else _OTHERS),
+    told = file.footprint if command.variance is None and not command.antialiased else None
+    usual = _DISCS if file.flat else _OTHERS
+    footprint = told or Footprint(
+        variance=usual if command.variance is None else command.variance,
         antialiased=command.antialiased,
         flat=file.flat,
     )
     gaussians = _single(_in_world(file.gaussians, command.transform))
-    agreement = _compared(gaussians, footprint, command)
+    agreement, doubt = _compared(gaussians, footprint, command)
     save_imported(
         gaussians,
         footprint,
         command.output,
         file=command.file,
         scene=command.scene,
+        factor=command.factor,
         background=None if agreement is None else agreement.background,
     )
     lines = [f"{command.output}: {len(gaussians):,} Gaussians of degree {gaussians.degree}"]
     if agreement is not None:
         lines.append(f"  {agreement.views} photos are met by {agreement.psnr:.1f} dB")
-    lines += [f"  note: {line}" for line in [*file.notes, *_notes(file, gaussians)]]
+    if told is not None:
+        lines.append(f"  screen filter of the file's own comment: {filter_words(told)}")
+    lines += [f"  note: {line}" for line in [*file.notes, *doubt, *_notes(file, gaussians)]]
     for line in lines:
         console.print(Text(line), soft_wrap=True)
 
@@ -116,16 +122,17 @@ def _single(gaussians: Gaussians) -> Gaussians:
 
 def _compared(
     gaussians: Gaussians, footprint: Footprint, command: ImportGaussiansCommand
-) -> Agreement | None:
+) -> tuple[Agreement | None, list[str]]:
+    """How like the photos they are, and what is doubtful about that."""
     from pcore.capture.load import load_scene
     from pcore.training.splat_check import agreement_with, check_agreement
 
     if command.scene is None:
-        return None
+        return None, []
     views = load_scene(command.scene, factor=command.factor).split("train")
     found = agreement_with(gaussians, footprint, views)
-    check_agreement(found, where=str(command.file), scene=str(command.scene))
-    return found
+    doubt = check_agreement(found, where=str(command.file), scene=str(command.scene))
+    return found, [] if doubt is None else [doubt]
 
 
 def _notes(file: SplatFile, gaussians: Gaussians) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,26 @@ def pictures_folder(folder: Path, *, overwrite: bool) -> None:
             "or --overwrite to replace those of the same name"
         )
     folder.mkdir(parents=True, exist_ok=True)
+
+
+def check_place(folder: Path) -> None:
+    """Refuse a place at which no folder can be made, before any work; leaves nothing there.
+
+    Raises:
+        InputError: something on the way to it is a file, or cannot be written into.
+    """
+    from pcore.errors import InputError
+
+    there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
+    if not there.is_dir():
+        raise InputError(f"{folder}: {there} is a file: expected a folder; use another -o")
+    try:
+        with tempfile.TemporaryDirectory(prefix=".pcore-", dir=there):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"{folder}: nothing can be written into {there} ({error.strerror}); use another -o"
+        ) from error
 
 
 def export_folder(folder: Path, *, overwrite: bool) -> None:
@@ -102,7 +123,10 @@ def _content(folder: Path, kind: str) -> str:
             f"{folder} holds a run: expected a folder for {kind} only; use another -o, or none "
             "for one inside the run"
         )
-    return first_names(item.name for item in folder.iterdir()) if folder.exists() else ""
+    if folder.exists():
+        return first_names(item.name for item in folder.iterdir())
+    check_place(folder)
+    return ""
 
 
 def _subject(path: Path) -> str | None:

@@ -75,7 +75,7 @@ def studio(command: StudioCommand, console: Console, stack: ExitStack) -> None:
     ended = threading.Event()
     signal.signal(signal.SIGTERM, lambda number, frame: ended.set())
     page = stack.enter_context(closing(_opened(command, stack)))
-    print_lines(console, [page.url, *_tunnel(command), "Ctrl-C ends; what is not saved is kept"])
+    print_lines(console, [page.url, *_tunnel(command), _ending(command)])
     try:
         ended.wait()
     except KeyboardInterrupt:
@@ -114,6 +114,17 @@ def _demo(stack: ExitStack) -> Path:
     with as_file(files("pcore.studio").joinpath("demo_run")) as source:
         shutil.copytree(source, scratch / "demo")
     return scratch / "demo"
+
+
+def _ending(command: StudioCommand) -> str:
+    """What becomes of the work at the end."""
+    if command.demo and command.edit is None:
+        return (
+            "Ctrl-C ends; the demo and all that it writes is gone then, unless --edit names a file"
+        )
+    if command.demo:
+        return f"Ctrl-C ends; of the demo only what is saved in {command.edit} stays"
+    return "Ctrl-C ends; what is not saved is kept"
 
 
 def _tunnel(command: StudioCommand) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -64,6 +65,7 @@ def sweep(command: SweepCommand, console: Console) -> None:
         TrainingError: trials failed; the others are finished.
         KeyboardInterrupt: Ctrl-C; trainings have saved their state.
     """
+    from pcore.cli.sweep_places import placed
     from pcore.cli.sweep_results import show_failures, write_results
     from pcore.cli.sweep_verbs import check_trials, output_folder
     from pcore.files.lock import FolderLock
@@ -73,18 +75,18 @@ def sweep(command: SweepCommand, console: Console) -> None:
     from pcore.sweep.sweep_trial import fetch_records, trials_of
 
     plan = read_plan(command.plan)
-    trials = trials_of(
-        plan, beside=command.plan.parent, folder=command.output, storage=command.storage
-    )
+    beside = command.plan.parent
+    trials = trials_of(plan, beside=beside, folder=command.output, storage=command.storage)
+    trials = placed(trials, beside)
     check_trials(trials)
     if command.storage is not None:
         check_storage(command.storage)
     with ExitStack() as stack:
         if command.dry_run:
-            _check_here(command, plan)
             from pcore.cli.sweep_forecast import show_plan
 
-            show_plan(console, trials, _finished(trials), command.workers or 1)
+            at_once = _at_once(command, plan)
+            show_plan(console, trials, _known(trials), at_once)
             return
         execute = _executor(command, plan, stack)
         output_folder(command.output, SWEEP_FILE)
@@ -113,6 +115,38 @@ def _finished(trials: Sequence[Trial]) -> list[TrialResult]:
     return [one for one in map(finished_trial, trials) if one is not None]
 
 
+def _known(trials: Sequence[Trial]) -> list[TrialResult]:
+    """Finished trials, also those that only the storage knows of; writes nothing beside them."""
+    from pcore.sweep.sweep_trial import fetch_records, finished_trial
+
+    found: list[TrialResult | None] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for number, one in enumerate(trials):
+            place = one.folder if one.storage is None else Path(folder) / str(number)
+            fetch_records(one, place)
+            found.append(finished_trial(one, place) or finished_trial(one, one.folder))
+    return [one for one in found if one is not None]
+
+
+def _at_once(command: SweepCommand, plan: SweepPlan) -> int:
+    """How many trials run at a time; InputError where none could."""
+    from pcore.sweep.executors import machines_of, trials_at_once
+
+    _check_options(command)
+    _check_here(command, plan)
+    if command.address is None:
+        return command.workers or 1
+    return trials_at_once(plan.resources, machines_of(command.address))
+
+
+def _check_options(command: SweepCommand) -> None:
+    if command.workers is not None and command.address is not None:
+        raise InputError(
+            f"--workers {command.workers}: expected no number with --address, whose cluster has "
+            "its own; leave one of the options out"
+        )
+
+
 def _check_here(command: SweepCommand, plan: SweepPlan) -> None:
     """Check resources against this machine, unless others do the work."""
     from pcore.sweep.executors import check_resources, check_workers
@@ -125,11 +159,7 @@ def _check_here(command: SweepCommand, plan: SweepPlan) -> None:
 def _executor(command: SweepCommand, plan: SweepPlan, stack: ExitStack) -> Execute:
     from pcore.sweep.executors import in_turn, on_ray
 
-    if command.workers is not None and command.address is not None:
-        raise InputError(
-            f"--workers {command.workers}: expected no number with --address, whose cluster has "
-            "its own; leave one of the options out"
-        )
+    _check_options(command)
     _check_here(command, plan)
     if command.workers is None and command.address is None:
         return in_turn

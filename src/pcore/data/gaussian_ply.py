@@ -3,11 +3,13 @@
 Each vertex is a Gaussian: x y z, f_dc_0 to 2 and f_rest_* (spherical harmonics, all of red, then
 green, then blue), opacity (logit), scale_* (natural logarithm; 2DGS has two), rot_0 to 3
 (quaternion w x y z of any length). nerfstudio may write red green blue instead of the harmonics.
+None of them says how Gaussians met pixels; files of ours do in a comment, see `_told`.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from pcore.data.ply import Place, Ply
 from pcore.data.splat_file import SplatFile, sound
 from pcore.errors import InputError
 from pcore.gaussians.gaussians import THINNEST, Gaussians
+from pcore.gaussians.render import Footprint
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE, basis
 
 CONSTANT = float(basis(0, torch.zeros(3, dtype=torch.float64)))
@@ -31,6 +34,9 @@ _PAINT = ("red", "green", "blue")
 _NORMALS = ("nx", "ny", "nz")
 _SIGNS = ("f_dc_0", "scale_0", "rot_0", "opacity")
 """Properties that only Gaussians have together."""
+_COMMENT = re.compile(
+    r"pcore footprint variance=(\d+(?:\.\d+)?(?:e[+-]?\d+)?) antialiased=([01]) flat=[01]"
+)
 _SMALLEST_LOG = -50.0
 _SURE = 1e-7
 
@@ -74,6 +80,7 @@ def read_gaussian_ply(ply: Ply, where: str) -> SplatFile:
             ply=ply,
             normals=normals if normals is not None and normals.any() else None,
             flat=flat,
+            footprint=_footprint(ply, flat=flat),
         )
     )
 
@@ -87,7 +94,7 @@ def gaussian_ply(file: SplatFile) -> bytes:
     if file.ply is None:
         zeros = np.zeros(len(file.rows), dtype=np.float32)
         first = {name: columns.pop(name) for name in _PLACES}
-        return _plain({**first, **dict.fromkeys(_NORMALS, zeros), **columns})
+        return _plain({**first, **dict.fromkeys(_NORMALS, zeros), **columns}, told=_told(file))
     vertices = _Vertices(file.ply, file.where)
     if len(np.unique(file.rows)) == len(file.rows):
         # Nothing but a split changes how dense Gaussians are.
@@ -97,7 +104,7 @@ def gaussian_ply(file: SplatFile) -> bytes:
     new = {name: values for name, values in columns.items() if vertices.has(name)}
     if np.array_equal(file.rows, np.arange(vertices.element.length)):
         return file.ply.replaced({vertices.place(name): new[name] for name in new})
-    return _plain(vertices.all_rows(file.rows) | new, vertices.types())
+    return _plain(vertices.all_rows(file.rows) | new, vertices.types(), _told(file))
 
 
 def lost(file: SplatFile) -> tuple[str, ...]:
@@ -212,8 +219,28 @@ def _columns(gaussians: Gaussians, *, flat: bool) -> dict[str, NDArray[Any]]:
     return columns | dict(zip(_QUAT, own.quats.numpy().T, strict=True))
 
 
+def _told(file: SplatFile) -> tuple[str, ...]:
+    """The comment that tells a footprint, as `_footprint` reads it."""
+    own = file.footprint
+    if own is None:
+        return ()
+    flags = f"antialiased={own.antialiased:d} flat={own.flat:d}"
+    return (f"comment pcore footprint variance={own.variance:.9g} {flags}",)
+
+
+def _footprint(ply: Ply, *, flat: bool) -> Footprint | None:
+    """The footprint that a comment of the header tells; None without one that can be read."""
+    for text in ply.header.comments:
+        found = _COMMENT.fullmatch(text)
+        if found is not None and 0 < float(found[1]) < math.inf:
+            return Footprint(variance=float(found[1]), antialiased=found[2] == "1", flat=flat)
+    return None
+
+
 def _plain(
-    columns: dict[str, NDArray[Any]], types: dict[str, np.dtype[Any]] | None = None
+    columns: dict[str, NDArray[Any]],
+    types: dict[str, np.dtype[Any]] | None = None,
+    told: tuple[str, ...] = (),
 ) -> bytes:
     """A binary PLY of vertices with these properties; float without other types."""
     kinds = {name: np.dtype("f4") for name in columns} | (types or {})
@@ -222,7 +249,7 @@ def _plain(
     rows = np.empty(count, dtype=list(little.items()))
     for name, values in columns.items():
         rows[name] = values
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    lines = ["ply", "format binary_little_endian 1.0", *told, f"element vertex {count}"]
     lines += [f"property {_WORDS[kinds[name].str[1:]]} {name}" for name in columns]
     return "\n".join([*lines, "end_header", ""]).encode() + rows.tobytes()
 

@@ -97,7 +97,7 @@ class Clip:
 
 
 def read_clips(glb: Glb) -> tuple[Clip, ...]:
-    """Read all animations that move nodes.
+    """Read all animations that move nodes; a name that was there before gets a number.
 
     Raises:
         InputError: damaged keys.
@@ -112,8 +112,16 @@ def read_clips(glb: Glb) -> tuple[Clip, ...]:
             if channel.target.node is not None and channel.target.path in _KIND
         ]
         if tracks:
-            clips.append(Clip(name=one.name or f"clip{number}", tracks=tuple(tracks)))
+            clips.append(Clip(name=_free(one.name or f"clip{number}", clips), tracks=tuple(tracks)))
     return tuple(clips)
+
+
+def _free(name: str, clips: Sequence[Clip]) -> str:
+    taken, found, number = {one.name for one in clips}, name, 1
+    while found in taken:
+        number += 1
+        found = f"{name} {number}"
+    return found
 
 
 def at_time(glb: Glb, clip: Clip, time: float) -> Glb:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
@@ -131,7 +132,8 @@ def _grey(pixels: NDArray[np.float32], path: Path) -> Tensor:
 def read_mask(path: Path, *, size: tuple[int, int]) -> Tensor:
     """Decode a mask: bright is object, black is background.
 
-    A mask of two values, of which one is 0, may write the other one as it likes (1 or 255).
+    A mask of two values, of which one is 0, may write the other one as it likes (1 or 255). One for
+    a larger or smaller copy of the image is scaled (mean of areas).
 
     Args:
         path: an 8-bit image; what is transparent is background.
@@ -141,19 +143,34 @@ def read_mask(path: Path, *, size: tuple[int, int]) -> Tensor:
         (H, W) float32 in [0, 1].
 
     Raises:
-        SceneError: missing, damaged or of another size.
+        SceneError: missing, damaged or of another shape.
     """
     header = read_header(path)
-    if (header.width, header.height) != size:
+    stored = header.width, header.height
+    if stored != size and not _is_scaled(stored, size):
         raise SceneError(
             f"mask {path}: expected {size[0]} x {size[1]} pixels as its image has, got "
-            f"{header.width} x {header.height}; write it in the size of the image"
+            f"{header.width} x {header.height}; write it in the size of the image, or scaled evenly"
         )
     rgba = read_rgba(path)
     mask = rgba[..., :3].amax(dim=-1) * rgba[..., 3]
     brightest = mask.max()
     two_values = bool(((mask == 0) | (mask == brightest)).all())
-    return (mask > 0).float() if two_values else mask
+    mask = (mask > 0).float() if two_values else mask
+    if stored == size:
+        return mask
+    return F.interpolate(mask[None, None], (size[1], size[0]), mode="area")[0, 0]
+
+
+def _is_scaled(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether a picture is larger or smaller than another along both sides by the same factor.
+
+    Sides were rounded to whole pixels.
+    """
+    (width, height), (w, h) = size, other
+    if (width < w) != (height < h) or (width > w) != (height > h):
+        return False
+    return abs(width * h - height * w) <= max(*size, *other)
 
 
 @cache

@@ -16,6 +16,8 @@ from pcore.errors import SceneError
 from pcore.geometry.camera import Camera
 
 _SAME = 0.01
+_CUT = 10
+"""How far outside of a cut picture its principal point may lie, in its own sizes."""
 Otherwise = TypeVar("Otherwise", float, "float | None")
 
 
@@ -126,7 +128,9 @@ class Lens:
         full = full or size
         focal_x, focal_y = self._focals(full, where)
         cx, cy = _first(self.cx, 0.5 * full[0]), _first(self.cy, 0.5 * full[1])
-        if not (0 <= cx <= full[0] and 0 <= cy <= full[1]):
+        # A picture that was cut says its own size, and the axis may lie outside of what was kept.
+        room = 0 if self.full_size is None else _CUT
+        if not all(abs(c / side - 0.5) <= 0.5 + room for c, side in ((cx, full[0]), (cy, full[1]))):
             raise SceneError(
                 f"{where}: expected the principal point 'cx', 'cy' inside the image of {full[0]} x "
                 f"{full[1]} pixels, got {cx:g}, {cy:g}; are they those of another image size?"

@@ -24,7 +24,7 @@ def check_masks(views: Sequence[View]) -> tuple[str, ...]:
     """
     empty: list[str] = []
     whole: list[str] = []
-    masked = [view for view in views if view.image.header.has_alpha]
+    masked = [v for v in views if v.image.header.has_alpha or v.image.cut is not None]
     for view in masked:
         alpha = view.image.rgba()[..., 3][view.image.shown().expand(*_size(view))]
         if float(alpha.max()) <= _TRACE:

@@ -76,12 +76,14 @@ class Header:
         elements: in the order of the file.
         size: bytes of the header, with what ends its last line.
         newline: what ends its lines.
+        comments: their texts, in the order of the file.
     """
 
     encoding: Encoding
     elements: tuple[Element, ...]
     size: int
     newline: bytes
+    comments: tuple[str, ...] = ()
 
     def find(self, name: str) -> int | None:
         """Which element has this name (the first of several); None when there is none."""
@@ -123,7 +125,8 @@ def read_header(content: bytes, where: str) -> Header:
         )
     order = ">" if encoding == "binary_big_endian" else "<"
     found = tuple(_ordered(one, order) for one in elements)
-    return Header(encoding=encoding, elements=found, size=size, newline=newline)
+    comments = tuple(line[8:].strip() for line in lines if line.startswith("comment "))
+    return Header(encoding=encoding, elements=found, size=size, newline=newline, comments=comments)
 
 
 def _lines(content: bytes, where: str) -> tuple[list[str], int, bytes]:

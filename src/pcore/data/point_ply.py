@@ -52,7 +52,11 @@ class PointPly:
 
     def positions(self) -> NDArray[Any]:
         """Places (N, 3), world units, of the file's type."""
-        return np.stack([self.ply.scalars(place) for place in self._places(PLACES)], axis=1)
+        return self.values(PLACES)
+
+    def values(self, names: Sequence[str]) -> NDArray[Any]:
+        """Values (N, C) of properties that `has` knows, of the file's type."""
+        return np.stack([self.ply.scalars(place) for place in self._places(names)], axis=1)
 
     def normals(self) -> tuple[str, ...] | None:
         """Names of the normals' properties; None where there are none."""
@@ -99,7 +103,7 @@ class PointPly:
         new = dict(zip(self._places(PLACES), positions.T, strict=True))
         names = self.normals()
         if names is not None and maps is not None and self._real(names):
-            old = np.stack([self.ply.scalars(place) for place in self._places(names)], axis=1)
+            old = self.values(names)
             new |= zip(self._places(names), turned(old.astype(np.float64), maps).T, strict=True)
         for (_, one), values in new.items():
             dtype = self.vertex.properties[one].dtype

@@ -12,10 +12,13 @@ from pcore.data.ply import Ply
 from pcore.data.point_ply import turned
 from pcore.errors import InputError
 from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.render import Footprint
 
 _LARGEST = 1e18
 """World units; the square of more is not finite in single precision."""
 _MOST_LOST = 0.5
+_FAINTEST = 1 / 255
+"""Opacity from which on a Gaussian is drawn."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,6 +32,7 @@ class SplatFile:
         ply: a PLY as it stands in the file, else None.
         normals: (N, 3) of a PLY that has normals other than zero.
         flat: whether the file gives two scales (2DGS); the third of `gaussians` is then tiny.
+        footprint: how its trainer met pixels, where the file says so, or is to say so.
         notes: what of the file was left out, for the user.
     """
 
@@ -38,6 +42,7 @@ class SplatFile:
     ply: Ply | None = None
     normals: NDArray[np.float64] | None = None
     flat: bool = False
+    footprint: Footprint | None = None
     notes: tuple[str, ...] = ()
 
     def chosen(self, index: NDArray[np.int64]) -> SplatFile:
@@ -56,13 +61,20 @@ class SplatFile:
         return replace(self, gaussians=gaussians, normals=normals)
 
 
-def splats_of(gaussians: Gaussians, where: str, *, flat: bool = False) -> SplatFile:
+def splats_of(
+    gaussians: Gaussians, where: str, *, flat: bool = False, footprint: Footprint | None = None
+) -> SplatFile:
     """Return Gaussians that no file has held yet, as one of that name; nothing is checked."""
     own = gaussians.detached().to("cpu")
     wide = own.to(dtype=torch.float64)
     numbers = np.arange(len(own), dtype=np.int64)
     exact = replace(wide, sh=own.sh.float())
-    return SplatFile(gaussians=exact, where=where, rows=numbers, flat=flat)
+    return SplatFile(gaussians=exact, where=where, rows=numbers, flat=flat, footprint=footprint)
+
+
+def filter_words(footprint: Footprint) -> str:
+    """A screen filter as the options of `pcore import gaussians` that stand for it."""
+    return f"--variance {footprint.variance:.3g}" + " --antialiased" * footprint.antialiased
 
 
 def sound(file: SplatFile) -> SplatFile:
@@ -75,6 +87,8 @@ def sound(file: SplatFile) -> SplatFile:
         InputError: more than half of them are none, or nothing can be seen of the others.
     """
     own = file.gaussians
+    if not len(own):
+        raise InputError(f"{file.where}: expected at least one Gaussian, got none; it is empty")
     good = torch.ones(len(own), dtype=torch.bool)
     for tensor in (own.means, own.quats, own.scales, own.opacities, own.sh):
         good &= torch.isfinite(tensor).reshape(len(own), -1).all(dim=1)
@@ -92,4 +106,11 @@ def sound(file: SplatFile) -> SplatFile:
         kept = file.chosen(np.flatnonzero(good.numpy()))
         file = replace(kept, notes=(*file.notes, note))
     file.gaussians.checked(file.where)
+    faint = float(file.gaussians.opacities.max())
+    if faint < _FAINTEST:
+        raise InputError(
+            f"{file.where}: expected Gaussians that can be seen, got opacities of at most "
+            f"{faint:.2g}; none below 1 / 255 is drawn; the training diverged or the file "
+            "is damaged"
+        )
     return file

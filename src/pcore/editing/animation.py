@@ -74,10 +74,7 @@ class Animation:
             InputError: fewer than one frame.
         """
         check_count("frames", frames)
-        if frames == 1:
-            return [self.start]
-        step = (self.end - self.start) / (frames - 1)
-        return [self.start + step * number for number in range(frames - 1)] + [self.end]
+        return evenly(self.start, self.end, frames)
 
     def times_to_check(self, frames: int) -> list[float]:
         """Times of all keys and of so many frames, in order, each once; see `times`."""
@@ -110,6 +107,14 @@ def _renamed(value: Any, old: Path, new: Path | None, path: bool = False) -> Any
         key: _renamed(item, old, new, key in FILE_KEYS or (path and key == "keyframes"))
         for key, item in items.items()
     }
+
+
+def evenly(start: float, end: float, frames: int) -> list[float]:
+    """Times of so many frames, at least one, evenly from a time to another, both included."""
+    if frames == 1:
+        return [start]
+    step = (end - start) / (frames - 1)
+    return [start + step * number for number in range(frames - 1)] + [end]
 
 
 def load_animation(path: Path | str) -> Animation:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any, cast
 
-from pcore.editing.keyframes import check_track
+from pcore.editing.keyframes import at_time, check_track
 from pcore.errors import EditError
 
 Track = dict[str, Any]
@@ -74,6 +75,46 @@ def remove_key(raw: dict[str, Any], path: str, time: float) -> None:
         times = ", ".join(f"{key[0]:g}" for key in keys) or "none"
         raise EditError(f'"{path}": expected the time of a key ({times}), got {time:g}')
     parent[name] = {**track, "keyframes": left} if left else keys[0][1]
+
+
+def put_at(
+    raw: dict[str, Any],
+    path: str,
+    time: float,
+    value: Any,
+    *,
+    key: bool = False,
+    easing: str | None = None,
+) -> None:
+    """Make a value be another at a time, and nothing else at any other key.
+
+    Where it, a list that it is in, or a number in it has keys, those get one then.
+
+    Args:
+        raw: the edit.
+        path: of the value.
+        time: of the key.
+        value: number or list of numbers.
+        key: give it a key also where it has none; otherwise it is the same for all times then.
+        easing: of all keys that are touched; None leaves it as it is.
+
+    Raises:
+        EditError: there is no such place, or a key of another kind than the others.
+    """
+    tracks = tracks_of(raw)
+    holder = next((one for one in tracks if f"{path}/".startswith(f"{one}/")), None)
+    if holder is not None and holder != path:
+        name = holder.rpartition("/")[2]
+        whole: Any = {name: copy.deepcopy(at_time({name: tracks[holder]}, time)[name])}
+        set_value(whole, name + path.removeprefix(holder), value)
+        set_key(raw, holder, time, whole[name], easing)
+    elif isinstance(value, list) and any(one.startswith(f"{path}/") for one in tracks):
+        for number, item in enumerate(cast("list[Any]", value)):
+            put_at(raw, f"{path}/{number}", time, item, key=key, easing=easing)
+    elif holder is not None or key:
+        set_key(raw, path, time, value, easing)
+    else:
+        set_value(raw, path, value)
 
 
 def _is_track(value: Any) -> bool:

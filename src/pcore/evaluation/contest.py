@@ -48,10 +48,18 @@ class Cost:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contestant:
-    """A method that is ready, and what it cost."""
+    """A method that is ready, and what it cost.
+
+    Attributes:
+        method: draws.
+        cost: of its training.
+        cost_in: instead of `cost`, where a method learns every state by itself; asked for after
+            the pictures.
+    """
 
     method: Method
     cost: Cost = field(default_factory=Cost)
+    cost_in: Callable[[State], Cost] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,13 +159,15 @@ class Contest:
             made, timed = once.made()
             timed.seconds.clear()
             rows = evaluate([timed], [state], protocols=self.protocols, perceptual=self.perceptual)
+            cost = made.cost if made.cost_in is None else made.cost_in(state)
         except PcoreError as error:
             return replace(base, failed=str(error))
-        except (RuntimeError, ValueError, ArithmeticError, MemoryError) as error:
-            # Of packages that are not ours; a method that fails must not cost the others.
+        except Exception as error:
+            # Whatever packages and files of others raise: one failing method stops no other, and
+            # its row says why. Ctrl-C is no Exception.
             return replace(base, failed=f"{type(error).__name__}: {error}")
         spent = 1000 * statistics.median(timed.seconds)
-        return replace(base, rows=tuple(rows), cost=made.cost, milliseconds=spent)
+        return replace(base, rows=tuple(rows), cost=cost, milliseconds=spent)
 
     def _path(self, entry: Entry, state: State) -> Path:
         letters = "".join(c if c.isalnum() or c in "+-" else "_" for c in entry.name)

@@ -95,7 +95,7 @@ def given_entries(
                 seed_of(asset),
                 run.stamp,
                 [name for name in wanted if (name in FLAT) == _flat(asset)],
-                lambda asset=asset: (asset, _spent(asset)),
+                lambda asset=asset: (asset, spent_on(asset)),
                 scene,
                 suffix=tuned + alike,
             )
@@ -191,7 +191,7 @@ def _point_entries(
         key = "light" if method.light == "still" else key
         if key in wanted:
             named = replace(method, name=method.name + alike)
-            contestant = Contestant(method=named, cost=cost_of(asset, _spent(asset)))
+            contestant = Contestant(method=named, cost=cost_of(asset, spent_on(asset)))
             entries.append(
                 Entry(
                     name=named.name,
@@ -244,7 +244,7 @@ def _parameters(asset: Asset) -> int:
     return sum(one.numel() for one in tensors)
 
 
-def _spent(asset: Asset) -> Spent | None:
+def spent_on(asset: Asset) -> Spent | None:
     """Seconds that are on record of a run's training."""
     found = asset.record.notes.get("processor_seconds")
     return Spent(seconds=float(found), megabytes=None) if isinstance(found, int | float) else None

@@ -11,6 +11,8 @@ from torch import Tensor
 
 from pcore.capture.coverage import ONE_SIDE
 from pcore.capture.triangulation import WRONG, PoseAgreement
+from pcore.data.masks import check_masks
+from pcore.errors import SceneError
 
 if TYPE_CHECKING:
     from pcore.evaluation.scene_check import SceneCheck
@@ -20,6 +22,8 @@ Level = Literal["warning", "note", "good"]
 _FEW_VIEWS, _GAP = 20, 60.0
 _PIXELS = 1.0
 _SHOWN = 6
+_WHOLE = 0.95
+"""Share of the picture from which on a mask is taken for none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,12 +203,13 @@ def _of_masks(check: SceneCheck) -> list[Finding]:
                 "object alone: pcore check SCENE --masks auto, then train with --masks auto.",
             )
         ]
+    odd = _odd_masks(check)
     doubtful = masks.doubtful()
     origin = "cut automatically" if masks.automatic else "of the scene"
     agree = sum(masks.agreement) / len(masks.agreement)
     text = f"masks {origin} agree with one hull by {100 * agree:.0f} % in the mean"
     if doubtful:
-        return [
+        odd.append(
             Finding(
                 level="warning",
                 topic="masks",
@@ -212,8 +217,22 @@ def _of_masks(check: SceneCheck) -> list[Finding]:
                 action="Look at them below. Write all with --masks-out DIR, correct what is wrong "
                 "in any image editor, and train with --masks DIR; or give a tighter --box.",
             )
-        ]
-    return [Finding(level="good", topic="masks", text=text)]
+        )
+    return odd or [Finding(level="good", topic="masks", text=text)]
+
+
+def _odd_masks(check: SceneCheck) -> list[Finding]:
+    """Masks that hold nothing or everything: they agree with one another and are none."""
+    assert check.masks is not None, "asked for masks that are there"
+    try:
+        found = list(check_masks(check.views))
+    except SceneError as problem:
+        found = [str(problem)]
+    share = torch.stack([mask.mean() for mask in check.masks.masks]).median()
+    if share > _WHOLE:
+        found.append(f"half of the masks hold {100 * float(share):.0f} % of the picture or more")
+    action = "Mend them, or make others: --masks auto with a tighter --box, or --masks trained."
+    return [Finding(level="warning", topic="masks", text=one, action=action) for one in found]
 
 
 _SOURCES = {

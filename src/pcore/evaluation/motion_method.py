@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -14,14 +15,15 @@ from pcore.asset.saving import asset_of, neural_points_of
 from pcore.capture.load import load_state
 from pcore.data.scene import View
 from pcore.errors import InputError, SceneError
-from pcore.evaluation.contest import Contestant, Entry
-from pcore.evaluation.contestants import Given, cost_of, seed_of
+from pcore.evaluation.contest import Contestant, Cost, Entry
+from pcore.evaluation.contestants import Given, cost_of, seed_of, spent_on
 from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.picture_method import folder_of
 from pcore.evaluation.runner import Tells
 from pcore.evaluation.states import CANONICAL, SceneStates, State
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
+from pcore.rivals.kept import Spent, kept_cost
 from pcore.rivals.motion_stages import Motion, MotionConfig, kept_motion
 
 STAGES = {
@@ -39,13 +41,13 @@ class MotionMethod:
         name: for tables.
         asset: as it was trained on the start.
         stage: 1 moves the points, 2 also learns their looks anew.
-        learn: gives what was learned of a state.
+        learn: gives what was learned of a state, and what both stages took together.
     """
 
     name: str
     asset: Asset
     stage: int
-    learn: Callable[[State], Motion] = field(repr=False)
+    learn: Callable[[State], tuple[Motion, Spent | None]] = field(repr=False)
     tells: Tells = "depth"
 
     def pose(self, state: State) -> tuple[Asset, Posed]:
@@ -57,7 +59,8 @@ class MotionMethod:
         if state.name == CANONICAL:
             return self.asset, self.asset.pose(rays=_RAYS)
         content = neural_points_of(self.asset, self.name)
-        papr, cloud = self.learn(state).stage(self.stage, content.papr, content.cloud)
+        motion, _ = self.learn(state)
+        papr, cloud = motion.stage(self.stage, content.papr, content.cloud)
         learned = asset_of(papr, cloud).over(WHITE)
         return learned, learned.pose(rays=_RAYS)
 
@@ -70,6 +73,20 @@ class MotionMethod:
         """Diagnose the points that were learned."""
         del state
         return health_of(self.asset.points, posed[1].points, None)
+
+    def cost(self, state: State) -> Cost:
+        """What the training of the object and the stages took; no time where nothing was learned.
+
+        At rest there is nothing to learn, and a mean over states is to be that of those learned.
+        """
+        first, spent = spent_on(self.asset), None
+        if state.name != CANONICAL:
+            _, spent = self.learn(state)
+        if spent is None:
+            return cost_of(self.asset, None)
+        # Where nobody wrote down what the object took, the sum is not known either.
+        total = None if first is None else first.seconds + spent.seconds
+        return replace(cost_of(self.asset, None), seconds=total, megabytes=spent.megabytes)
 
 
 def motion_entries(
@@ -84,15 +101,23 @@ def motion_entries(
         name = asset.path.resolve().name
 
         @cache
-        def learn(state: State, asset: Asset = asset, name: str = name) -> Motion:
-            content = neural_points_of(asset, name)
-            path = folder / f"motion-{name}-{folder_of(state.name)}.safetensors"
+        def learn(state: State, run: Given = run, name: str = name) -> tuple[Motion, Spent | None]:
+            content = neural_points_of(run.asset, name)
+            # Another training in the same folder, other steps or photos: learned anew.
+            depends = repr((run.stamp, config, places.factor)).encode()
+            tag = f"{folder_of(state.name)}-{hashlib.sha256(depends).hexdigest()[:12]}"
+            path = folder / f"motion-{name}-{tag}.safetensors"
             views = end_views(places, state.name)
-            return kept_motion(path, content.papr, content.cloud, views, config)
+            found: list[Motion] = []
+            spent = kept_cost(
+                path.with_suffix(".json"),
+                lambda: found.append(kept_motion(path, content.papr, content.cloud, views, config)),
+            )
+            return found[0], spent
 
         for number, title in STAGES.items():
             method = MotionMethod(name=title, asset=asset, stage=number, learn=learn)
-            contestant = Contestant(method=method, cost=cost_of(asset, None))
+            contestant = Contestant(method=method, cost_in=method.cost)
             entries.append(
                 Entry(
                     name=title,

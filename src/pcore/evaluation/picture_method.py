@@ -6,7 +6,7 @@ world units, tells depth.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,7 +53,7 @@ class PictureMethod:
                 f"{self.folder}: expected a folder {place.name} with pictures of the state "
                 f"{state.name}, got {there or 'no folder'}"
             )
-        there = {one.stem: one for one in sorted(place.iterdir()) if one.suffix in _ENDINGS}
+        there = {one.stem: one for one in sorted(place.iterdir()) if _is_picture(one)}
         wanted = [shot.view.name for shot in state.shots]
         missing = [name for name in wanted if name not in there]
         if missing:
@@ -110,19 +110,37 @@ def open_pictures(name: str, folder: Path) -> PictureMethod:
     """
     if not folder.is_dir():
         raise InputError(f"--pictures {name}={folder}: expected a folder, found none")
-    found = [one for one in sorted(folder.glob("*/*")) if one.suffix in _ENDINGS]
+    found = [one for one in sorted(folder.glob("*/*")) if _is_picture(one)]
     if not found:
         raise InputError(
             f"--pictures {name}={folder}: expected pictures named STATE/VIEW.png in it, for "
             "example canonical/r_0.png, found none"
         )
-    try:
-        opaque = any(not read_header(one).has_alpha for one in found)
-    except SceneError as error:
-        raise InputError(str(error)) from error
+    opaque = not all(_alphas(found))
     deep = all(one.with_suffix(".npy").is_file() for one in found)
     tells: Tells = "colour" if opaque else "depth" if deep else "opacity"
     return PictureMethod(name=name, folder=folder, tells=tells)
+
+
+def _is_picture(path: Path) -> bool:
+    return path.suffix.lower() in _ENDINGS
+
+
+def _alphas(pictures: Sequence[Path]) -> list[bool]:
+    """Whether each picture that can be read has an alpha channel.
+
+    A damaged one fails its own state when it is drawn; all of them damaged is an error here.
+    """
+    found: list[bool] = []
+    wrong: SceneError | None = None
+    for path in pictures:
+        try:
+            found.append(read_header(path).has_alpha)
+        except SceneError as error:
+            wrong = error
+    if wrong is not None and not found:
+        raise InputError(str(wrong)) from wrong
+    return found
 
 
 def _depth(path: Path, like: Tensor) -> Tensor:

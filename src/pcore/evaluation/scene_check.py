@@ -170,8 +170,8 @@ def _automatic(
     try:
         if how == "trained":
             learned, found = trained_masks(located.scene, progress=tell)
-            known = {view.name: mask for view, mask in zip(learned, found.masks, strict=True)}
-            masks = tuple(known[view.name] for view in views)
+            known = {v.image.path: mask for v, mask in zip(learned, found.masks, strict=True)}
+            masks = tuple(known[view.image.path] for view in views)
             return replace(_agreed(views, located.region, masks), automatic=True), ""
         found = find_masks(photos_of(views), located.region, points=located.points, progress=tell)
     except (DependencyError, InputError) as error:

@@ -26,7 +26,8 @@ class RunRecord:
     Attributes:
         path: folder of the run; None where there is none, as of a bare model file.
         stage: what made it.
-        scene: folder of the scene, as seen from the run; its name after an import; may be empty.
+        scene: folder of the scene, as seen from the run; a name after an import without photos; may
+            be empty.
         config: what the result depends on, as JSON values.
         notes: what was written down meanwhile: status, steps, scores.
     """
@@ -80,8 +81,10 @@ class RunRecord:
     @property
     def scene_folder(self) -> Path | None:
         """Folder (or file) of the scene that it was trained on; None when it is not here."""
-        if not self.scene or self.stage == "import":
-            return None  # An import records a name, and a folder of that name may be anything.
+        if not self.scene or (self.stage == "import" and "factor" not in self.config):
+            # An import that was shown no photos records a name (one that was, their factor, too),
+            # and a folder of that name may be anything.
+            return None
         # Our own runs record it as seen from the run, so that both can move together.
         beside = () if self.path is None else (self.path / self.scene,)
         candidates = (*beside, Path(self.scene))

@@ -84,6 +84,24 @@ def colors(sh: Tensor, directions: Tensor) -> Tensor:
     return (0.5 + (values.unsqueeze(-2) @ sh).squeeze(-2)).clamp_min(0.0)
 
 
+def brightened(sh: Tensor, factors: Tensor) -> Tensor:
+    """Coefficients of the colours times factors that are not negative, seen from everywhere.
+
+    factor max(0, 0.5 + sum_k Y_k sh_k) = max(0, 0.5 + sum_k Y_k sh_k'): all coefficients are
+    scaled, and degree 0 takes what the 0.5 lacks.
+
+    Args:
+        sh: (N, K, 3) coefficients.
+        factors: (N,).
+
+    Returns:
+        (N, K, 3) in the type of `sh`.
+    """
+    scale = factors.to(sh)[:, None, None]
+    first = sh[:, :1] * scale + 0.5 * (scale - 1) / _factor(0, 0)
+    return torch.cat([first, sh[:, 1:] * scale], dim=1)
+
+
 def rotated(sh: Tensor, rotations: Tensor) -> Tensor:
     """Coefficients of the same colours after every Gaussian was turned.
 

@@ -10,9 +10,11 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
+from pcore.errors import InputError
 from pcore.files.atomic import write_atomically
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint
@@ -123,8 +125,20 @@ def kept_mesh(
 
 
 def read_tensors(path: Path) -> dict[str, Tensor] | None:
-    """Read tensors by name; None where there is no file."""
-    return load_file(path) if path.is_file() else None
+    """Read tensors by name; None where there is no file.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    if not path.is_file():
+        return None
+    try:
+        return load_file(path)
+    except (OSError, SafetensorError) as error:
+        raise InputError(
+            f"{path}: expected a training that was kept, got a file that is cut short or damaged "
+            f"({error}); delete it, and it is trained again"
+        ) from error
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor]) -> None:

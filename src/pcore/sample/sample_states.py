@@ -15,6 +15,7 @@ from pcore.deform.frame import axis_frame, bend_frame
 from pcore.deform.simple import Bend, Stretch, Twist, uniform_scale
 
 Array = NDArray[Any]
+Axis = Literal["x", "y", "z"]
 
 ANGLE_X = 0.6911112070083618  # horizontal field of view of NeRF-Synthetic in radians
 
@@ -34,19 +35,22 @@ class DeformedState:
     description: dict[str, Any]
 
 
-def deformed_states(vertices: Array, *, axis: Literal["x", "z"] = "x") -> dict[str, DeformedState]:
+def deformed_states(
+    vertices: Array, *, axis: Literal["x", "z"] = "x", bend_axis: Axis | None = None
+) -> dict[str, DeformedState]:
     """States by name.
 
     Args:
         vertices: (V, 3), whose extents are those of the maps.
         axis: along which the object is twisted, bent and stretched.
+        bend_axis: about which it is bent; None: the one whose bend runs along `axis`, z or y.
     """
-    driver = "xz".index(axis) * 2
-    lo, hi = float(vertices[:, driver].min()), float(vertices[:, driver].max())
     angle, factor, scale = math.pi / 3, 0.6, 2.0
-    origin, extent = torch.zeros(3, dtype=torch.float64), (lo, hi)
-    # In Blender a bend about z is driven by x, and one about y by z.
-    about: Literal["z", "y"] = "z" if axis == "x" else "y"
+    origin, extent = torch.zeros(3, dtype=torch.float64), _extent(vertices, axis)
+    # In Blender a bend about z is driven by x, and one about x or y by z.
+    about: Axis = bend_axis or ("z" if axis == "x" else "y")
+    driver: Literal["x", "z"] = "x" if about == "z" else "z"
+    bent = _extent(vertices, driver)
     along, around, big = axis_frame(axis), bend_frame(about), axis.upper()
     wide = 2.0 * math.atan(scale * math.tan(0.5 * ANGLE_X))
     return {
@@ -56,9 +60,11 @@ def deformed_states(vertices: Array, *, axis: Literal["x", "z"] = "x") -> dict[s
             description=_simple_deform("twist60", ("TWIST", big), angle, extent, big),
         ),
         "bend60": DeformedState(
-            deformation=Bend(rotation=around, origin=origin, extent=extent, value=angle),
+            deformation=Bend(rotation=around, origin=origin, extent=bent, value=angle),
             angle_x=ANGLE_X,
-            description=_simple_deform("bend60", ("BEND", about.upper()), angle, extent, big),
+            description=_simple_deform(
+                "bend60", ("BEND", about.upper()), angle, bent, driver.upper()
+            ),
         ),
         "stretch": DeformedState(
             deformation=Stretch(rotation=along, origin=origin, extent=extent, value=factor),
@@ -78,6 +84,11 @@ def deformed_states(vertices: Array, *, axis: Literal["x", "z"] = "x") -> dict[s
             },
         ),
     }
+
+
+def _extent(vertices: Array, axis: Axis) -> tuple[float, float]:
+    values = vertices[:, "xyz".index(axis)]
+    return float(values.min()), float(values.max())
 
 
 def _simple_deform(

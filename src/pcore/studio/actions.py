@@ -28,6 +28,7 @@ COMMANDS = (
         "unkey",
         "overlay",
         "still",
+        "exact",
         "mirror",
         "lock",
         "click",
@@ -153,6 +154,10 @@ class Actions:
         """Whether the light stands still."""
         self._shown(still=on)
 
+    def exact(self, pixels: int) -> None:
+        """Show exact pictures of so many pixels squared while things move; 0: splats."""
+        self._shown(exact=pixels)
+
     def mirror(self, axis: str | None = None) -> None:
         """Across which axis handles move in pairs; None is the next one."""
         names = ("off", *AXES)
@@ -224,6 +229,10 @@ class Actions:
             raise EditError("expected a selected edit, got none; click one in the list")
         return index
 
+    def _pass(self, time: float) -> None:
+        self._editor.at(time)
+        self._studio.panels.at(time)
+
     def _run_time(self) -> None:
         pause = threading.Event()
         while self.playing:
@@ -231,5 +240,5 @@ class Actions:
             length = max(times[-1] - times[0], 1e-9)
             time = self._editor.session.time
             later = (time - times[0] + _PLAY * length) % length + times[0]
-            self._studio.newest("play", lambda later=later: self.time(later), light=True)
+            self._studio.newest("play", lambda later=later: self._pass(later), light=True)
             pause.wait(_STEP)

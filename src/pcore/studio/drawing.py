@@ -48,10 +48,12 @@ class Drawer:
         """Prepare its splats, which of neural points takes pictures from all sides."""
         self.asset = asset
         _ = asset.splats_at_rest
+        self._baked: tuple[EditState, Posed] | None = None
         self._posed: tuple[EditState, bool, Posed] | None = None
         self._gains: Tensor | None = None
         self._still: Posed | None = None
         self._live = LiveDiagnosis(rest=asset.points, cameras=_training_cameras(asset))
+        self._exposed: Tensor | None = None
 
     def splats(self, state: EditState, eye: Tensor) -> Splats:
         """What a browser draws; the light is the one of the last picture at rest."""
@@ -60,15 +62,51 @@ class Drawer:
             return self.asset.splats(None, eye)
         return self.asset.splats(state, eye, gains=self._gains)
 
+    def first(self, state: EditState, *, still: bool) -> Posed | None:
+        """The object for a first picture, in the light of the last one at rest.
+
+        None where `posed` has it at once: it is known, or no light has to be found for it.
+        """
+        if self._known(state, still) or not self._lights(state, still):
+            return None
+        return self._as_last(state)
+
+    def quick_picture(self, state: EditState, camera: Camera, *, still: bool) -> Image:
+        """A small picture for while things move, in the light of the last one at rest."""
+        posed = self._known(state, still)
+        if posed is None:
+            lit = self._lights(state, still)
+            posed = self._as_last(state) if lit else self._without_light(state)
+        return self.asset.render(posed, camera, fast=True)
+
     def posed(self, state: EditState, *, still: bool) -> Posed:
         """The object for exact pictures; the last one is kept."""
+        if (known := self._known(state, still)) is not None:
+            return known
+        posed = self._without_light(state)
+        if self._lights(state, still):
+            posed = self.asset.lit(posed)
+        self._posed, self._gains = (state, still, posed), self.asset.gains_of(posed)
+        return posed
+
+    def _known(self, state: EditState, still: bool) -> Posed | None:
         known = self._posed
-        if known is None or known[0] is not state or known[1] != still:
-            light = None if still and state.rays == "aware" else "baked"
-            posed = self.asset.pose(state, rays=state.rays, light=light)
-            self._posed, self._gains = (state, still, posed), self.asset.gains_of(posed)
-            return posed
-        return known[2]
+        return known[2] if known and known[0] is state and known[1] == still else None
+
+    def _lights(self, state: EditState, still: bool) -> bool:
+        """Whether the light has to be found, which takes longer than all else."""
+        return still and state.rays == "aware" and self.asset.light is not None
+
+    def _as_last(self, state: EditState) -> Posed:
+        """The object in the light of the last picture at rest."""
+        posed = self._without_light(state)
+        return posed if self._gains is None else self.asset.lit(posed, self._gains)
+
+    def _without_light(self, state: EditState) -> Posed:
+        """The object with the brightness of the photos; the last one is kept."""
+        if self._baked is None or self._baked[0] is not state:
+            self._baked = (state, self.asset.pose(state, rays=state.rays, light="baked"))
+        return self._baked[1]
 
     def pictures(
         self, posed: Posed, camera: Camera, cancelled: Callable[[], bool]
@@ -92,13 +130,16 @@ class Drawer:
             self._still = self.asset.pose()
         return self.asset.render(self._still, camera, fast=True)
 
-    def dots(self, state: EditState, overlay: str, chosen: frozenset[int]) -> Dots:
+    def dots(
+        self, state: EditState, overlay: str, chosen: frozenset[int], *, moving: bool = False
+    ) -> Dots:
         """What is marked: selected points, folds, what an overlay does not find calm.
 
         Args:
             state: the object.
             overlay: one of `OVERLAYS`.
             chosen: numbers of selected points.
+            moving: what came to light is what it was at rest, since views take time.
         """
         colors = painted(CALM).expand(len(state.points), 3).clone()
         if overlay in ("strain", "holes") and len(colors) > 1:
@@ -110,13 +151,19 @@ class Drawer:
         away = (colors.int() - painted(CALM).int()).abs().amax(dim=1) > _SHADE
         marks = [(torch.tensor(sorted(chosen)).long(), CHOSEN), (state.folds, FOLDED)]
         if overlay == "exposed" and self._live.cameras:
-            marks.insert(0, (self._live.exposed(state.points).nonzero().flatten(), _EXPOSED))
+            marks.insert(0, (self._came_to_light(state, moving), _EXPOSED))
         if overlay == "frozen" and state.bound.hold is not None:
             held = state.bound.hold.weight(state.bound.setting.rest) > _SOLID
             marks.insert(0, (held.nonzero().flatten(), _FROZEN))
         for numbers, paint in marks:
             away[numbers], colors[numbers] = True, paint
         return Dots(points=state.points.detach().cpu().float()[away], colors=colors[away])
+
+    def _came_to_light(self, state: EditState, moving: bool) -> Tensor:
+        """Numbers of the exposed points; while things move, those of the last time at rest."""
+        if self._exposed is None or not moving:
+            self._exposed = self._live.exposed(state.points).nonzero().flatten()
+        return self._exposed
 
 
 def _training_cameras(asset: Asset) -> tuple[Camera, ...]:

@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 
 from pcore.editing.dragging import Mirror
-from pcore.editing.tracks import set_key, set_value, tracks_of
+from pcore.editing.tracks import put_at, remove_key, tracks_of
 from pcore.errors import EditError, PcoreError
 from pcore.geometry.extent import size_of
-from pcore.studio.cage_handles import KINDS, loose_box, moved_vertices, write_cage
-from pcore.studio.edit_forms import AXES, SLIDERS, value_at
+from pcore.studio.cage_handles import loose_box, write_cage
+from pcore.studio.edit_forms import AXES
 from pcore.studio.edit_handles import (
     handles_of_edit,
     handles_or_error,
@@ -24,7 +24,8 @@ from pcore.studio.edit_handles import (
     without_handle,
 )
 from pcore.studio.handle_edit import arriving, handle_points
-from pcore.studio.handle_pose import HandlePose, degrees_of, turn_of_degrees
+from pcore.studio.handle_pose import STILL, HandlePose, degrees_of, turn_of_degrees
+from pcore.studio.keying import keyed_values
 from pcore.studio.selection_editor import SelectionEditor
 
 _UNEVEN = 4.0
@@ -180,21 +181,25 @@ class Editor(SelectionEditor):
     # Time
 
     def at(self, time: float) -> None:
-        """Go to a time of the keyframes."""
-        self.session.at(time)
+        """Go to a time of the keyframes: its points at once, all else by `refine`."""
+        state = self.session.at(time, frames="quick")
+        self._passing = (self.session.history.present.number, state)
 
     def key(self, index: int, easing: str | None = None) -> None:
-        """Key what an edit does, at the present time: its first number, or its handles."""
-        time, raw = self.session.time, self.raw(index)
-        for path, value in self._keyed(index, raw):
-            self.session.key(index, path, time, value, easing=easing)
+        """Key all numbers and handles of an edit at the present time, as one step."""
+        whole, time = self._whole(index), self.session.time
+        size = arriving(self.session.state, index).size
+        for path, value in keyed_values(self.raw(index), size):
+            put_at(whole, path, time, value, key=True, easing=easing)
+        self.session.replace(index, whole)
 
     def unkey(self, index: int) -> None:
-        """Take the keys of an edit at the present time away."""
-        time = self.session.time
-        for path, track in self.session.tracks(index).items():
+        """Take the keys of an edit at the present time away, as one step."""
+        whole, time = self._whole(index), self.session.time
+        for path, track in tracks_of(whole).items():
             if any(key[0] == time for key in track["keyframes"]):
-                self.session.unkey(index, path, time)
+                remove_key(whole, path, time)
+        self.session.replace(index, whole)
 
     @property
     def key_times(self) -> list[float]:
@@ -203,31 +208,21 @@ class Editor(SelectionEditor):
         tracks = [track for index in edits for track in self.session.tracks(index).values()]
         return sorted({float(key[0]) for track in tracks for key in track["keyframes"]})
 
-    def _keyed(self, index: int, raw: dict[str, Any]) -> list[tuple[str, Any]]:
-        if raw["type"] == "anchors":
-            names = ("to", "rotation")
-            return [
-                (f"handles/{k}/{name}", one[name])
-                for k, one in enumerate(raw["handles"])
-                for name in names
-                if one.get(name) is not None
-            ]
-        if raw["type"] in KINDS and (moved := moved_vertices(raw)):
-            return [(f"after/{number}", raw["after"][number]) for number in moved]
-        first = SLIDERS[raw["type"]][0]
-        return [(first.path, value_at(raw, first))]
-
     def _keep(self, index: int, kept: dict[str, Any]) -> None:
         """Put what was dragged in the place of an edit; where it has keys, it sets them."""
-        whole, time = self._whole(index), self.session.time
-        tracks = tracks_of(whole)
-        if tracks:
-            for path, value in _differences(self.raw(index), kept):
-                if path in tracks:
-                    set_key(whole, path, time, value, None)
-                else:
-                    set_value(whole, path, value)
-        self.session.replace(index, whole if tracks else kept)
+        whole, time, old = self._whole(index), self.session.time, self.raw(index)
+        times = {float(key[0]) for one in tracks_of(whole).values() for key in one["keyframes"]}
+        if not times:
+            self.session.replace(index, kept)
+            return
+        for path, before, value in _differences(old, kept):
+            before = list(STILL) if before is None and path.endswith("/rotation") else before
+            # What had no keys stays as it was at the times of the others; texts have none.
+            alike = type(before) is type(value) and not isinstance(value, str)
+            for other in times - {time} if alike and not _has_keys(whole, path) else ():
+                put_at(whole, path, other, before, key=True)
+            put_at(whole, path, time, value, key=alike)
+        self.session.replace(index, whole)
 
     def _locked(self, before: HandlePose, pose: HandlePose) -> HandlePose:
         """A pose whose place differs from the one before along the locked axis alone."""
@@ -270,8 +265,14 @@ class Editor(SelectionEditor):
             raise EditError("handle: there is one at this very place already")
 
 
-def _differences(old: Any, new: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Paths and values of what is other in new JSON values; lists of numbers are one value."""
+def _has_keys(raw: dict[str, Any], path: str) -> bool:
+    """Whether a value, a list that it is in, or a number in it has keys."""
+    around = (f"{one}/" for one in tracks_of(raw))
+    return any(one.startswith(f"{path}/") or f"{path}/".startswith(one) for one in around)
+
+
+def _differences(old: Any, new: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Paths, old and new values of what is other in JSON values; lists of numbers are one."""
     if isinstance(new, dict):
         items = cast("dict[str, Any]", new).items()
         before = cast("dict[str, Any]", old) if isinstance(old, dict) else {}
@@ -281,7 +282,7 @@ def _differences(old: Any, new: Any, path: str = "") -> Iterator[tuple[str, Any]
         pairs = [(str(k), *both) for k, both in enumerate(zip(*lists, strict=True))]
     else:
         if old != new:
-            yield path, new
+            yield path, old, new
         return
     for name, one, other in pairs:
         yield from _differences(one, other, f"{path}/{name}" if path else name)

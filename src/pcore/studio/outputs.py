@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pcore.asset.asset import Asset, Posed
 from pcore.data.pictures import write_png
-from pcore.data.video import VideoWriter
 from pcore.editing.autosave import write_session
 from pcore.editing.session import EditSession
 from pcore.errors import InputError
 from pcore.files.atomic import write_atomically
 from pcore.geometry.camera import Camera
-from pcore.geometry.camera_path import path_through
 from pcore.studio.guard import is_file_name
 
 AUTOSAVE = "autosave.json"
 _SPARED = "autosave"
-_FPS = 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,17 +126,12 @@ def camera_frame(camera: Camera) -> dict[str, Any]:
 
 
 def write_cameras(path: Path, cameras: Sequence[Camera]) -> None:
-    """Write cameras of one picture size as a transforms file."""
-    first = camera_frame(cameras[0])
+    """Write cameras as a transforms file."""
     frames = [
-        {
-            "file_path": f"frame_{number:04}",
-            "transform_matrix": camera.world_from_camera.tolist(),
-        }
+        {"file_path": f"frame_{number:04}", **camera_frame(camera)}
         for number, camera in enumerate(cameras)
     ]
-    content = {key: first[key] for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")}
-    write_atomically(path, json.dumps({**content, "frames": frames}, indent=1).encode())
+    write_atomically(path, json.dumps({"frames": frames}, indent=1).encode())
 
 
 def write_picture(
@@ -151,35 +143,3 @@ def write_picture(
     write_png(path, asset.render(posed, camera).rgb)
     write_cameras(cameras, [camera])
     return path, cameras
-
-
-def write_film(
-    path: Path,
-    asset: Asset,
-    frames: Sequence[Posed],
-    keys: Sequence[Camera],
-    *,
-    progress: Callable[[float], None],
-    stopped: Callable[[], bool],
-) -> bool:
-    """Write a film; whether it was finished. A film that was stopped is not kept.
-
-    Args:
-        path: of the video.
-        asset: the object.
-        frames: the object in every frame.
-        keys: cameras that the film goes through; one stands still.
-        progress: told which share is done.
-        stopped: asked before every frame.
-    """
-    cameras = path_through(list(keys), len(frames))
-    with VideoWriter(path, fps=_FPS) as video:
-        for number, picture in enumerate(asset.film(frames, cameras), start=1):
-            if stopped():
-                break
-            video.add(picture.rgb)
-            progress(number / len(frames))
-        else:
-            return True
-    path.unlink(missing_ok=True)
-    return False

@@ -5,7 +5,7 @@ from __future__ import annotations
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from pcore.studio.guard import HEADERS, REFUSED, WELCOME, Guard
-from pcore.studio.ports import SERVER, check_port
+from pcore.studio.ports import SERVER, check_port, family_of
 
 
 def page_server(guard: Guard, content: bytes) -> ThreadingHTTPServer:
@@ -52,4 +52,8 @@ def page_server(guard: Guard, content: bytes) -> ThreadingHTTPServer:
             self.wfile.write(body)
 
     check_port(guard.host, guard.port)
-    return ThreadingHTTPServer((guard.host, guard.port), Handler)
+
+    class Server(ThreadingHTTPServer):
+        address_family = family_of(guard.host, guard.port)
+
+    return Server((guard.host, guard.port), Handler)

@@ -35,11 +35,19 @@ def check_port(host: str, port: int) -> None:
     )
 
 
+def family_of(host: str, port: int) -> socket.AddressFamily:
+    """Whether a host is listened to by IPv4 or IPv6.
+
+    Raises:
+        OSError: there is no such host.
+    """
+    return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+
+
 def _problem(host: str, port: int) -> str | None:
     """Why nobody can listen there; None where one can."""
     try:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        with closing(socket.socket(family, socket.SOCK_STREAM)) as probe:
+        with closing(socket.socket(family_of(host, port), socket.SOCK_STREAM)) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((host, port))
     except OSError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from pcore.geometry.camera import Camera
+from pcore.asset.asset import Posed
 from pcore.studio.drawing import Drawer
 from pcore.studio.editor import Editor
 from pcore.studio.page_frame import PageFrame
@@ -28,17 +28,31 @@ class Showing:
         self.editor, self._drawer, self._frame = editor, drawer, frame
 
     def move(self, viewports: Sequence[Viewport]) -> None:
-        """Show the splats of the present state, and red dots where it folds."""
-        state = self.editor.state
+        """Show the present state, its overlay, and red dots where it folds.
+
+        By splats, or by small exact pictures where those are wished.
+        """
+        state, side = self.editor.state, self.editor.shown.exact
         for viewport in viewports:
-            viewport.show_splats(self._drawer.splats(state, viewport.eye))
-            viewport.moving()
-        self._dots(viewports, overlay="none")
+            camera = viewport.camera(most=side * side) if side else None
+            if camera is None:
+                viewport.show_splats(self._drawer.splats(state, viewport.eye))
+                viewport.moving()
+                continue
+            picture = self._drawer.quick_picture(state, camera, still=self.editor.shown.still)
+            viewport.show_picture(pixels_of(picture), page_depth(picture, self._frame))
+        self._dots(viewports, moving=True)
 
     def rest(self, viewports: Sequence[Viewport], cancelled: Callable[[], bool]) -> Iterator[None]:
         """Show overlays, then ever better pictures, tab by tab."""
         editor = self.editor
-        self._dots(viewports, overlay=editor.shown.overlay)
+        editor.refine()
+        self._dots(viewports)
+        yield
+        first = self._drawer.first(editor.state, still=editor.shown.still)
+        if first is not None:  # Nobody waits for the light, and it may not be wanted any more.
+            for viewport in viewports:
+                yield from self._pictures(viewport, _COARSE, first, cancelled)
         yield
         posed = self._drawer.posed(editor.state, still=editor.shown.still)
         yield
@@ -46,18 +60,20 @@ class Showing:
             # The colours that this place sees, in the light of now.
             viewport.show_splats(self._drawer.splats(editor.state, viewport.eye))
             yield
-            for share in (_COARSE, 1.0):
-                camera = viewport.camera(most=int(share * MOST_PIXELS))
-                if camera is not None:
-                    yield from self._pictures(viewport, camera, posed, cancelled)
+            for part in (_COARSE, 1.0):
+                yield from self._pictures(viewport, part, posed, cancelled)
 
     def _pictures(
-        self, viewport: Viewport, camera: Camera, posed: object, cancelled: Callable[[], bool]
+        self, viewport: Viewport, part: float, posed: Posed, cancelled: Callable[[], bool]
     ) -> Iterator[None]:
+        """Show ever better pictures with a part of the pixels."""
+        camera = viewport.camera(most=int(part * MOST_PIXELS))
+        if camera is None:
+            return
         editor, share = self.editor, self.editor.shown.compare
         before = pixels_of(self._drawer.before(camera)) if share > 0 else None
         yield
-        for picture in self._drawer.pictures(posed, camera, cancelled):  # pyright: ignore
+        for picture in self._drawer.pictures(posed, camera, cancelled):
             pixels = pixels_of(picture)
             if before is not None:
                 pixels = side_by_side(before, pixels, share)
@@ -67,8 +83,8 @@ class Showing:
             viewport.show_picture(pixels, page_depth(picture, self._frame) if marked else None)
             yield
 
-    def _dots(self, viewports: Sequence[Viewport], *, overlay: str) -> None:
-        editor = self.editor
-        found = self._drawer.dots(editor.state, overlay, editor.shown.chosen)
+    def _dots(self, viewports: Sequence[Viewport], *, moving: bool = False) -> None:
+        editor, shown = self.editor, self.editor.shown
+        found = self._drawer.dots(editor.state, shown.overlay, shown.chosen, moving=moving)
         for viewport in viewports:
             viewport.show_dots(found.points, found.colors)

@@ -13,7 +13,7 @@ from pcore.editing.selection import Selector
 from pcore.editing.session import EditSession
 from pcore.editing.stack import raw_edit
 from pcore.editing.state import EditState
-from pcore.editing.tracks import set_value
+from pcore.editing.tracks import put_at, set_value
 from pcore.errors import EditError, PcoreError
 from pcore.geometry.surfels import spacing_of
 from pcore.studio.edit_forms import new_edit
@@ -21,6 +21,8 @@ from pcore.studio.edit_handles import ONE, handles_or_error
 
 CLICKS = ("nothing", "handle", "pin")
 TOOLS = ("box", "brush", "lasso", "ball")
+MOVING = {"splats": 0, "pictures, 100 pixels": 100, "pictures, 200 pixels": 200}
+"""What is shown while things move: splats, or exact pictures of so many pixels squared."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +40,7 @@ class Shown:
         lock: "off", or the axis along which alone handles move: "x", "y" or "z".
         click: what a click without a key puts: "nothing", "handle" or "pin".
         tool: what a drag with Shift selects with, one of `TOOLS`.
+        exact: pixels, along a square's side, of exact pictures while things move; 0: splats.
         brush: radius of the brush, and of the ball of a click, in shares of the object's size.
     """
 
@@ -52,6 +55,7 @@ class Shown:
     click: str = "nothing"
     tool: str = "box"
     brush: float = 0.05
+    exact: int = 0
 
 
 class StackEditor:
@@ -69,6 +73,7 @@ class StackEditor:
         self.spacing = max(spacing_of(asset.points), 1e-9)
         self.selector = Selector(rest=asset.points)
         self._dragged: EditState | None = None
+        self._passing: tuple[int, EditState] | None = None
         self._held_raw: dict[str, Any] | None = None
         self._kept: dict[str, Any] | None = None
         self._sliding: tuple[int, str] | None = None
@@ -84,7 +89,17 @@ class StackEditor:
     @property
     def state(self) -> EditState:
         """The object as it is shown: while something is dragged, as it would be."""
-        return self._dragged or self.session.state
+        return self._dragged or self._present
+
+    def refine(self) -> None:
+        """Show the exact state of the present time from now on."""
+        self._passing = None
+
+    @property
+    def _present(self) -> EditState:
+        """The state of the session; while its time goes by, a quick one with the same points."""
+        passing, number = self._passing, self.session.history.present.number
+        return passing[1] if passing and passing[0] == number else self.session.state
 
     @property
     def dragging(self) -> bool:
@@ -93,7 +108,7 @@ class StackEditor:
 
     def raw(self, index: int) -> dict[str, Any]:
         """An edit as an edit file has it, keyframes at the present time."""
-        return raw_edit(self.session.state.script.edits[index])
+        return raw_edit(self._present.script.edits[index])
 
     def add(self, kind: str) -> None:
         """Add an edit that changes nothing yet, in the selection if there is one."""
@@ -110,11 +125,12 @@ class StackEditor:
 
         Changes of one value in a row are one step to undo; `begin` starts another.
         """
-        if path in self.session.tracks(index):
-            self.session.key(index, path, self.session.time, value)
-            return
-        path, value = self._whole_value(index, path, value)
-        self.session.set(index, path, value, merge=f"{index} {path} {self._gesture}")
+        whole, merge = self._whole(index), f"{index} {path} {self._gesture}"
+        parent, _, last = path.rpartition("/")
+        if last.isdecimal() and parent not in whole:  # One of several, which are left out.
+            whole[parent] = [0.0, 1.0] if parent == "limits" else [0.0, 0.0, 0.0]
+        put_at(whole, path, self.session.time, value)
+        self.session.replace(index, whole, merge=merge)
 
     def slide(self, index: int, path: str, value: Any) -> None:
         """Show the selected edit with another value; `settle` keeps it.

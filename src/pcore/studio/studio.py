@@ -143,6 +143,9 @@ class Studio(Gestures):
 
         @client.camera.on_update
         async def _(_: Any) -> None:
+            if self.editor.shown.exact:
+                self.worker.draw(self._move, self._rest)
+                return
             viewport.moving()
             self.worker.draw(None, self._rest)
 
@@ -243,7 +246,8 @@ class Studio(Gestures):
     def _show_drag(self) -> None:
         editor = self.editor
         warn = len(editor.state.folds) > 0
-        self.nodes.show(editor, warn=warn, moved=editor.sliding)
+        moved = editor.sliding or self.actions.playing
+        self.nodes.show(editor, warn=warn, moved=moved)
         self.guides.show(self._guides.of(editor))
         self.worker.draw(self._move, self._rest)
 

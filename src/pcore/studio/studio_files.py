@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import torch
+from typing import TYPE_CHECKING
 
 from pcore.editing.autosave import read_session
-from pcore.errors import EditError, InputError
+from pcore.errors import EditError, InputError, PcoreError
 from pcore.geometry.camera import Camera
+from pcore.render.picture import RenderCancelledError
+from pcore.studio.camera_keys import frames_of, keys_of, read_keys, write_keys
+from pcore.studio.filming import Film
 from pcore.studio.guard import plain
-from pcore.studio.outputs import camera_frame, write_cameras, write_film, write_picture
+from pcore.studio.outputs import write_cameras, write_picture
 from pcore.studio.viewport import Viewport
 
 if TYPE_CHECKING:
@@ -35,7 +37,8 @@ class StudioFiles:
             studio: whose editor is saved.
         """
         self._studio = studio
-        self.cameras: list[tuple[float, Camera]] = []
+        self.cameras = read_keys(studio.outputs.edit)
+        self._filming = False
         self.saved, self.line = True, ""
         self.edit = studio.outputs.edit
         self._kept, self._written = False, -_EVERY
@@ -54,7 +57,8 @@ class StudioFiles:
             self._later.start()
 
     def close(self) -> None:
-        """Keep at once what waits for that."""
+        """Keep at once what waits for that, and end a film."""
+        self.stop()
         if self._later is not None:
             self._later.cancel()
             self._keep()
@@ -66,7 +70,7 @@ class StudioFiles:
         self._written = time.monotonic()
         try:
             self._spare()
-            self._studio.outputs.keep(self._studio.editor.session, self._frames())
+            self._studio.outputs.keep(self._studio.editor.session, frames_of(self.cameras))
         except (OSError, EditError) as error:
             self._studio.say(f"⚠ Autosave is not possible: {plain(str(error))}")
 
@@ -89,6 +93,7 @@ class StudioFiles:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._spare()  # The edit file is older than it only now.
         editor.session.save(path)
+        write_keys(path, self.cameras)
         outputs.forget()
         self.saved, self.edit = True, path
         self._studio.say(f"Saved as {path.name}.")
@@ -107,7 +112,9 @@ class StudioFiles:
         path = self._studio.outputs.named(name, ".json")
         if not path.is_file():
             raise InputError(f"open: expected an edit file in {path.parent.name}, got no {name}")
+        cameras = read_keys(path)
         self._studio.editor.session.load(path)
+        self.cameras = cameras
         self._studio.editor.select(None)
         self.edit = path
         self._studio.say(f"Opened {name}.")
@@ -126,43 +133,64 @@ class StudioFiles:
         """Write an exact picture of what a tab sees, and say which command makes it again."""
         studio, camera = self._studio, self._sized(viewport, width)
         editor = studio.editor
+        editor.refine()
         posed = studio.drawer.posed(editor.state, still=editor.shown.still)
         path, cameras = write_picture(studio.outputs, editor.asset, posed, camera)
         light = None if editor.shown.still or editor.asset.light is None else "baked"
         line = studio.outputs.line(
             "OUT", cameras, edit=self.edit, time=editor.session.time, light=light
         )
-        unsaved = "" if self.saved else "\n\nSave first: the command reads the saved edits."
-        self.line = f"The same picture on the command line:\n\n```\n{line}\n```{unsaved}"
+        self.line = self._told("picture", line)
         studio.say(f"Wrote {path.name}.")
 
     def film(self, viewport: Viewport, count: int, width: int) -> None:
-        """Write a film of all keyframes, along the camera keys where there are two or more."""
+        """Begin a film of all keyframes, along the camera keys where there are two or more.
+
+        It is written step by step; what is done meanwhile does not change it.
+
+        Raises:
+            InputError: a number of frames or a size that is none, or another film is not ready.
+        """
         studio = self._studio
         if not 2 <= count <= _MOST_FRAMES:
             raise InputError(f"film: expected 2 to {_MOST_FRAMES} frames, got {count}")
-        asset, stack = studio.editor.asset, studio.editor.session.stack
-        light = None if studio.editor.shown.still else "baked"
-        times = stack.animation.times(count) if stack.animated else [0.0] * count
-        posed = {t: asset.pose(stack.at(t), light=light) for t in dict.fromkeys(times)}
-        keys = [camera for _, camera in self.cameras]
-        first = self._sized(viewport, width)
-        keys = [one.resized(first.width, first.height) for one in keys] or [first]
+        if self._filming:
+            raise InputError("film: another one is being written; wait, or press Stop")
+        asset, first = studio.editor.asset, self._sized(viewport, width)
+        keys = [(time, one.resized(first.width, first.height)) for time, one in self.cameras]
+        light = None if studio.editor.shown.still or asset.light is None else "baked"
+        stack = studio.editor.session.stack
+        film = Film.of(asset, stack, keys or [(0.0, first)], count, light=light)
         path = studio.outputs.next("film", ".mp4")
-        write_cameras(path.with_suffix(".json"), keys)
+        write_cameras(path.with_suffix(".json"), film.cameras)
+        line = film.line(studio.outputs.run, edit=self.edit, cameras=path.with_suffix(".json"))
+        studio.actions.playing = False
         self._stopped.clear()
+        self._filming = True
+        studio.worker.go_on(self._write_film(film, path, self._told("film", line)))
+
+    def _write_film(self, film: Film, path: Path, line: str) -> Iterator[None]:
+        """Write a film, and say at its end what became of it."""
+        studio, said = self._studio, "The film was stopped."
         try:
-            done = write_film(
-                path,
-                asset,
-                [posed[time] for time in times],
-                keys,
-                progress=studio.panels.progress,
-                stopped=self._stopped.is_set,
-            )
+            for share in film.write(path, self._stopped.is_set):
+                studio.panels.progress(share)
+                yield
+            self.line, said = line, f"Wrote {path.name}."
+        except RenderCancelledError:
+            path.with_suffix(".json").unlink(missing_ok=True)
+        except PcoreError as error:
+            said = f"⚠ {plain(str(error))}"
+        except OSError as error:
+            said = f"⚠ {path.name}: {error.strerror or error}"
         finally:
+            self._filming = False
             studio.panels.progress(None)
-        studio.say(f"Wrote {path.name}." if done else "The film was stopped.")
+        studio.perform(lambda: studio.say(said))
+
+    def _told(self, what: str, line: str) -> str:
+        unsaved = "" if self.saved else "\n\nSave first: the command reads the saved edits."
+        return f"The same {what} on the command line:\n\n```\n{line}\n```{unsaved}"
 
     def stop(self) -> None:
         """End the film that is being written."""
@@ -182,12 +210,8 @@ class StudioFiles:
         asset = studio.editor.asset
         found = read_session(path, asset.points, rig=asset.rig)
         studio.editor.resume(found.session)
-        frames: Any = found.view.get("cameras", []) if isinstance(found.view, dict) else []
-        self.cameras = [key for key in map(_camera_key, frames) if key is not None]
+        self.cameras = keys_of(found.view.get("cameras") if isinstance(found.view, dict) else None)
         studio.say("Restored what was not saved.")
-
-    def _frames(self) -> list[dict[str, Any]]:
-        return [{"time": time, **camera_frame(camera)} for time, camera in self.cameras]
 
     def _sized(self, viewport: Viewport, width: int) -> Camera:
         camera = viewport.camera()
@@ -197,19 +221,3 @@ class StudioFiles:
             raise InputError(f"picture: expected a width of 16 to {_LARGEST}, got {width}")
         height = max(16, round(width * camera.height / camera.width / 2) * 2)
         return camera.resized(round(width / 2) * 2, height)
-
-
-def _camera_key(frame: Any) -> tuple[float, Camera] | None:
-    try:
-        camera = Camera(
-            world_from_camera=torch.tensor(frame["transform_matrix"]),
-            width=int(frame["w"]),
-            height=int(frame["h"]),
-            fx=float(frame["fl_x"]),
-            fy=float(frame["fl_y"]),
-            cx=float(frame["cx"]),
-            cy=float(frame["cy"]),
-        )
-        return float(frame["time"]), camera
-    except (KeyError, TypeError, ValueError, InputError):
-        return None

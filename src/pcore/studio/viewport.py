@@ -136,10 +136,10 @@ class Viewport:
 
     def show_dots(self, points: Tensor, colors: Tensor) -> None:
         """Show coloured dots over the object; (0, 3) points for none."""
-        if self._dots is not None:
+        if self._dots is not None and not len(points):
             self._dots.remove()
             self._dots = None
-        if len(points):
+        if len(points):  # In the place of those before, by their name: without a gap.
             self._dots = self.client.scene.add_point_cloud(
                 "/dots",
                 points=self._frame.to_page(points.numpy()),

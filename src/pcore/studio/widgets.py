@@ -11,6 +11,7 @@ from pcore.studio.editor import Editor
 from pcore.studio.help_text import LOADING, OVERLAY_NAMES
 from pcore.studio.panel import Panel, Wish
 from pcore.studio.select_panel import SelectPanel
+from pcore.studio.stack_editor import MOVING
 
 EASINGS = ("smooth", "linear", "in", "out", "step")
 _OVERLAYS = {label: name for name, label in OVERLAY_NAMES.items()}
@@ -99,6 +100,10 @@ class Panels(Panel):
             "Light stands still", lit, disabled=not lit, hint="Off: brightness of the photos"
         )
         self._on_update(still, "still")
+        moving = gui.add_dropdown(
+            "While moving", tuple(MOVING), hint="Exact pictures are slower, and of the real colours"
+        )
+        self._on_update(moving, "exact", said=MOVING)
         self._on_click(gui.add_button("Whole object (F)", icon="focus-2"), "home")
         return overlay, compare, still
 
@@ -178,9 +183,13 @@ class Panels(Panel):
         """Show another name of the edit file."""
         self._w.name.value = name
 
+    def at(self, time: float) -> None:
+        """Show another time."""
+        self._w.time.value = min(max(time, self._w.time.min), self._w.time.max)
+
     def _times(self, editor: Editor, camera_keys: int) -> None:
         times = editor.key_times
-        self._w.time.value = min(max(editor.session.time, self._w.time.min), self._w.time.max)
+        self.at(editor.session.time)
         if times and (times[0] < self._w.time.min or times[-1] > self._w.time.max):
             self._w.time.min = min(times[0], self._w.time.min)
             self._w.time.max = max(times[-1], self._w.time.max)

@@ -33,6 +33,7 @@ class Worker:
         self._commands: deque[Command] = deque()
         self._moving: Command | None = None
         self._resting: Drawing | None = None
+        self._jobs: deque[Iterator[object]] = deque()
         self._serial = 0
         self._ended = False
         self._busy = False
@@ -55,6 +56,10 @@ class Worker:
         """Do this after the commands before it; none is left out."""
         self._wish(lambda: self._commands.append(command))
 
+    def go_on(self, job: Iterator[object]) -> None:
+        """Do a long job step by step; everything else that is wished comes between two steps."""
+        self._wish(lambda: self._jobs.append(job))
+
     def draw(self, moving: Command | None, resting: Drawing | None) -> None:
         """Draw this instead of what was wished before.
 
@@ -74,7 +79,10 @@ class Worker:
         """Whether everything is done, within so many seconds; for tests and endings."""
         with self._changed:
             return self._changed.wait_for(
-                lambda: not (self._busy or self._commands or self._moving or self._resting), seconds
+                lambda: (
+                    not any((self._busy, self._commands, self._moving, self._resting, self._jobs))
+                ),
+                seconds,
             )
 
     def _wish(self, change: Callable[[], Any]) -> None:
@@ -92,6 +100,8 @@ class Worker:
             with self._changed:
                 self._busy = False
                 self._changed.notify_all()
+        for job in self._jobs:  # Half of a file is not kept.
+            getattr(job, "close", lambda: None)()
 
     def _next(self) -> Command | None:
         """What is to be done; waits for it. None at the end."""
@@ -103,15 +113,25 @@ class Worker:
                     return None
                 elif self._moving is not None:
                     work, self._moving = self._moving, None
-                elif self._resting is None:
-                    self._changed.wait()
-                    continue
-                else:
+                elif self._resting is not None:
                     if self._changed.wait_for(self._newer(), self._rest):
                         continue
                     work, self._resting = self._step(self._resting), None
+                elif self._jobs:
+                    work = self._job_step
+                else:
+                    self._changed.wait()
+                    continue
                 self._busy = True
                 return work
+
+    def _job_step(self) -> None:
+        goes_on = False
+        try:
+            goes_on = next(self._jobs[0], self) is not self
+        finally:
+            if not goes_on:
+                self._jobs.popleft()
 
     def _newer(self) -> Callable[[], bool]:
         """Says later whether anything was wished since now."""

@@ -94,18 +94,56 @@ def on_ray(
         DependencyError: Ray is not installed.
         InputError: no cluster at the address, or not enough resources.
     """
+    with _connected(address, _start(wanted, address, workers, machine)) as (ray, machines):
+        check_resources(wanted, machines)
+        yield lambda trials, run: _attempt_all(ray, wanted, trials, run)
+
+
+def machines_of(address: str) -> list[Machine]:
+    """Machines of a running Ray cluster.
+
+    Raises:
+        DependencyError: Ray is not installed.
+        InputError: no cluster at the address.
+    """
+    with _connected(address, {"address": address, "log_to_driver": False}) as (_, machines):
+        return machines
+
+
+def trials_at_once(wanted: TrialResources, machines: Sequence[Machine]) -> int:
+    """How many trials machines have room for together.
+
+    Raises:
+        InputError: for none.
+    """
+    check_resources(wanted, machines)
+    return sum(_places(wanted, one) for one in machines)
+
+
+def _places(wanted: TrialResources, machine: Machine) -> int:
+    rooms = [machine.cpus / wanted.cpus]
+    if wanted.gpus > 0:
+        rooms.append(machine.gpus / wanted.gpus)
+    if wanted.memory_gb is not None and machine.memory is not None:
+        rooms.append(machine.memory / (wanted.memory_gb * _GB))
+    return int(min(rooms))
+
+
+@contextmanager
+def _connected(
+    address: str | None, start: Mapping[str, Any]
+) -> Generator[tuple[Any, list[Machine]]]:
+    """Ray, and the machines that it has; what was started for it ends with the context."""
     ray = _ray()
     try:
-        ray.init(**_start(wanted, address, workers, machine), logging_level="ERROR")
+        ray.init(**start, logging_level="ERROR")
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise InputError(
             f"--address {address}: expected the address of a running Ray cluster, got none there "
             f"({str(error).splitlines()[0]}); start one with `ray start --head`"
         ) from error
     try:
-        nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
-        check_resources(wanted, [_machine(node) for node in nodes])
-        yield lambda trials, run: _attempt_all(ray, wanted, trials, run)
+        yield ray, [_machine(node["Resources"]) for node in ray.nodes() if node["Alive"]]
     finally:
         ray.shutdown()
 
@@ -134,6 +172,8 @@ def _attempt_all(
 def _ray() -> Any:
     # Nothing is reported to anybody.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    # What Ray ends because memory is short it would otherwise try again for ever.
+    os.environ.setdefault("RAY_task_oom_retries", str(RETRIES))
     # Workers without a GPU keep their view of the machine: pcore is told where to compute.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     try:

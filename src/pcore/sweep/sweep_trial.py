@@ -110,10 +110,15 @@ def trials_of(
     ]
 
 
-def finished_trial(trial: Trial) -> TrialResult | None:
-    """What is on record of a trial that came to its end as it stands in the plan; else None."""
+def finished_trial(trial: Trial, place: Path | None = None) -> TrialResult | None:
+    """What is on record of a trial that came to its end as it stands in the plan; else None.
+
+    Args:
+        trial: which.
+        place: folder of its records; default: its own.
+    """
     try:
-        record: dict[str, Any] = json.loads((trial.folder / RECORD_FILE).read_bytes())
+        record: dict[str, Any] = json.loads(((place or trial.folder) / RECORD_FILE).read_bytes())
         if record["stamp"] != jsonable(trial.stamp) or record["failed"] is not None:
             return None
         return TrialResult(trial=trial, seconds=record["seconds"])
@@ -121,14 +126,18 @@ def finished_trial(trial: Trial) -> TrialResult | None:
         return None
 
 
-def fetch_records(trial: Trial) -> None:
+def fetch_records(trial: Trial, place: Path | None = None) -> None:
     """Bring tables and records of a trial from its storage, where it has one.
+
+    Args:
+        trial: which.
+        place: folder that they go to; default: its own.
 
     Raises:
         OSError: the storage cannot be read.
     """
     if trial.storage is not None:
-        fetch(trial.storage, trial.folder, records=True)
+        fetch(trial.storage, place or trial.folder, records=True)
 
 
 def attempt(trial: Trial, run: Runner) -> TrialResult:

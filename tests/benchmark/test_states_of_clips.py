@@ -1,0 +1,117 @@
+"""States of `pcore benchmark make`: their names, their places, and the bend's axis."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from figure_model import figure
+from gltf_files import Builder
+
+from pcore.asset.posing import script_of
+from pcore.benchmark.making import SPLITS
+from pcore.benchmark.model import read_model
+from pcore.benchmark.model_states import (
+    BenchmarkPlan,
+    State,
+    canonical_shape,
+    formulas,
+    plan_states,
+)
+from pcore.cli.main import main
+from pcore.errors import InputError
+from pcore.evaluation.deformation_record import DeformationRecord
+from pcore.evaluation.states import open_states
+from pcore.sample.sample_render import camera_poses
+
+
+def save(made: Builder, folder: Path) -> Path:
+    path = folder / "figure.glb"
+    path.write_bytes(made.content())
+    return path
+
+
+def make(*words: object) -> int:
+    sizes = ["--size", 24, "--train-views", 2, "--test-views", 1]
+    return main(["benchmark", "make", *map(str, [*words, *sizes])])
+
+
+def test_times_of_one_clip_and_clips_of_one_name_are_states_of_their_own(tmp_path: Path) -> None:
+    pytest.importorskip("embreex", reason="benchmarks are ray cast with embreex")
+    path, words = save(figure(), tmp_path), ["--no-analytic", "--clips", "Bow@0.5", "Bow@1.0"]
+    assert make(path, "-o", tmp_path / "out", *words) == 0
+    states = open_states(tmp_path / "out")
+    assert states.names == ("bow_0_5", "bow_1")
+    record = json.loads((tmp_path / "out" / "scene.json").read_text())["states"]
+    assert [record[name]["time"] for name in states.names] == [0.5, 1.0]
+    twins = figure()
+    twins.tree["animations"][1]["name"] = "Bow"
+    assert [one.name for one in read_model(save(twins, tmp_path)).clips] == ["Bow", "Bow 2"]
+
+
+def states_of(path: Path, **words: Any) -> tuple[dict[str, State], list[str]]:
+    model, plan = read_model(path), BenchmarkPlan(**words)
+    return plan_states(model, plan, *canonical_shape(model, plan))
+
+
+@pytest.mark.parametrize("name", ["Canonical", "Faces", "train geometry", "Sample face", "test"])
+def test_no_clip_takes_a_name_of_the_benchmark(tmp_path: Path, name: str) -> None:
+    made = figure()
+    made.tree["animations"][0]["name"] = name
+    states, notes = states_of(save(made, tmp_path), analytic=False)
+    (state,) = states
+    assert state == "state_" + name.lower().replace(" ", "_")
+    assert f"the clip {name!r} at 2 s is the state {state!r}" in notes[-1]
+
+
+def test_a_clip_that_walks_out_of_sight_stays_in_the_pictures(tmp_path: Path) -> None:
+    made = figure()
+    walk = made.tree["animations"][1]
+    walk["channels"][0]["target"] = {"node": 1, "path": "translation"}
+    walk["samplers"][0]["output"] = made.array(np.array([[0, 0, 0], [9.0, 0, 0]]))
+    path = save(made, tmp_path)
+    states, notes = states_of(path, analytic=False, clips=(("Stay", 2.0),), every_clip=False)
+    before = canonical_shape(read_model(path), BenchmarkPlan())[0]
+    assert np.abs(states["stay"].vertices - before).max() < 1e-6
+    away = states["stay"].description["removed_motion"]
+    assert np.linalg.norm(away) == pytest.approx(
+        9 * canonical_shape(read_model(path), BenchmarkPlan())[2]
+    )
+    assert "leaves the cameras' sight" in notes[-1]
+    (tmp_path / "far.json").write_text(
+        '{"version": 2, "edits": [{"type": "scale", "factor": 3.5}]}'
+    )
+    with pytest.raises(InputError, match=r"within 2.8 radii.*reaches 3\.50"):
+        states_of(path, edits=(("far", script_of(tmp_path / "far.json")),))
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_bend_about_a_chosen_axis_is_its_formula(tmp_path: Path, axis: Any) -> None:
+    states, _ = states_of(save(figure(), tmp_path), bend_axis=axis, every_clip=False)
+    formula = DeformationRecord.model_validate(states["bend60"].description).deformation()
+    assert formula is not None
+    before = canonical_shape(read_model(tmp_path / "figure.glb"), BenchmarkPlan())[0]
+    moved = formula(torch.from_numpy(before)).numpy()
+    assert np.abs(moved - states["bend60"].vertices).max() < 1e-12
+    kept = "xyz".index(axis)
+    assert np.abs(moved[:, kept] - before[:, kept]).max() < 1e-12
+    assert np.abs(moved - before).max() > 0.02
+
+
+@pytest.mark.parametrize(("name", "axis"), [("knight", "y"), ("robot", "x")])
+def test_the_evaluation_set_is_made_again(shared_data: Path, name: str, axis: Any) -> None:
+    """Poses are the same; maps are, to the single precision of the set's meshes."""
+    folder = shared_data / "deformed" / name
+    for split, place in SPLITS.items():
+        frames = json.loads((folder / f"transforms_{split}.json").read_text())["frames"]
+        known = np.array([one["transform_matrix"] for one in frames])
+        assert np.abs(known - camera_poses(len(known), **place)).max() < 1e-12
+    with np.load(folder / "meshes.npz") as meshes:
+        vertices = meshes["canonical"].astype(float)
+        for state, one in formulas(vertices, axis).items():
+            moved = one.deformation(torch.from_numpy(vertices)).numpy()
+            assert np.abs(moved - meshes[state]).max() < 3e-7
