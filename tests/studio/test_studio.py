@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from objects import demo
@@ -16,6 +16,7 @@ from pcore.studio.editor import Editor
 from pcore.studio.guard import Guard
 from pcore.studio.handle_pose import HandlePose
 from pcore.studio.outputs import Outputs
+from pcore.studio.pauses import Pause
 from pcore.studio.status_line import StatusLine
 
 pytest.importorskip("viser", reason="the extra studio is not installed")
@@ -39,7 +40,7 @@ def opened(folder: Path, port: int, edit: str = "edit.json") -> Studio:
 
 def wish(page: Studio, name: str, *values: Any) -> None:
     page.wishes[name](TAB, *values)
-    assert page.worker.wait()
+    assert page.worker.wait(60)
 
 
 def until(holds: Callable[[], bool]) -> None:
@@ -51,17 +52,33 @@ def until(holds: Callable[[], bool]) -> None:
 
 def test_a_slider_is_drawn_at_once_and_kept_as_one_step_when_it_rests(page: Studio) -> None:
     wish(page, "add", "twist")
-    history = page.editor.session
+    history, waits = page.editor.session, page._pause
+    touched = list[int]()
+    page._pause = cast("Any", SimpleNamespace(touch=lambda: touched.append(1)))
     depth = history.history.now
     for angle in (10.0, 20.0, 30.0):
         wish(page, "slide", 0, "angle_deg", angle)
     assert page.editor.present == {**page.editor.raw(0), "angle_deg": 30.0}
     assert history.history.now == depth
-    until(lambda: page.editor.raw(0)["angle_deg"] == 30.0)
+    assert len(touched) == 3
+    waits._do()
+    assert page.worker.wait(60)
+    assert page.editor.raw(0)["angle_deg"] == 30.0
     wish(page, "slide", 0, "angle_deg", 40.0)
     wish(page, "undo")
     assert page.editor.raw(0)["angle_deg"] == 30.0, "two drags are two steps"
     assert history.history.now == depth + 1
+
+
+def test_what_waits_for_a_pause_is_done_once_after_it() -> None:
+    done = list[float]()
+    pause = Pause(0.5, lambda: done.append(time.monotonic()))
+    for _ in range(3):
+        pause.touch()
+        last = time.monotonic()
+    until(lambda: bool(done))
+    assert done[0] >= last + 0.45
+    assert len(done) == 1
 
 
 def test_autosaves_are_seconds_apart_and_the_last_one_is_written_at_the_end(page: Studio) -> None:
@@ -96,7 +113,7 @@ def test_a_drag_that_was_put_back_stays_so_until_it_begins_anew(page: Studio) ->
         x, y, z = page.frame.to_page(start)
         event = SimpleNamespace(client_id=TAB, phase=phase)
         page.nodes._tell(event, (x, y, z + 0.3), None)
-        assert page.worker.wait()
+        assert page.worker.wait(60)
 
     tell("start")
     assert page.editor.dragging
@@ -159,7 +176,7 @@ def test_a_full_disk_at_a_picture_is_said(page: Studio) -> None:
         raise OSError(28, "No space left on device", "/home/anna/picture_001.png")
 
     page.perform(full)
-    assert page.worker.wait()
+    assert page.worker.wait(60)
     assert page._said == "⚠ picture_001.png: No space left on device"
 
 
