@@ -214,7 +214,7 @@ def _free(name: str, states: Mapping[str, State]) -> str:
 
 
 def _renamed(what: str, name: str) -> str:
-    return f"the {what} is the state {name!r}, as its own name is in use or not one of a folder"
+    return f"the {what} is the state {name!r}"
 
 
 def _of_clip(
