@@ -16,7 +16,13 @@ class Page:
 
     def __init__(self, browser: Any, run: Path, port: int, *, ready: bool = True) -> None:
         command = [sys.executable, "-m", "pcore.cli.main", "studio", str(run), "--port", str(port)]
-        self.server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.server = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            text=True,
+            # Shells let what they start in the background ignore Ctrl-C, which is sent below.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )
         assert self.server.stdout is not None
         self.url = self.server.stdout.readline().strip()
         self.problems: list[str] = []
