@@ -35,7 +35,7 @@ where a pixel is a voxel wide."""
 _LEAST_COSINE = 0.1
 _RIM = 0.15
 """Cosine of pixels at the rim of the object, whose normal is not known."""
-_FREE = 0.05
+FREE = 0.05
 """Weight of a ray that passes, beside the cosine of one that hits: many pass close to a surface and
 would push it inwards; enough of them sweep away what floats."""
 _CHUNK = 1 << 18
@@ -98,6 +98,7 @@ def fused_distances(
     *,
     smooth: float = 1.0,
     closed: bool = False,
+    free: float = FREE,
 ) -> DistanceGrid:
     """Average the distances from the surface that pictures show.
 
@@ -109,6 +110,8 @@ def fused_distances(
         smooth: standard deviation, voxels, of a filter over the distances: pictures of a learned
             object do not agree to a voxel on where its surface is. 0 is none.
         closed: end the surface nowhere: what no camera has seen is inside. Else it ends there.
+        free: weight of a ray that passes. Where voxels are so large that the object is thinner
+            than the distances that count, 1: what lies behind it was seen to be empty.
 
     Raises:
         InputError: no picture shows anything solid in the box.
@@ -121,11 +124,11 @@ def fused_distances(
             "box that is meshed; was the run trained to its end, and do the cameras see it?"
         )
     near = _with_neighbours(near)
-    coarse = _far_away(grid, views, ~near)
+    coarse = _far_away(grid, views, ~near, free)
     if closed:
         # Where free and unseen space meet far from any surface there is a surface now.
         near |= _borders(coarse, near)
-    field, seen = grid.spread(coarse, near, views)
+    field, seen = grid.spread(coarse, near, views, free)
     # Outside of all pictures is no part of the object.
     field[~seen] = np.where(field[~seen] > 0, 1.0, -1.0)
     shown = None if closed else seen & (field < 1.0)
@@ -164,7 +167,7 @@ class _Grid:
         return self.lower + self.voxel * steps
 
     def spread(
-        self, coarse: NDArray[np.float32], near: BoolArray, views: Sequence[DepthView]
+        self, coarse: NDArray[np.float32], near: BoolArray, views: Sequence[DepthView], free: float
     ) -> tuple[NDArray[np.float32], BoolArray]:
         """Field and whether it was seen, of all voxels: each its own where blocks are near."""
         sides = tuple(_BLOCK * side for side in self.blocks)
@@ -174,7 +177,7 @@ class _Grid:
         rows = np.flatnonzero(near)
         for part in np.array_split(np.arange(len(rows)), 1 + len(rows) * _BLOCK**3 // _CHUNK):
             voxel = torch.from_numpy((_BLOCK * block[part, None] + steps).reshape(-1, 3))
-            own = _distances(self.lower + self.voxel * voxel, views, self.voxel)
+            own = _distances(self.lower + self.voxel * voxel, views, self.voxel, free)
             values[rows[part]] = own.numpy().reshape(len(part), -1)
         cubes = values.reshape(*self.blocks, _BLOCK, _BLOCK, _BLOCK).transpose(0, 3, 1, 4, 2, 5)
         field = np.ascontiguousarray(cubes).reshape(sides)
@@ -190,10 +193,13 @@ def _places(view: DepthView) -> Tensor:
     return (rays.origins[solid] + rays.directions[solid] * steps[solid].unsqueeze(-1)).double()
 
 
-def _far_away(grid: _Grid, views: Sequence[DepthView], which: BoolArray) -> NDArray[np.float32]:
+def _far_away(
+    grid: _Grid, views: Sequence[DepthView], which: BoolArray, free: float
+) -> NDArray[np.float32]:
     """The field at the middles of these blocks, which are no surface; NaN where not seen."""
     found = np.full(grid.blocks, np.nan, dtype=np.float32)
-    found[which] = _distances(grid.centers(np.argwhere(which)), views, grid.voxel).numpy()
+    middles = grid.centers(np.argwhere(which))
+    found[which] = _distances(middles, views, grid.voxel, free).numpy()
     # The mean of a block's middle, far from any surface, stands for which side it is on.
     return np.where(np.isfinite(found), np.sign(found), found)
 
@@ -209,7 +215,7 @@ def _with_neighbours(blocks: BoolArray) -> BoolArray:
     return np.asarray(binary_dilation(blocks, np.ones((3, 3, 3))), dtype=np.bool_)
 
 
-def _distances(places: Tensor, views: Sequence[DepthView], voxel: float) -> Tensor:
+def _distances(places: Tensor, views: Sequence[DepthView], voxel: float, free: float) -> Tensor:
     """Means (M,) over views of distances of places (M, 3) from the surface, in bands.
 
     Positive outside; NaN where no view tells, infinity outside of all pictures.
@@ -217,7 +223,7 @@ def _distances(places: Tensor, views: Sequence[DepthView], voxel: float) -> Tens
     total, weight = torch.zeros(len(places)), torch.zeros(len(places))
     framed = torch.zeros(len(places), dtype=torch.bool)
     for view in views:
-        value, sure, inside = _told(places.float(), view, voxel)
+        value, sure, inside = _told(places.float(), view, voxel, free)
         total += value * sure
         weight += sure
         framed |= inside
@@ -225,7 +231,9 @@ def _distances(places: Tensor, views: Sequence[DepthView], voxel: float) -> Tens
     return torch.where(framed, mean, math.inf)
 
 
-def _told(places: Tensor, view: DepthView, voxel: float) -> tuple[Tensor, Tensor, Tensor]:
+def _told(
+    places: Tensor, view: DepthView, voxel: float, weight: float
+) -> tuple[Tensor, Tensor, Tensor]:
     """What one view says of places (M, 3): distances in bands, weights, and if it frames them."""
     camera, band = view.camera, _BAND * voxel
     column, row, z = camera.project(places)
@@ -245,7 +253,7 @@ def _told(places: Tensor, view: DepthView, voxel: float) -> tuple[Tensor, Tensor
     free = empty | (distance > band)
     told = smooth & (cosine > _LEAST_COSINE) & (distance > -band)
     value = torch.where(free, 1.0, (distance / band).clamp(-1, 1)).nan_to_num(1.0)
-    return value, torch.where(free, _FREE, cosine * told) * inside, inside
+    return value, torch.where(free, weight, cosine * told) * inside, inside
 
 
 def _pixel(plane: Tensor, row: Tensor, column: Tensor) -> Tensor:

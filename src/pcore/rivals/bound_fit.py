@@ -76,7 +76,8 @@ def sized_mesh(
     lower, upper, side = lower - _MARGIN * side, upper + _MARGIN * side, (1 + 2 * _MARGIN) * side
     cells, tries = 40, _TRIES
     while True:
-        fused = fused_distances(views, lower, upper, side / cells, smooth=0.0, closed=True)
+        voxel = side / cells
+        fused = fused_distances(views, lower, upper, voxel, smooth=0.0, closed=True, free=1.0)
         vertices, faces = largest_piece(fused)
         tries -= 1
         # Triangles grow with the square of the cells.
