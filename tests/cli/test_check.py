@@ -96,14 +96,26 @@ def test_a_corrected_copy_is_a_scene_with_masks_cut_to_the_object(tmp_path: Path
 
 
 @pytest.mark.parametrize("option", ["--fix", "--masks-out", "--html"])
+@pytest.mark.parametrize("given", [".", "transforms.json"])
 def test_nothing_is_written_into_the_scene(
-    tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, option: str, given: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     room = write_room(tmp_path / "room", 9)
     before = _tree(room)
-    assert main(["check", str(room), *BOX, option, str(room / "new")]) == 2
+    assert main(["check", str(room / given), *BOX, option, str(room / "new")]) == 2
     assert "never written to" in capsys.readouterr().err
     assert _tree(room) == before
+
+
+def test_corrected_masks_are_not_written_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room, masks = write_room(tmp_path / "room", 9), tmp_path / "masks"
+    masks.mkdir()
+    (masks / "mine.png").write_bytes(b"by hand")
+    assert main(["check", str(room), *BOX, "--masks-out", str(masks)]) == 2
+    assert "may have been corrected by hand" in " ".join(capsys.readouterr().err.split())
+    assert [one.name for one in masks.iterdir()] == ["mine.png"]
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,8 @@ from pcore.errors import SceneError
 _PLACES = ("sparse", "colmap_sparse", "colmap/sparse", "distorted/sparse", ".")
 """Where models lie, the first that has one is taken; of several in one place the largest."""
 _LISTS = {"train": "train_list.txt", "val": "validation_list.txt", "test": "test_list.txt"}
+_FARTHEST = 1e15
+"""No point of a model is farther from its origin; its square is no float32 any more."""
 _OPENGL = np.diag([1.0, -1.0, -1.0])
 
 
@@ -133,11 +135,11 @@ def _photo(model: Model, image: ModelImage, path: Path | None) -> Photo:
 
 
 def raw_points(model: Model) -> RawPoints | None:
-    """Points of a model that are finite, with their sightings; None where there are none."""
+    """Points of a model that are somewhere, with their sightings; None where there are none."""
     points = model.points
     if points is None or not len(points.numbers):
         return None
-    finite = np.isfinite(points.positions).all(axis=1)
+    finite = (np.abs(points.positions) < _FARTHEST).all(axis=1)  # Not of NaN.
     order = np.argsort(points.numbers[finite])
     numbers = points.numbers[finite][order]
     rows, photos, places = [], [], []

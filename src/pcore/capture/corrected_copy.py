@@ -100,9 +100,16 @@ def write_corrected(
 
 
 def check_outside(scene: Scene, folder: Path) -> None:
-    """Raise InputError where a place to write to lies in the scene's own folder."""
-    home = (scene.folder or scene.root).resolve()
-    if folder.resolve().is_relative_to(home):
+    """Raise InputError where a place to write to lies in one of the scene's own folders.
+
+    These are what was given, or the folder of a file that was; that which the images lie in; and
+    those of the photos.
+    """
+    given = (scene.folder or scene.root).resolve()
+    homes = {given if given.is_dir() else given.parent, scene.root.resolve()}
+    homes |= {view.image.path.resolve().parent for views in scene.views.values() for view in views}
+    home = next((home for home in homes if folder.resolve().is_relative_to(home)), None)
+    if home is not None:
         raise InputError(
             f"{folder}: lies in the scene's own folder {home}, which is never written to; choose "
             "another one"

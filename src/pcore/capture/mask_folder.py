@@ -159,7 +159,8 @@ def _images(folder: Path) -> list[Path]:
 
 
 def _is_image(path: Path) -> bool:
-    return path.suffix.lower() in READ
+    # Some systems put a hidden file of their own beside every picture.
+    return path.suffix.lower() in READ and not path.name.startswith(".") and path.is_file()
 
 
 def _by_name(path: Path) -> tuple[tuple[int, int | str], ...]:

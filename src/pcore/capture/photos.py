@@ -9,7 +9,7 @@ from pathlib import Path
 
 from torch import Tensor
 
-from pcore.data.image_paths import ENDINGS
+from pcore.data.image_paths import ENDINGS, resolved_link
 from pcore.data.scene import Skipped
 from pcore.errors import SceneError
 from pcore.geometry.lens_distortion import LensDistortion
@@ -113,9 +113,9 @@ def inside(root: Path, path: Path) -> Path:
     """Return a file resolved, if it lies in a folder; symbolic links may lead out of it.
 
     Raises:
-        SceneError: it lies elsewhere.
+        SceneError: it lies elsewhere, or links lead in a circle.
     """
-    resolved = path.resolve()
+    resolved = resolved_link(path)
     if not resolved.is_relative_to(root.resolve()):
         raise SceneError(
             f"{path}: leads out of the scene's folder {root} (to {resolved}); scenes may only read "

@@ -175,6 +175,11 @@ def _write_masks(found: SceneCheck, command: CheckCommand, console: Console) -> 
     if found.masks is None:
         raise InputError(f"--masks-out: there are no masks to write: {found.no_masks or 'none'}")
     check_outside(found.scene, command.masks_out)
+    if command.masks_out.is_dir() and any(command.masks_out.iterdir()):
+        raise InputError(
+            f"{command.masks_out}: expected a new or empty folder for the masks; those in it may "
+            "have been corrected by hand: choose another, or empty it"
+        )
     write_masks(found.views, found.masks.masks, command.masks_out)
     console.print(
         Text(

@@ -26,6 +26,14 @@ _SEARCHED = 20_000
 """Files of a folder that are looked through for one of the same name."""
 
 
+def resolved_link(path: Path) -> Path:
+    """Return where symbolic links lead; SceneError where that is a circle."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError) as error:  # RuntimeError: Python before 3.13.
+        raise SceneError(f"{path}: a symbolic link that leads in a circle; remove it") from error
+
+
 @dataclass(frozen=True, kw_only=True)
 class Wanted:
     """A file that a frame names.
@@ -96,7 +104,7 @@ class Finder:
         return tuple(f"{what}: {how}, in {count} names" for how, count in self.spelled.items())
 
     def _inside(self, wanted: Wanted, path: Path) -> Path:
-        home, resolved = self.root.resolve(), path.resolve()
+        home, resolved = self.root.resolve(), resolved_link(path)
         if resolved.is_relative_to(home):
             return resolved
         raise SceneError(

@@ -85,7 +85,7 @@ def _of_poses(check: SceneCheck) -> list[Finding]:
     error = check.reprojection
     if error is not None:
         bad = error.doubtful()
-        level: Level = "warning" if error.mean > _PIXELS or bad else "good"
+        level: Level = "good" if error.mean <= _PIXELS and not bad else "warning"
         text = f"sparse points lie {error.mean:.2f} pixels from where the photos show them"
         text += f"; {_some(check, bad)} more than twice as far" if bad else ""
         action = "Leave those photos out (--fix), or run bundle adjustment again." if bad else ""

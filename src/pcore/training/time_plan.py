@@ -161,11 +161,14 @@ def plan_papr(
 
 def _check_steps(steps: int, seconds: float) -> None:
     if steps < _FEWEST_STEPS:
-        needed = seconds * _FEWEST_STEPS / steps
+        if seconds > 0 and steps > 0:
+            needed = f", which take {seconds * _FEWEST_STEPS / steps:.0f} seconds on this machine"
+        else:
+            needed = ""
         raise InputError(
-            f"training: expected time for at least {_FEWEST_STEPS} steps, which take "
-            f"{needed:.0f} seconds on this machine, got {seconds:.0f} besides reading, saving and "
-            "the light; promise more minutes"
+            f"training: expected time for at least {_FEWEST_STEPS} steps{needed}, got "
+            f"{max(seconds, 0):.0f} seconds besides reading, saving and the light; promise more "
+            "minutes"
         )
 
 
