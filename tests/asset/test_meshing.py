@@ -133,6 +133,12 @@ def test_what_no_camera_sees_is_open_or_closed(capsule):
     assert body.volume > 0.97 * capsule.volume
 
 
+def test_a_grid_that_would_not_fit_is_refused(meshed):
+    asset, cameras, _ = meshed
+    with pytest.raises(InputError, match="at most 1000 voxels"):
+        mesh_of(asset, cameras, Meshing(resolution=100_000))
+
+
 def test_cameras_come_closer_and_keep_their_place(meshed):
     asset, cameras, _ = meshed
     lower, upper = box_of(asset.points)

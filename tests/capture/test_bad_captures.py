@@ -180,6 +180,23 @@ def test_models_that_lead_out(tmp_path: Path, link: str) -> None:
         load_scene(tmp_path / "scene")
 
 
+def test_links_in_a_circle(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    photo = tmp_path / "images" / "img_2.png"
+    photo.unlink()
+    photo.symlink_to(photo)
+    with pytest.raises(SceneError, match="leads in a circle"):
+        load_scene(tmp_path)
+
+
+def test_lists_of_splits_that_lead_out(tmp_path: Path) -> None:
+    write_colmap(tmp_path / "scene")
+    (tmp_path / "secret").write_text("img_1.png\n")
+    (tmp_path / "scene" / "train_list.txt").symlink_to(tmp_path / "secret")
+    with pytest.raises(SceneError, match="leads out of the scene's folder"):
+        load_scene(tmp_path / "scene")
+
+
 def test_names_that_lead_out(tmp_path: Path) -> None:
     photos = shots()
     write_photos(tmp_path / "images", [shot.name for shot in photos])

@@ -115,11 +115,12 @@ def test_masks_of_idr_are_paired_by_order(tmp_path: Path) -> None:
     assert any("000.png is that of 000000.png" in note for note in scene.notes)
 
 
-def test_masks_beside_photos(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ending", [".png", ".jpg"])
+def test_masks_beside_photos(tmp_path: Path, ending: str) -> None:
     photos = write_colmap(tmp_path)
-    write_photos(tmp_path / "masks", [f"{shot.name}.png" for shot in photos], mode="L")
+    write_photos(tmp_path / "masks", [f"{shot.name}{ending}" for shot in photos], mode="L")
     assert load_scene(tmp_path).split("train")[0].has_alpha
-    (tmp_path / "masks" / f"{photos[0].name}.png").unlink()
+    (tmp_path / "masks" / f"{photos[0].name}{ending}").unlink()
     scene = load_scene(tmp_path)
     assert not scene.split("train")[0].has_alpha
     assert any("are there for 9 of 10 photos" in note for note in scene.notes)

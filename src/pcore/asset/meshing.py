@@ -27,7 +27,7 @@ from pcore.render.mesh_colors import surface_colors
 from pcore.validation import check_count
 
 _VIEWS = 60
-_COARSEST, _FINEST = 8, 200
+_COARSEST, _FINEST, _LARGEST = 8, 200, 1000
 _VOXELS_PER_PIXEL = 2.0
 """Views from all around tell a little more than one; beyond that a mesh only has more triangles."""
 _STRAY = 0.001
@@ -98,7 +98,7 @@ def mesh_of(
         progress: told (pictures taken, pictures in all).
 
     Raises:
-        InputError: nothing solid is to be seen, or a resolution below 8.
+        InputError: nothing solid is to be seen, or a resolution below 8 or above 1,000.
         DependencyError: scikit-image is not installed.
     """
     how = how or Meshing()
@@ -107,6 +107,11 @@ def mesh_of(
     if resolution is None:
         resolution = resolution_for(cameras, lower, upper)
     check_count("mesh: resolution", resolution, minimum=_COARSEST)
+    if resolution > _LARGEST:
+        raise InputError(
+            f"mesh: expected a resolution of at most {_LARGEST} voxels along the longest side, got "
+            f"{resolution}, whose grid would not fit into memory"
+        )
     if not 0 <= how.smooth < resolution:
         raise InputError(f"mesh: expected a smoothing of 0 voxels or more, got {how.smooth}")
     voxel = float((upper - lower).max()) / resolution

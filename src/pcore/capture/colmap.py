@@ -161,7 +161,8 @@ def raw_points(model: Model) -> RawPoints | None:
 
 def _listed(root: Path, images: Sequence[ModelImage]) -> Mapping[str, Sequence[str]] | None:
     """Splits of nerfstudio's lists of names; None without a list of training photos."""
-    paths = {split: root / name for split, name in _LISTS.items() if (root / name).is_file()}
+    lists_at = {split: root / name for split, name in _LISTS.items() if (root / name).is_file()}
+    paths = {split: inside(root, path) for split, path in lists_at.items()}
     if "train" not in paths:
         return None
     known = {image.name for image in images}

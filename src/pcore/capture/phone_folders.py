@@ -57,7 +57,7 @@ def read_polycam(root: Path, path: Path, factor: int) -> Capture:
     images = {cameras: photos for cameras, photos in _POLYCAM}[path.name]
     files = {one.stem: one for one in pictures_in(path.parent / images)}
     photos: list[Photo] = []
-    for file in sorted(path.glob("*.json")):
+    for file in sorted(inside(root, one) for one in path.glob("*.json")):
 
         def read(said: Any, file: Path = file) -> Photo:
             rows = [[float(said[f"t_{row}{column}"]) for column in range(4)] for row in range(3)]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 
 from pcore.capture.photos import Photo, inside
-from pcore.data.image_paths import Finder, Wanted, is_file
+from pcore.data.image_paths import MASK_ENDINGS, Finder, Wanted, is_file
 from pcore.errors import SceneError
 
 _ABSOLUTE = re.compile(r"^([A-Za-z]:[\\/]|[\\/])")
@@ -129,13 +129,14 @@ def _mask_beside(photo: Photo, root: Path) -> Path | None:
     assert photo.path is not None, "photos without a file have no mask"
     name, stem, folder = photo.path.name, photo.path.stem, photo.path.parent
     below = Path(photo.name.replace("\\", "/")).parent
+    plain = not below.is_absolute() and ".." not in below.parts
     candidates = [
-        *(root / kind / f"{file}.png" for kind in ("masks", "mask") for file in (stem, name)),
         *(
-            root / kind / below / f"{file}.png"
+            root / kind / at / f"{file}{ending}"
+            for at in (Path(), *([below] if plain else []))
             for kind in ("masks", "mask")
+            for ending in MASK_ENDINGS
             for file in (stem, name)
-            if not below.is_absolute() and ".." not in below.parts
         ),
         folder / f"{stem}.alpha{photo.path.suffix}",
     ]

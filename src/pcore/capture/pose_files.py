@@ -34,7 +34,7 @@ def read_nsvf(root: Path, path: Path, factor: int) -> Capture:
     poses = {one.stem: one for one in sorted((root / "pose").glob("*.txt"))}
     images = {one.stem: one for one in pictures_in(root / "rgb")}
     for stem in sorted(poses, key=natural_key):
-        pose = _numbers(poses[stem], 16).reshape(4, 4)
+        pose = _numbers(inside(root, poses[stem]), 16).reshape(4, 4)
         turned = torch.from_numpy(pose * np.array([1.0, -1.0, -1.0, 1.0]))
         image = images.get(stem)
         photos.append(
@@ -53,7 +53,7 @@ def read_nsvf(root: Path, path: Path, factor: int) -> Capture:
         layout="NSVF / Tanks and Temples",
         where=str(path),
         photos=photos,
-        region=_nsvf_box(root / "bbox.txt"),
+        region=_nsvf_box(root, "bbox.txt"),
         splits=_prefixes(names),
     )
 
@@ -148,9 +148,10 @@ def _lens(fx: float, fy: float, cx: float, cy: float) -> LensDistortion:
     return LensDistortion(fx=fx, fy=fy, cx=cx, cy=cy)
 
 
-def _nsvf_box(path: Path) -> Region | None:
-    if not path.is_file():
+def _nsvf_box(root: Path, name: str) -> Region | None:
+    if not (root / name).is_file():
         return None
+    path = inside(root, root / name)
     try:
         lower, upper = torch.from_numpy(_numbers(path, 6)).reshape(2, 3)
         return region_of_box(lower, upper)

@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from pcore.data.image_files import ImageHeader, read_header
-from pcore.data.image_paths import Finder, Wanted, is_file
+from pcore.data.image_paths import MASK_ENDINGS, Finder, Wanted, is_file
 from pcore.data.images import AlphaOfSplit, ImageCache, ImageSource, check_factor
 from pcore.data.poses import check_poses
 from pcore.data.scene import Split, SplitsOnDemand, View
@@ -216,7 +216,12 @@ def _mask_beside(image: Path, root: Path) -> Path | None:
         folder / f"dynamic_mask_{stem}.png",
         folder / f"{name}.alpha{image.suffix}",
         folder / f"{stem}.alpha{image.suffix}",
-        *(home / kind / f"{file}.png" for kind in ("masks", "mask") for file in (stem, name)),
+        *(
+            home / kind / f"{file}{ending}"
+            for kind in ("masks", "mask")
+            for ending in MASK_ENDINGS
+            for file in (stem, name)
+        ),
     ]
     # An image's name may fit its system, and a longer one beside it not.
     return next((path for path in candidates if is_file(path)), None)

@@ -26,6 +26,10 @@ _SEARCHED = 20_000
 """Files of a folder that are looked through for one of the same name."""
 
 
+MASK_ENDINGS = (".png", ".PNG", ".jpg", ".JPG", ".jpeg", ".webp")
+"""Of files of masks beside photos; the first that is there is taken."""
+
+
 def resolved_link(path: Path) -> Path:
     """Return where symbolic links lead; SceneError where that is a circle."""
     try:
