@@ -90,6 +90,7 @@ def check(command: CheckCommand, console: Console) -> None:
 
     if command.html is not None:
         require_jinja()
+    _check_places(command)
     prepare_torch(command.threads)
     factor = command.factor or _looking_factor(command.scene, console)
     scene, bare = _opened(command, factor, console)
@@ -119,6 +120,22 @@ def check(command: CheckCommand, console: Console) -> None:
     else:
         console.print(Text("with pictures: add --html report.html"), soft_wrap=True)
     console.print(Text(f"next: {following[0]}"), soft_wrap=True)
+
+
+def _check_places(command: CheckCommand) -> None:
+    """Refuse, before any work, places that cannot be written to or hold something already."""
+    from pcore.cli.output import check_place
+
+    page = None if command.html is None else command.html.parent
+    for folder in (command.masks_out, command.fix, page):
+        if folder is not None:
+            check_place(folder)
+    masks = command.masks_out
+    if masks is not None and masks.is_dir() and any(masks.iterdir()):
+        raise InputError(
+            f"{masks}: expected a new or empty folder for the masks; those in it may have been "
+            "corrected by hand: choose another, or empty it"
+        )
 
 
 def _opened(command: CheckCommand, factor: int, console: Console) -> tuple[Scene, Scene]:
@@ -175,11 +192,6 @@ def _write_masks(found: SceneCheck, command: CheckCommand, console: Console) -> 
     if found.masks is None:
         raise InputError(f"--masks-out: there are no masks to write: {found.no_masks or 'none'}")
     check_outside(found.scene, command.masks_out)
-    if command.masks_out.is_dir() and any(command.masks_out.iterdir()):
-        raise InputError(
-            f"{command.masks_out}: expected a new or empty folder for the masks; those in it may "
-            "have been corrected by hand: choose another, or empty it"
-        )
     write_masks(found.views, found.masks.masks, command.masks_out)
     console.print(
         Text(

@@ -40,13 +40,14 @@ def check_place(folder: Path) -> None:
 
     there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
     if not there.is_dir():
-        raise InputError(f"{folder}: {there} is a file: expected a folder; use another -o")
+        raise InputError(f"{folder}: {there} is a file: expected a folder; choose another place")
     try:
         with tempfile.TemporaryDirectory(prefix=".pcore-", dir=there):
             pass
     except OSError as error:
         raise InputError(
-            f"{folder}: nothing can be written into {there} ({error.strerror}); use another -o"
+            f"{folder}: nothing can be written into {there} ({error.strerror}); choose another "
+            "place"
         ) from error
 
 
