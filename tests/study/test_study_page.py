@@ -41,7 +41,10 @@ def test_a_person_goes_through_it(tmp_path: Path, browser: Any) -> None:
         assert page.inner_text("#total") == "3"
         page.click("#start")
         assert page.inner_text("#count") == "1 of 3"
-        sizes = page.evaluate("[...document.querySelectorAll('.choice img')].map(i => i.width)")
+        # Pictures are decoded after the click.
+        images = "[...document.querySelectorAll('.choice img')]"
+        page.wait_for_function(f"{images}.every(i => i.complete && i.width > 0)")
+        sizes = page.evaluate(f"{images}.map(i => i.width)")
         assert len(sizes) == 2
         assert min(sizes) > 300
         page.keyboard.press("ArrowLeft")
