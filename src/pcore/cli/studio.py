@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import os
 import signal
 import tempfile
 import threading
@@ -80,6 +81,10 @@ def studio(command: StudioCommand, console: Console, stack: ExitStack) -> None:
         ended.wait()
     except KeyboardInterrupt:
         console.print("")
+    # A tab or a thread that does not let go must not keep the program after Ctrl-C.
+    last = threading.Timer(10.0, os._exit, (0,))
+    last.daemon = True
+    last.start()
 
 
 def _opened(command: StudioCommand, stack: ExitStack) -> Studio:
