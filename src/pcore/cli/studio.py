@@ -75,6 +75,9 @@ def studio(command: StudioCommand, console: Console, stack: ExitStack) -> None:
     require_viser()
     ended = threading.Event()
     signal.signal(signal.SIGTERM, lambda number, frame: ended.set())
+    last = threading.Timer(10.0, os._exit, (0,))
+    last.daemon = True
+    stack.callback(last.cancel)
     page = stack.enter_context(closing(_opened(command, stack)))
     print_lines(console, [page.url, *_tunnel(command), _ending(command)])
     try:
@@ -82,8 +85,6 @@ def studio(command: StudioCommand, console: Console, stack: ExitStack) -> None:
     except KeyboardInterrupt:
         console.print("")
     # A tab or a thread that does not let go must not keep the program after Ctrl-C.
-    last = threading.Timer(10.0, os._exit, (0,))
-    last.daemon = True
     last.start()
 
 
