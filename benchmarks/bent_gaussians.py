@@ -19,15 +19,13 @@ from true_light import solid
 
 from pcore.asset.gaussian_content import GaussianContent
 from pcore.deform.base import Deformation
-from pcore.evaluation.deformation_record import DeformationRecord
 from pcore.evaluation.methods import open_subject
-from pcore.evaluation.states import State, open_states
+from pcore.evaluation.states import CANONICAL, State, open_states
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.refine import bending, refined
 from pcore.gaussians.render import pose, render
 
 TOLERANCES = (None, 0.5, 0.2, 0.1)
-RECORD = "deformation.json"
 
 
 def main() -> None:
@@ -46,11 +44,11 @@ def main() -> None:
         raise SystemExit(f"{wish.run}: expected a run of Gaussians")
     columns = ["bent by more than 0.3", "as trained", *map(str, TOLERANCES[1:])]
     print(f"| {wish.scene.name} | {' | '.join(columns)} |\n|{'---|' * (len(columns) + 1)}")
-    for state in open_states(wish.scene, factor=wish.factor).select(["all"]):
-        record = wish.scene / state.name / RECORD
-        if not record.is_file():
-            continue
-        map_of_space = DeformationRecord.model_validate_json(record.read_text()).deformation()
+    places = open_states(wish.scene, factor=wish.factor)
+    if places.truth is None:
+        raise SystemExit(f"{wish.scene}: no meshes.npz")
+    for state in places.select(["all"]):
+        map_of_space = None if state.name == CANONICAL else places.truth.analytic(state.name)
         if map_of_space is None:
             continue
         share = bending(content.gaussians, map_of_space).amax(dim=1).gt(0.3).double().mean()

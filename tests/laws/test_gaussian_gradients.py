@@ -6,16 +6,16 @@ Against central differences in float64.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
 
+from bent_arm import Arm
 from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
-from pcore.deform.base import Deformation
 from pcore.gaussians.carry import polar
 from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.camera import Camera
@@ -23,19 +23,6 @@ from pcore.geometry.camera import Camera
 STEP = 1e-6
 COUNT = 40
 PLANES = ("rgb", "alpha", "depth")
-
-
-@dataclass(frozen=True)
-class Arm(Deformation):
-    """Turn what lies beyond x = 0 about y by an angle that grows with x, a parameter of torch."""
-
-    angle: Tensor
-
-    def __call__(self, points: Tensor) -> Tensor:
-        x, y, z = points.unbind(dim=-1)
-        angle = self.angle.to(points) * x.clamp_min(0).square()
-        cos, sin = angle.cos(), angle.sin()
-        return torch.stack([cos * x + sin * z, y, cos * z - sin * x], dim=-1)
 
 
 def rod() -> Gaussians:

@@ -16,6 +16,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from bent_arm import Arm
 from pcore.deform.base import Affine, Compose, Deformation
 from pcore.deform.jacobian import estimated_maps
 from pcore.deform.pose import pose
@@ -51,19 +52,6 @@ CONFIG = PaprConfig(
 STEP = 1e-6
 PLANES = ("rgb", "alpha", "depth", "surface")
 COUNT = 300
-
-
-@dataclass(frozen=True)
-class Arm(Deformation):
-    """Turn what lies beyond x = 0 about y by an angle that grows with x, a parameter of torch."""
-
-    angle: Tensor
-
-    def __call__(self, points: Tensor) -> Tensor:
-        x, y, z = points.unbind(dim=-1)
-        angle = self.angle.to(points) * x.clamp_min(0).square()
-        cos, sin = angle.cos(), angle.sin()
-        return torch.stack([cos * x + sin * z, y, cos * z - sin * x], dim=-1)
 
 
 def network(**changes: Any) -> Papr:

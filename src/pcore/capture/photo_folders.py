@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 
 from pcore.capture.photos import Photo, inside
-from pcore.data.image_paths import MASK_ENDINGS, Finder, Wanted, is_file
+from pcore.data.image_paths import Finder, Wanted, is_file, mask_places
 from pcore.errors import SceneError
 
 _ABSOLUTE = re.compile(r"^([A-Za-z]:[\\/]|[\\/])")
@@ -127,18 +127,12 @@ def with_masks(photos: Sequence[Photo], root: Path) -> tuple[Sequence[Photo], tu
 
 def _mask_beside(photo: Photo, root: Path) -> Path | None:
     assert photo.path is not None, "photos without a file have no mask"
-    name, stem, folder = photo.path.name, photo.path.stem, photo.path.parent
     below = Path(photo.name.replace("\\", "/")).parent
     plain = not below.is_absolute() and ".." not in below.parts
     candidates = [
-        *(
-            root / kind / at / f"{file}{ending}"
-            for at in (Path(), *([below] if plain else []))
-            for kind in ("masks", "mask")
-            for ending in MASK_ENDINGS
-            for file in (stem, name)
-        ),
-        folder / f"{stem}.alpha{photo.path.suffix}",
+        *mask_places(root, photo.path),
+        *(mask_places(root, photo.path, below) if plain else []),
+        photo.path.with_name(f"{photo.path.stem}.alpha{photo.path.suffix}"),
     ]
     path = next((path for path in candidates if is_file(path)), None)
     return None if path is None else inside(root, path)

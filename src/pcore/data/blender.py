@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from pcore.data.image_files import ImageHeader, read_header
-from pcore.data.image_paths import MASK_ENDINGS, Finder, Wanted, is_file
+from pcore.data.image_paths import Finder, Wanted, is_file, mask_places
 from pcore.data.images import AlphaOfSplit, ImageCache, ImageSource, check_factor
 from pcore.data.poses import check_poses
 from pcore.data.scene import Split, SplitsOnDemand, View
@@ -211,17 +211,11 @@ def _notes(views: Sequence[View], turned: int, root: Path) -> list[str]:
 def _mask_beside(image: Path, root: Path) -> Path | None:
     """A mask of an image where instant-ngp, nerfstudio and COLMAP keep one; None if none is."""
     name, stem, folder = image.name, image.stem, image.parent
-    home = root.resolve()
     candidates = [
         folder / f"dynamic_mask_{stem}.png",
         folder / f"{name}.alpha{image.suffix}",
         folder / f"{stem}.alpha{image.suffix}",
-        *(
-            home / kind / f"{file}{ending}"
-            for kind in ("masks", "mask")
-            for ending in MASK_ENDINGS
-            for file in (stem, name)
-        ),
+        *mask_places(root.resolve(), image),
     ]
     # An image's name may fit its system, and a longer one beside it not.
     return next((path for path in candidates if is_file(path)), None)

@@ -26,8 +26,23 @@ _SEARCHED = 20_000
 """Files of a folder that are looked through for one of the same name."""
 
 
-MASK_ENDINGS = (".png", ".PNG", ".jpg", ".JPG", ".jpeg", ".webp")
-"""Of files of masks beside photos; the first that is there is taken."""
+_MASK_ENDINGS = (".png", ".PNG", ".jpg", ".JPG", ".jpeg", ".webp")
+
+
+def mask_places(home: Path, image: Path, below: Path = Path()) -> list[Path]:
+    """Where folders of masks may have that of an image, the first first.
+
+    Args:
+        home: folder that holds them.
+        image: whose mask it is.
+        below: where in the folder of masks it lies.
+    """
+    return [
+        home / kind / below / f"{file}{ending}"
+        for kind in ("masks", "mask")
+        for ending in _MASK_ENDINGS
+        for file in (image.stem, image.name)
+    ]
 
 
 def resolved_link(path: Path) -> Path:

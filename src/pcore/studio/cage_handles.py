@@ -18,7 +18,7 @@ from pcore.editing.shapes import MeshPair
 from pcore.errors import EditError
 from pcore.geometry.point_cloud import extent_of
 from pcore.geometry.surface_mesh import SurfaceMesh
-from pcore.studio.handle_pose import HandlePose, triple
+from pcore.studio.handle_pose import HandlePose, triple, way_of
 
 KINDS = ("cage", "mesh")
 MOST = 200
@@ -93,8 +93,7 @@ def with_vertex(
         after: where it is to be.
     """
     vertices = _vertices(raw)
-    share = max(float(raw.get("amount", 1.0)), 1e-3)
-    vertices[number] += (triple(after.place) - triple(before.place)) / share
+    vertices[number] += way_of(raw, before, after)
     return {**raw, "after": vertices.tolist()}
 
 

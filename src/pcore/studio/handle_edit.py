@@ -10,7 +10,7 @@ from torch import Tensor
 from pcore.editing.dragging import Mirror
 from pcore.editing.regions import Setting
 from pcore.editing.state import EditState
-from pcore.studio.handle_pose import STILL, HandlePose, Quat, is_turned, triple, turn_about
+from pcore.studio.handle_pose import STILL, HandlePose, Quat, is_turned, triple, turn_about, way_of
 
 
 def arriving(state: EditState, index: int) -> Setting:
@@ -73,9 +73,7 @@ def moved_handle(
         after: where it is to be.
     """
     one = dict(raw["handles"][number])
-    share = max(float(raw.get("amount", 1.0)), 1e-3)
-    way = (triple(after.place) - triple(before.place)) / share
-    one["to"] = (triple(one["to"]) + way).tolist()
+    one["to"] = (triple(one["to"]) + way_of(raw, before, after)).tolist()
     if is_turned(before, after):
         one = {key: one[key] for key in one if key not in ("axis", "angle_deg")}
         one["rotation"] = list(after.turn)

@@ -87,6 +87,12 @@ def is_turned(before: HandlePose, after: HandlePose) -> bool:
     return abs(cosine) < 1 - _SAME
 
 
+def way_of(raw: dict[str, Any], before: HandlePose, after: HandlePose) -> Tensor:
+    """(3,) by which an edit must move a handle whole to move it so far at its own amount."""
+    share = max(float(raw.get("amount", 1.0)), 1e-3)
+    return (triple(after.place) - triple(before.place)) / share
+
+
 def _after(second: Quat, first: Quat) -> Quat:
     (a, b, c, d), (w, x, y, z) = second, first
     return (
