@@ -180,7 +180,7 @@ def _show(found: SceneCheck, console: Console) -> None:
             console.print(Text(f"   {one.action}", "dim"), soft_wrap=True)
     for row in map(forecast_row, found.forecasts):
         if row[1] != "-":
-            line = f"{row[0]}: {row[1]}, {row[2]}; elsewhere {row[3]} ({row[4]})"
+            line = f"{row[0]}: {row[1]}, {row[2]}; quality {row[3]} ({row[4]})"
             console.print(Text(line), soft_wrap=True)
 
 
