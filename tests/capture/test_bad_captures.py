@@ -143,8 +143,61 @@ def test_masks_that_are_missing(tmp_path: Path) -> None:
 def test_pages_that_were_saved_as_photos(tmp_path: Path) -> None:
     write_colmap(tmp_path)
     (tmp_path / "images" / "img_2.png").write_text("<!DOCTYPE html><html>404</html>")
-    assert "img_2.png: image" in reason(tmp_path)
-    assert "file of another kind" in reason(tmp_path)
+    assert reason(tmp_path).startswith("img_2.png: expected an image such as PNG, got a file of")
+
+
+@pytest.mark.parametrize("ending", ["jpg", "png", "webp", "tif", "avif"])
+def test_photos_that_were_cut_off(ending: str, tmp_path: Path) -> None:
+    photos = shots(names=f"img_{{}}.{ending}")
+    write_photos(tmp_path / "images", [shot.name for shot in photos], size=(96, 64))
+    write_model(tmp_path / "sparse" / "0", photos)
+    assert load_scene(tmp_path).skipped == ()
+    path = tmp_path / "images" / f"img_2.{ending}"
+    content = path.read_bytes()
+    path.write_bytes(content[: 2 * len(content) // 3])
+    assert reason(tmp_path).startswith(f"img_2.{ending}: ")
+    assert not reason(tmp_path).startswith(f"img_2.{ending}: image")
+
+
+def test_photos_that_something_was_appended_to(tmp_path: Path) -> None:
+    photos = shots(names="img_{}.jpg")
+    write_photos(tmp_path / "images", [shot.name for shot in photos])
+    write_model(tmp_path / "sparse" / "0", photos)
+    path = tmp_path / "images" / "img_2.jpg"
+    path.write_bytes(path.read_bytes() + b"a film of the moment" * 500)
+    assert load_scene(tmp_path).skipped == ()
+
+
+def test_pictures_with_wrong_checksums(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    path = tmp_path / "images" / "img_2.png"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 255
+    path.write_bytes(content)
+    assert "cut off or damaged" in reason(tmp_path)
+
+
+def test_lenses_that_show_nothing(tmp_path: Path) -> None:
+    write_ngp(tmp_path, k1=1e30)
+    with pytest.raises(SceneError, match=r"got 0.*its lens \(k1 1e\+30, .* another lens model"):
+        load_scene(tmp_path)
+
+
+def test_spheres_of_idr_without_size(tmp_path: Path) -> None:
+    write_idr(tmp_path)
+    path = tmp_path / "cameras_sphere.npz"
+    with np.load(path) as archive:
+        content = dict(archive)
+    np.savez(path, **{**content, "scale_mat_0": np.zeros((4, 4))})
+    with pytest.raises(SceneError, match="scale and shift the unit sphere .* a radius of 0 around"):
+        load_scene(tmp_path)
+
+
+def test_text_models_with_a_byte_order_mark(tmp_path: Path) -> None:
+    write_colmap(tmp_path, text=True)
+    for path in (tmp_path / "sparse" / "0").iterdir():
+        path.write_text(path.read_text(), encoding="utf-8-sig")
+    assert len(load_scene(tmp_path).split("train")) == 8
 
 
 def test_picture_bombs(tmp_path: Path) -> None:

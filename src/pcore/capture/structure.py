@@ -19,7 +19,7 @@ from pathlib import Path
 from pcore.capture.colmap import find_model
 from pcore.capture.colmap_child import Patience, Tell, run_child
 from pcore.capture.layouts import PHOTOS, Layout
-from pcore.capture.photos import pictures_in
+from pcore.capture.photos import photos_below
 from pcore.capture.video_frames import choose_frames
 from pcore.errors import DependencyError, SceneError
 
@@ -38,7 +38,7 @@ def with_poses(layout: Layout, tell: Tell, patience: Patience | None = None) -> 
         DependencyError: pycolmap (extra `colmap`) is not installed.
     """
     video = layout.name != PHOTOS
-    sources = [layout.path] if video else pictures_in(layout.path)
+    sources = [layout.path] if video else photos_below(layout.path)
     place = cache_folder() / files_key(sources)
     if not place.is_dir():
         if importlib.util.find_spec("pycolmap") is None:
@@ -84,7 +84,7 @@ def _reconstruct(layout: Layout, place: Path, tell: Tell, patience: Patience) ->
         if layout.name != PHOTOS:
             images = work / "images"
             choose_frames(layout.path, images, tell)
-        names = [path.name for path in pictures_in(images)]
+        names = [path.relative_to(images).as_posix() for path in photos_below(images)]
         wish = {
             "images": str(images.resolve()),
             "names": names,

@@ -218,6 +218,8 @@ def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> 
     scene = _opened(command, command.factor or 1, console)[0]
     if command.box:
         scene = replace(scene, region=found.region)
+    if scene.sparse is None:  # Those that were triangulated now.
+        scene = replace(scene, sparse=found.scene.sparse)
     masks = None
     if found.masks is not None and found.masks.automatic:
         masks = dict(zip(keys, found.masks.masks, strict=True))

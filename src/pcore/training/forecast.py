@@ -26,8 +26,9 @@ _MORE = 1.15
 """A whole training over its steps: validation, saving and the light."""
 _SMALL, _PROBE = 100, 32
 """Sides of the largest patch that is timed as it is, and of one that stands for larger ones."""
-_TIMED, _SCALED = 1.3, 2.0
-"""Within which factor a forecast holds: of steps as they will be, and of scaled ones."""
+_TIMED, _SCALED, _SPREADING = 1.3, 2.0, 3.0
+"""Within which factor a forecast holds: of steps as they will be, of scaled ones, and of points that
+start on a grid and spread, by which more rays meet some (a phone's photos: 2.2 times)."""
 _LARGER = 1.5
 """Photos as much longer than recorded ones are another task."""
 
@@ -183,7 +184,7 @@ def papr_forecast(
         model="papr",
         preset="tiny",
         seconds=_MORE * config.steps * times * cost.seconds,
-        within=_SCALED if scaled else _TIMED,
+        within=_SPREADING if config.start == "grid" else _SCALED if scaled else _TIMED,
         memory=_photo_memory(scene) + _PASSING * times * cost.memory,
         quality="",
         how="a few steps of a smaller patch timed now" if scaled else "a few steps timed now",
