@@ -177,6 +177,19 @@ def test_pictures_with_wrong_checksums(tmp_path: Path) -> None:
     assert "cut off or damaged" in reason(tmp_path)
 
 
+def test_lenses_of_nan(tmp_path: Path) -> None:
+    write_ngp(tmp_path)
+    path = tmp_path / "transforms.json"
+    content = json.loads(path.read_text())
+    content["frames"][2]["k1"] = float("nan")
+    path.write_text(json.dumps(content))
+    assert reason(tmp_path).endswith("a lens with NaN or infinity")
+    content["frames"][2] |= {"k1": 0.0, "fl_x": -30}
+    path.write_text(json.dumps(content))
+    with pytest.raises(SceneError, match=r"frame 2 .*: camera: expected positive focal lengths"):
+        load_scene(tmp_path)
+
+
 def test_lenses_that_show_nothing(tmp_path: Path) -> None:
     write_ngp(tmp_path, k1=1e30)
     with pytest.raises(SceneError, match=r"got 0.*its lens \(k1 1e\+30, .* another lens model"):
@@ -189,15 +202,24 @@ def test_spheres_of_idr_without_size(tmp_path: Path) -> None:
     with np.load(path) as archive:
         content = dict(archive)
     np.savez(path, **{**content, "scale_mat_0": np.zeros((4, 4))})
-    with pytest.raises(SceneError, match="scale and shift the unit sphere .* a radius of 0 around"):
+    with pytest.raises(
+        SceneError, match=r"the unit sphere .* a radius of 0 around"
+    ):
         load_scene(tmp_path)
 
 
-def test_text_models_with_a_byte_order_mark(tmp_path: Path) -> None:
-    write_colmap(tmp_path, text=True)
-    for path in (tmp_path / "sparse" / "0").iterdir():
+@pytest.mark.parametrize("layout", ["colmap", "nsvf", "cameras", "ngp"])
+def test_text_with_a_byte_order_mark(layout: str, tmp_path: Path) -> None:
+    if layout == "colmap":
+        write_colmap(tmp_path, text=True)
+    else:
+        {"nsvf": write_nsvf, "cameras": write_camera_list, "ngp": write_ngp}[layout](tmp_path)
+    before = load_scene(tmp_path)
+    for path in (*tmp_path.rglob("*.txt"), *tmp_path.rglob("*.json")):
         path.write_text(path.read_text(), encoding="utf-8-sig")
-    assert len(load_scene(tmp_path).split("train")) == 8
+    after = load_scene(tmp_path)
+    assert after.layout == before.layout
+    assert len(after.split("train")) == len(before.split("train"))
 
 
 def test_picture_bombs(tmp_path: Path) -> None:

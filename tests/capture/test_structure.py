@@ -226,3 +226,20 @@ def test_a_rendered_scene_without_its_file_is_no_folder_of_photos(tmp_path: Path
     write_photos(tmp_path, ["train/r_0.png", "test/r_0.png"])
     with pytest.raises(SceneError, match="unknown format"):
         load_scene(tmp_path)
+
+
+def test_photos_that_colmap_does_not_read_are_handed_to_it_as_png(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake(monkeypatch)
+    folder = tmp_path / "web"
+    write_photos(folder, [*(f"a{i}.webp" for i in range(5)), *(f"b{i}.jpg" for i in range(5))])
+    (folder / "b4.jpg").write_text("<!DOCTYPE html>")
+    before = sorted(folder.rglob("*"))
+    scene = load_scene(folder)
+    files = {view.image.path.name for views in scene.views.values() for view in views}
+    assert files == {*(f"a{i}.webp" for i in range(5)), *(f"b{i}.jpg" for i in range(4))}
+    assert [one.name for one in scene.skipped] == ["b4.jpg"]
+    assert "a file of another kind" in scene.skipped[0].reason
+    assert sorted(folder.rglob("*")) == before
+    assert not list((tmp_path / "cache").rglob("*.png"))

@@ -14,6 +14,7 @@ from pcore.capture.colmap_model import image_count, kind_of, model_files, read_m
 from pcore.capture.colmap_records import Model, ModelImage
 from pcore.capture.photo_folders import find_photos
 from pcore.capture.photos import Capture, Photo, RawPoints, inside, pictures_in
+from pcore.data.cut_off import why_unreadable
 from pcore.data.scene import Skipped
 from pcore.errors import SceneError
 
@@ -118,7 +119,8 @@ def _without_pose(root: Path, paths: Sequence[Path | None]) -> list[Skipped]:
     left: list[Skipped] = []
     for path in sorted(beside - used):
         twin = twins.get(path.with_suffix(""))
-        why = f"no pose in the model; {twin} of the same name has one" if twin else _NO_POSE
+        why = f"{_NO_POSE}; {twin} of the same name has one" if twin else None
+        why = why or why_unreadable(path) or _NO_POSE
         left.append(Skipped(name=path.relative_to(root.resolve()).as_posix(), reason=why))
     return left
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import astuple, dataclass, replace
 
 import torch
 from torch import Tensor
 
 from pcore.capture.photos import Photo
-from pcore.data.cut_off import check_whole
+from pcore.data.cut_off import why_unreadable
 from pcore.data.image_files import ImageHeader, read_header
 from pcore.data.images import Crop, ImageCache, ImageSource
 from pcore.data.scene import View
-from pcore.errors import InputError, SceneError
+from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.lens_distortion import LensDistortion
 
@@ -44,12 +45,10 @@ def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache) -> Opened
     if photo.size is not None and min(photo.size) < 1:
         raise UnusableError(f"a camera for {photo.size[0]} x {photo.size[1]} pixels")
     pose, notes = _rigid(photo.world_from_camera)
-    try:
-        header = read_header(photo.path)
-        check_whole(photo.path)
-    except SceneError as problem:
-        # The photo is named beside the reason; reasons that are alike are listed once.
-        raise UnusableError(str(problem).removeprefix(f"image {photo.path}: ")) from problem
+    unreadable = why_unreadable(photo.path)
+    if unreadable is not None:
+        raise UnusableError(unreadable)
+    header = read_header(photo.path)
     upright = _is_upright(photo, header)
     full = header.upright_size if upright else (header.width, header.height)
     if header.orientation != 1:
@@ -95,6 +94,8 @@ def _check_lens(lens: LensDistortion, size: tuple[int, int]) -> None:
     """Refuse numbers that no lens has: hardly a pixel of the straight picture would be seen."""
     if lens.is_straight:
         return
+    if not all(map(math.isfinite, astuple(lens))):
+        raise UnusableError("a lens with NaN or infinity")
     small = lens.scaled(_GRID / size[0], _GRID / size[1])
     seen = float(small.sources(_GRID, _GRID)[1].float().mean())
     if seen < _SEEN:

@@ -65,7 +65,7 @@ def read_camera_list(root: Path, path: Path, factor: int) -> Capture:
         SceneError: other content, or no photo of its names.
     """
     try:
-        entries = json.loads(path.read_text(encoding="utf-8", errors="replace"))
+        entries = json.loads(path.read_text(encoding="utf-8-sig", errors="replace"))
         cameras = [_listed_camera(entry) for entry in entries]
         if not cameras:
             raise ValueError("there is no camera in it")
@@ -98,7 +98,7 @@ def read_camera_list(root: Path, path: Path, factor: int) -> Capture:
 def is_camera_list(path: Path) -> bool:
     """Whether a `cameras.json` is that of 3D Gaussian splatting; other programs have one too."""
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
             head = file.read(4000)
     except OSError:
         return False
@@ -122,7 +122,11 @@ def _listed_camera(entry: Mapping[str, Any]) -> Photo:
 
 def _nsvf_lens(path: Path) -> tuple[LensDistortion, tuple[int, int] | None]:
     """Intrinsics: a 4 x 4 matrix, or "f cx cy 0" on the first line and the size on the last."""
-    lines = [line.split() for line in path.read_text(errors="replace").splitlines() if line.strip()]
+    lines = [
+        line.split()
+        for line in path.read_text("utf-8-sig", errors="replace").splitlines()
+        if line.strip()
+    ]
     try:
         rows = [[float(one) for one in line] for line in lines]
         if _is_matrix(rows):
@@ -162,7 +166,9 @@ def _nsvf_box(root: Path, name: str) -> Region | None:
 def _numbers(path: Path, count: int) -> NDArray[np.float64]:
     """The first numbers of a text file."""
     try:
-        found = [float(one) for one in path.read_text(errors="replace").split()[:count]]
+        found = [
+            float(one) for one in path.read_text("utf-8-sig", errors="replace").split()[:count]
+        ]
     except ValueError as problem:
         raise SceneError(f"{path}: expected {count} numbers, got text ({problem})") from problem
     if len(found) != count:

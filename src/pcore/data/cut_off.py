@@ -7,6 +7,7 @@ from pathlib import Path
 
 from PIL import Image
 
+from pcore.data.image_files import read_header
 from pcore.errors import SceneError
 
 _TAIL = 4096
@@ -37,6 +38,16 @@ def check_whole(path: Path) -> None:
         raise SceneError(
             f"image {path}: cut off or damaged ({problem}); copy or export it again"
         ) from problem
+
+
+def why_unreadable(path: Path) -> str | None:
+    """Why a picture cannot be used, to be read after its name; None of a whole one."""
+    try:
+        read_header(path)
+        check_whole(path)
+    except SceneError as problem:
+        return str(problem).removeprefix(f"image {path}: ")
+    return None
 
 
 def _tail(path: Path) -> bytes:

@@ -18,7 +18,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from pcore.errors import SceneError
 
 ENDINGS = (
-    *(".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff"),
+    *(".png", ".jpg", ".jpeg", ".jfif", ".webp", ".bmp", ".tif", ".tiff"),
     *(".heic", ".heif", ".avif"),
 )
 """Of pictures, in lower case: what names may end in, and what is looked for in a folder."""

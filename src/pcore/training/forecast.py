@@ -27,8 +27,8 @@ _MORE = 1.15
 _SMALL, _PROBE = 100, 32
 """Sides of the largest patch that is timed as it is, and of one that stands for larger ones."""
 _TIMED, _SCALED, _SPREADING = 1.3, 2.0, 3.0
-"""Within which factor a forecast holds: of steps as they will be, of scaled ones, and of points that
-start on a grid and spread, by which more rays meet some (a phone's photos: 2.2 times)."""
+"""Within which factor a forecast holds: of steps as they will be, of scaled ones, and of points
+that start on a grid and spread, by which more rays meet some (a phone's photos: 2.2 times)."""
 _LARGER = 1.5
 """Photos as much longer than recorded ones are another task."""
 
