@@ -179,12 +179,13 @@ def papr_forecast(
     points = config.points if config.grow is None else config.grow.limit
     probe = replace(config, patch=replace(config.patch, side=probed, views=1), points=points)
     times = config.patch.views * _area(camera, side) / _area(camera, probed)
+    spreads = config.start == "grid" and config.model.cutoff is not None
     cost = papr_step(scene, probe, clock=clock)
     return Forecast(
         model="papr",
         preset="tiny",
         seconds=_MORE * config.steps * times * cost.seconds,
-        within=_SPREADING if config.start == "grid" else _SCALED if scaled else _TIMED,
+        within=_SPREADING if spreads else _SCALED if scaled else _TIMED,
         memory=_photo_memory(scene) + _PASSING * times * cost.memory,
         quality="",
         how="a few steps of a smaller patch timed now" if scaled else "a few steps timed now",
