@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from pcore.data.scene import Scene
+from pcore.training import forecast
 from pcore.training.config import GrowConfig, PatchConfig
 from pcore.training.forecast import forecasts, gaussian_forecast, papr_forecast
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
@@ -45,12 +46,12 @@ def test_papr_takes_what_was_said(
         validate_every=40,
         save_every=40,
     )
-    forecast = papr_forecast(box, config)
+    said = papr_forecast(box, config)
     began = time.process_time()
     pretrain(box, config)
-    assert forecast.seconds is not None
-    assert forecast.within == (1.3 if largest == 24 else 2.0)
-    assert forecast.seconds / 2 < time.process_time() - began < 2 * forecast.seconds
+    assert said.seconds is not None
+    assert said.within == (1.3 if largest == 24 else 2.0)
+    assert said.seconds / 2 < time.process_time() - began < 2 * said.seconds
 
 
 def test_what_gradients_keep_grows_with_the_rays(box: Scene) -> None:
@@ -88,3 +89,13 @@ def test_every_preset_has_a_forecast(box: Scene, monkeypatch: pytest.MonkeyPatch
     assert all(one.memory is not None and one.memory > 0.5e9 for one in found.values())
     assert found["papr", "tiny"].quality.startswith("23 to 32 dB of the object")
     assert found["papr", "paper"].quality == "not recorded"
+
+
+def test_larger_photos_are_told_which_factor_has_the_recorded_size(
+    box: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = replace(forecast._RECORDS[0], side=12)
+    monkeypatch.setattr("pcore.training.forecast._RECORDS", (small,))
+    said = forecast._quality("gaussians", replace(box, factor=3), masked=True)
+    assert said.startswith("less than 29 to 37 dB")
+    assert said.endswith("--factor 6 is about that size")

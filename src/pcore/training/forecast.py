@@ -120,7 +120,7 @@ def forecasts(scene: Scene) -> tuple[Forecast, ...]:
     )
     found: list[Forecast] = []
     for model, name in named:
-        quality = _quality(model, _largest(scene), masked=masked) if name == "tiny" else ""
+        quality = _quality(model, scene, masked=masked) if name == "tiny" else ""
         try:
             if model == "gaussians":
                 one = gaussian_forecast(scene, gaussian_preset(name))
@@ -192,14 +192,16 @@ def papr_forecast(
     )
 
 
-def _quality(model: Model, camera: Camera, *, masked: bool) -> str:
+def _quality(model: Model, scene: Scene, *, masked: bool) -> str:
     """What trainings of the most similar photos gave, and how that size is had."""
+    camera = _largest(scene)
     side = max(camera.width, camera.height)
     fitting = [one for one in _RECORDS if (one.model, one.masked) == (model, masked)]
     near = min(fitting, key=lambda one: abs(math.log(side / one.side)))
     if side < _LARGER * near.side:
         return near.said
-    return f"less than {near.said}; --factor {round(side / near.side)} is about that size"
+    factor = scene.factor * round(side / near.side)
+    return f"less than {near.said}; --factor {factor} is about that size"
 
 
 def _largest(scene: Scene) -> Camera:
