@@ -202,9 +202,7 @@ def test_spheres_of_idr_without_size(tmp_path: Path) -> None:
     with np.load(path) as archive:
         content = dict(archive)
     np.savez(path, **{**content, "scale_mat_0": np.zeros((4, 4))})
-    with pytest.raises(
-        SceneError, match=r"the unit sphere .* a radius of 0 around"
-    ):
+    with pytest.raises(SceneError, match=r"the unit sphere .* a radius of 0 around"):
         load_scene(tmp_path)
 
 

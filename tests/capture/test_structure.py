@@ -243,3 +243,20 @@ def test_photos_that_colmap_does_not_read_are_handed_to_it_as_png(
     assert "a file of another kind" in scene.skipped[0].reason
     assert sorted(folder.rglob("*")) == before
     assert not list((tmp_path / "cache").rglob("*.png"))
+
+
+@pytest.mark.parametrize("link", ["IMG_3.jpg", "walk"])
+def test_links_that_lead_out_are_not_handed_to_colmap(
+    link: str, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    child(monkeypatch, "raise SystemExit('COLMAP read them')")
+    if link == "walk":
+        photos = photos.rename(tmp_path / "elsewhere")
+        (tmp_path / "scene").mkdir()
+        (tmp_path / "scene" / link).symlink_to(photos)
+        photos = tmp_path / "scene"
+    else:
+        (photos / link).rename(tmp_path / "secret.jpg")
+        (photos / link).symlink_to(tmp_path / "secret.jpg")
+    with pytest.raises(SceneError, match="leads out of the scene's folder"):
+        load_scene(photos)

@@ -21,7 +21,7 @@ from PIL import Image
 from pcore.capture.colmap import find_model
 from pcore.capture.colmap_child import Patience, Tell, run_child
 from pcore.capture.layouts import PHOTOS, Layout
-from pcore.capture.photos import photos_below
+from pcore.capture.photos import inside, photos_below
 from pcore.capture.video_frames import choose_frames
 from pcore.data.cut_off import why_unreadable
 from pcore.errors import DependencyError, SceneError
@@ -39,11 +39,14 @@ def with_poses(layout: Layout, tell: Tell, patience: Patience | None = None) -> 
         The layout of the model in the cache, with the photos where they are.
 
     Raises:
-        SceneError: too few photos, no common structure, or a child that hung or crashed.
+        SceneError: too few photos, a link that leads out of the folder, no common structure, or a
+            child that hung or crashed.
         DependencyError: pycolmap (extra `colmap`) is not installed.
     """
     video = layout.name != PHOTOS
     sources = [layout.path] if video else photos_below(layout.path)
+    for path in sources:
+        inside(layout.root, path)  # Before COLMAP reads what links lead to.
     place = cache_folder() / files_key(sources)
     if not place.is_dir():
         if importlib.util.find_spec("pycolmap") is None:
