@@ -381,3 +381,13 @@ def test_files_that_choose_nothing(tmp_path: Path) -> None:
         (tmp_path / name).write_text("")
     with pytest.raises(SceneError, match="holds 2 videos; give the path of one"):
         load_scene(tmp_path)
+
+
+def test_pictures_of_nsvf_without_a_pose(tmp_path: Path) -> None:
+    write_nsvf(tmp_path)
+    (tmp_path / "pose" / "0_0001.txt").unlink()
+    write_photos(tmp_path / "rgb", ["0_0000.jpg"])
+    assert {(one.name, one.reason) for one in load_scene(tmp_path).skipped} == {
+        ("0_0001.png", "no pose of its own"),
+        ("0_0000.png", "no pose of its own"),
+    }

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pcore.capture.colmap import opengl_pose
 from pcore.capture.photo_folders import find_photos
 from pcore.capture.photos import Capture, Photo, inside, natural_key, pictures_in
+from pcore.data.scene import Skipped
 from pcore.errors import InputError, SceneError
 from pcore.geometry.lens_distortion import LensDistortion
 from pcore.geometry.object_region import Region, region_of_box
@@ -32,7 +33,8 @@ def read_nsvf(root: Path, path: Path, factor: int) -> Capture:
     lens, size = _nsvf_lens(path)
     photos: list[Photo] = []
     poses = {one.stem: one for one in sorted((root / "pose").glob("*.txt"))}
-    images = {one.stem: one for one in pictures_in(root / "rgb")}
+    pictures = pictures_in(root / "rgb")
+    images = {one.stem: one for one in reversed(pictures)}  # The first of two of one name.
     for stem in sorted(poses, key=natural_key):
         pose = _numbers(inside(root, poses[stem]), 16).reshape(4, 4)
         turned = torch.from_numpy(pose * np.array([1.0, -1.0, -1.0, 1.0]))
@@ -55,6 +57,11 @@ def read_nsvf(root: Path, path: Path, factor: int) -> Capture:
         photos=photos,
         region=_nsvf_box(root, "bbox.txt"),
         splits=_prefixes(names),
+        skipped=[
+            Skipped(name=one.name, reason="no pose of its own")
+            for one in pictures
+            if one.stem not in poses or images[one.stem] != one
+        ],
     )
 
 
