@@ -30,13 +30,13 @@ from pcore.files.gaussian_file import (
 from pcore.files.provenance import Provenance
 from pcore.gaussians.gaussian_rays import trace
 from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.pinhole import surface_points
 from pcore.gaussians.render import (
     Footprint,
     GaussianPictures,
     PosedGaussians,
     pose,
     render,
-    surface_points,
 )
 from pcore.gaussians.splats import SplatsAtRest
 from pcore.geometry.camera import Camera

@@ -10,7 +10,8 @@ from dataclasses import replace
 import torch
 
 from pcore.data.scene import Scene, View
-from pcore.gaussians.render import PosedGaussians, render_views, view_matrices
+from pcore.gaussians.pinhole import view_matrices
+from pcore.gaussians.render import PosedGaussians, render_views
 from pcore.training.config import PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.gaussian_fit import picture_losses
