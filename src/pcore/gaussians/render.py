@@ -44,11 +44,18 @@ class Footprint:
     flat: bool = False
     """Whether the first two axes are a disc that rays meet (2DGS); the third is then its normal, of
     no size. Published flat Gaussians have a variance of 0.5 and are not antialiased."""
+    pixel: float | None = None
+    """Width of the widest pixel that they learned from, on the object, world units
+    (`wide_pixels.pixel_width`); None where nobody knows."""
 
     def __post_init__(self) -> None:
         if not 0 < self.variance < float("inf"):
             raise InputError(
                 f"footprint: expected a finite variance above 0, got {self.variance} pixels squared"
+            )
+        if self.pixel is not None and not 0 < self.pixel < float("inf"):
+            raise InputError(
+                f"footprint: expected a finite width of a pixel above 0, got {self.pixel} units"
             )
 
 

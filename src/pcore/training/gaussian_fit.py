@@ -169,6 +169,7 @@ def _fit(
         backdrop=config.background,
         seed=config.seed + 1,
         place=None if bound is None else bound.place,
+        cameras=[view.camera for view in views],
         fits_exposure=exposure is not None,
     )
     return _Fit(
