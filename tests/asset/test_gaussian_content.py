@@ -21,6 +21,7 @@ from pcore.deform.simple import uniform_scale
 from pcore.errors import InputError
 from pcore.gaussians.carry import carried
 from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.wide_pixels import pixel_width
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
 from pcore.geometry.pixel_samples import grid_places
@@ -49,6 +50,19 @@ def camera(distance: float = 4.0) -> Camera:
         torch.zeros(3), distance, 1, elevation=0.3, width=40, height=32, angle_x=0.6
     )
     return one
+
+
+def test_wide_pixels_are_divided_unless_frames_are_quick() -> None:
+    plain, seen = an_asset(), camera()
+    content = cast(GaussianContent, plain.content)
+    pixel = pixel_width(content.gaussians, seen)
+    known = replace(content, footprint=replace(content.footprint, pixel=pixel))
+    asset, half = replace(plain, content=known), seen.resized(20, 16)
+    fine = asset.render(None, seen).rgb
+    mean = fine.reshape(16, 2, 20, 2, 3).mean(dim=(1, 3))
+    torch.testing.assert_close(asset.render(None, half).rgb, mean)
+    assert torch.equal(asset.render(None, half, fast=True).rgb, plain.render(None, half).rgb)
+    assert torch.equal(fine, plain.render(None, seen).rgb)
 
 
 def test_what_is_trained_in_a_folder_is_what_is_loaded_and_what_memory_gives(

@@ -14,7 +14,7 @@ from pcore.asset.content import MovedPoints
 from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.files.provenance import Provenance
 from pcore.files.run_record import RunRecord
-from pcore.gaussians.render import surface_points
+from pcore.gaussians.pinhole import surface_points
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
 

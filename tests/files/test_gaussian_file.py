@@ -44,12 +44,13 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
 
 def test_flat_ones_are_told_from_others_and_from_older_files(tmp_path: Path) -> None:
     path = tmp_path / "gaussians.safetensors"
-    save_gaussians(path, replace(SAVED, footprint=Footprint(flat=True)))
-    assert load_gaussians(path).footprint == Footprint(flat=True)
+    flat = Footprint(flat=True, pixel=0.01)
+    save_gaussians(path, replace(SAVED, footprint=flat))
+    assert load_gaussians(path).footprint == flat
     save_gaussians(path, SAVED)
     # Older files do not say so; spaces keep the length of the header.
     content = path.read_bytes()
-    entry = b', \\"flat\\": false'
+    entry = b', \\"flat\\": false, \\"pixel\\": null'
     assert content.count(entry) == 1
     path.write_bytes(content.replace(entry, b" " * len(entry)))
     assert load_gaussians(path).footprint == SAVED.footprint

@@ -12,6 +12,7 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.gaussians.carry import carried
 from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.pinhole import surface_points, view_matrices
 from pcore.gaussians.render import (
     PIXEL,
     Footprint,
@@ -19,8 +20,6 @@ from pcore.gaussians.render import (
     pose,
     render,
     render_views,
-    surface_points,
-    view_matrices,
 )
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras

@@ -194,7 +194,7 @@ def test_the_result_is_the_part_of_the_way_that_meets_the_budget(
         work,
         plan(steps=6, validation=("a view",)),
         pull(work),
-        budget=Budget(before=before, psnr=30.0, largest_loss=1.0),
+        budget=Budget(before=before, psnr=[30.0], largest_loss=1.0),
         folder=folder,
         listener=heard,
     )

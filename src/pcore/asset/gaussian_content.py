@@ -30,15 +30,16 @@ from pcore.files.gaussian_file import (
 from pcore.files.provenance import Provenance
 from pcore.gaussians.gaussian_rays import trace
 from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.pinhole import surface_points
 from pcore.gaussians.render import (
     Footprint,
     GaussianPictures,
     PosedGaussians,
     pose,
     render,
-    surface_points,
 )
 from pcore.gaussians.splats import SplatsAtRest
+from pcore.gaussians.wide_pixels import render_divided
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
@@ -195,11 +196,12 @@ class GaussianContent:
         )
 
     def render(self, posed: MovedGaussians, camera: Camera, sampling: Sampling) -> Image:
-        """See `Content.render`; one pass, whose footprint needs no samples."""
+        """See `Content.render`; finer and averaged where pixels are wider than the photos' were."""
         color = self.gaussians.means.new_tensor(self.background)
         cameras = list(camera)
         with torch.set_grad_enabled(posed.drawn.asks_gradient or camera.asks_gradient):
-            found = render(posed.drawn, cameras, footprint=self.footprint, background=color)
+            draw = render if sampling.fast else render_divided
+            found = draw(posed.drawn, cameras, footprint=self.footprint, background=color)
             images = [_image(found, index, one) for index, one in enumerate(cameras)]
         return images[0] if camera.count is None else Image.stack(images)
 

@@ -19,12 +19,12 @@ from pcore.capture.sparse_region import object_points
 from pcore.data.poses import closest_to_axes
 from pcore.data.sparse import SparsePoints
 from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.pinhole import surface_points
 from pcore.gaussians.render import (
     Footprint,
     PosedGaussians,
     blended,
     render,
-    surface_points,
 )
 from pcore.geometry.camera import Camera
 

@@ -67,8 +67,8 @@ def load_gaussians(path: Path | str) -> SavedGaussians:
     header, tensors = _FILE.read(path)
     try:
         gaussians = Gaussians(**{name: tensors[name] for name in _TENSORS}).checked(str(path))
-        # Files of before there were flat ones do not say so.
-        read = {"flat": False, **json.loads(header["footprint"])}
+        # Older files say neither that they are flat nor how wide pixels were.
+        read = {"flat": False, "pixel": None, **json.loads(header["footprint"])}
         footprint = from_dict(Footprint, read, where=f"{path}: footprint")
         provenance = from_dict(
             Provenance, json.loads(header["provenance"]), where=f"{path}: provenance"

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from pcore.deform.skinning import SkinningWeights
 from pcore.fitting.fit_photos import Photo
-from pcore.gaussians.render import PosedGaussians, view_matrices
+from pcore.gaussians.pinhole import view_matrices
+from pcore.gaussians.render import PosedGaussians
 from pcore.gaussians.spherical_harmonics import colors
 from pcore.kernels.cpu_point_pictures import picture_errors
 

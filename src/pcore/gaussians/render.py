@@ -17,6 +17,7 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.gaussians.carry import carried_axes, polar
 from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.pinhole import view_matrices
 from pcore.gaussians.spherical_harmonics import colors, rotated
 from pcore.geometry.camera import Camera
 from pcore.kernels.disc_rasterization import rasterization_2dgs
@@ -27,7 +28,6 @@ PIXEL = 1 / 12
 _NEAR = 0.02
 """Gaussians nearer than this share of the mean distance are not drawn: at the camera itself the
 picture of a Gaussian is no Gaussian."""
-_OPENCV = (1.0, -1.0, -1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,11 +44,18 @@ class Footprint:
     flat: bool = False
     """Whether the first two axes are a disc that rays meet (2DGS); the third is then its normal, of
     no size. Published flat Gaussians have a variance of 0.5 and are not antialiased."""
+    pixel: float | None = None
+    """Width of the widest pixel that they learned from, on the object, world units
+    (`wide_pixels.pixel_width`); None where nobody knows."""
 
     def __post_init__(self) -> None:
         if not 0 < self.variance < float("inf"):
             raise InputError(
                 f"footprint: expected a finite variance above 0, got {self.variance} pixels squared"
+            )
+        if self.pixel is not None and not 0 < self.pixel < float("inf"):
+            raise InputError(
+                f"footprint: expected a finite width of a pixel above 0, got {self.pixel} units"
             )
 
 
@@ -270,38 +277,3 @@ def blended(
         footprint,
     )
     return image[0, ..., :-1], alpha[0, ..., 0], image[0, ..., -1]
-
-
-def view_matrices(cameras: Sequence[Camera], like: Tensor) -> tuple[Tensor, Tensor]:
-    """Camera from world (C, 4, 4) in OpenCV axes, and pinhole matrices (C, 3, 3).
-
-    Args:
-        cameras: C of them; gradients go to their poses and numbers.
-        like: gives device and type.
-    """
-    poses = torch.stack([camera.world_from_camera for camera in cameras]).to(like)
-    axes = like.new_tensor(_OPENCV)
-    # The inverse of a rigid map; rows are the axes right, down, forward.
-    rotation = axes[:, None] * poses[:, :3, :3].mT
-    shift = -rotation @ poses[:, :3, 3:]
-    bottom = like.new_tensor([[0.0, 0.0, 0.0, 1.0]]).expand(len(cameras), 1, 4)
-    viewmats = torch.cat([torch.cat([rotation, shift], dim=-1), bottom], dim=-2)
-    return viewmats, torch.stack([_pinhole(one) for one in cameras]).to(like)
-
-
-def _pinhole(camera: Camera) -> Tensor:
-    """Its matrix (3, 3), float64 on the CPU."""
-    fx, fy, cx, cy = (
-        torch.as_tensor(one, dtype=torch.float64, device="cpu")
-        for one in (camera.fx, camera.fy, camera.cx, camera.cy)
-    )
-    zero, one = fx.new_zeros(()), fx.new_ones(())
-    return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one]).reshape(3, 3)
-
-
-def surface_points(depth: Tensor, camera: Camera) -> Tensor:
-    """World points (H, W, 3) at a camera z (H, W) along the rays through the pixels' centres."""
-    rays = camera.rays()
-    forward = -camera.world_from_camera[:3, 2]
-    steps = depth / (rays.directions @ forward).to(depth)
-    return rays.origins.to(depth) + rays.directions.to(depth) * steps.unsqueeze(-1)

@@ -16,7 +16,8 @@ from torch.nn import functional as F
 
 from pcore.data.scene import View
 from pcore.gaussians.gaussians import Gaussians
-from pcore.gaussians.render import Footprint, blended, surface_points
+from pcore.gaussians.pinhole import surface_points
+from pcore.gaussians.render import Footprint, blended
 from pcore.geometry.rotation import rotations
 from pcore.geometry.surfels import known_normals, spacing_of
 from pcore.render.image import Image

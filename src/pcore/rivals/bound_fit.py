@@ -110,5 +110,6 @@ def fit_bound(
         vertices=vertices,
         faces=faces,
         gaussians=found.gaussians.each(torch.Tensor.detach),
-        footprint=found.footprint,
+        # As it is kept (`kept.py`): rivals are drawn as finely as they were trained.
+        footprint=replace(found.footprint, pixel=None),
     )

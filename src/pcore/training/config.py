@@ -237,9 +237,9 @@ class FinetuneConfig:
     """Move points and surface points by a skinning that learns as well; None leaves that to the
     field."""
     largest_loss: float | None = None
-    """The budget: how many dB the PSNR of held-out training views may lose. Where the last weights
-    lose more, the result is as much of the way to them as meets it (`pcore.training.budget`). None
-    takes the last weights whatever they cost."""
+    """The budget: how many dB the PSNR of each held-out training view may lose. Where one
+    loses more by the last weights, the result is as much of the way to them as meets it
+    (`pcore.training.budget`). None takes the last weights whatever they cost."""
     background: Background = "white"
     """Behind images with alpha."""
     hold_out: int = 10

@@ -74,7 +74,7 @@ class BudgetReport:
     psnr: float
     """Of the result, decibels."""
     largest_loss: float
-    """The budget, decibels: `psnr` is at least `before` minus this."""
+    """The budget, decibels: no held-out view lost more."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -115,6 +115,6 @@ def _budget(
         return None
     return Budget(
         before={name: t.clone() for name, t in work.weights().items()},
-        psnr=validate(anchor, validation, config.background)["psnr"],
+        psnr=[validate(anchor, [view], config.background)["psnr"] for view in validation],
         largest_loss=config.largest_loss,
     )

@@ -185,7 +185,7 @@ class GaussianFinetuneConfig:
     ranges: DeformationRanges = field(default_factory=DeformationRanges)
     """What is drawn."""
     largest_loss: float | None = 0.3
-    """The budget: how many dB the PSNR of held-out training views may lose; as for PAPR."""
+    """The budget: how many dB the PSNR of each held-out training view may lose; as for PAPR."""
     ssim_weight: float = 0.2
     """L_rgb: share of 1 - SSIM; the rest is the absolute error."""
     background: Background = "random"

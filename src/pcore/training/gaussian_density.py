@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from pcore.errors import TrainingError
+from pcore.gaussians.render import GaussianPictures
 from pcore.geometry.rotation import rotations
+from pcore.training.events import Listener, PopulationReport
 from pcore.training.gaussian_config import DensityConfig
+from pcore.training.ranks import Ranks
+from pcore.training.trainable_gaussians import TrainableGaussians
 
 Rows = dict[str, Tensor]
 
@@ -73,3 +79,61 @@ def _parts(raw: Rows, chosen: Tensor, shrink: float, generator: torch.Generator)
     twice["means"] = twice["means"] + turned
     twice["scales"] = (scales / shrink).log()
     return twice
+
+
+@torch.no_grad()
+def observe(
+    work: TrainableGaussians, shown: Sequence[GaussianPictures], views: int, ranks: Ranks
+) -> None:
+    """Sum up how strongly the centres are pulled on the screen, per half a picture."""
+    if not shown[0].means2d.retains_grad:
+        return
+    slopes, seen = torch.zeros_like(work.slopes), torch.zeros_like(work.seen)
+    for one in shown:
+        gradient = one.means2d.grad
+        assert gradient is not None
+        height, width = one.alpha.shape[1:]
+        # Of the loss of this picture alone: the step's is the mean over all of them.
+        half = views * gradient.new_tensor([width / 2, height / 2])
+        lengths = (gradient * half).norm(dim=-1)
+        slopes += lengths.sum(dim=0)
+        seen += (lengths > 0).sum(dim=0)
+    ranks.add([slopes, seen])
+    work.slopes += slopes
+    work.seen += seen
+
+
+@torch.no_grad()
+def change_population(
+    work: TrainableGaussians, config: DensityConfig, masked: bool, tell: Listener
+) -> None:
+    """Let Gaussians come and go, and tell of it.
+
+    Raises:
+        TrainingError: none is left.
+    """
+    before = work.points
+    change = changes(
+        work.weights(),
+        work.slopes / work.seen.clamp_min(1),
+        config,
+        work.distance,
+        masked=masked,
+        generator=work.generator,
+    )
+    kept, added = int(change.keep.sum()), len(change.new["means"])
+    if kept + added == 0:
+        raise TrainingError(
+            f"training of Gaussians: none is left at step {work.step}, all have become "
+            "transparent; check the poses and masks, or lower the learning rates"
+        )
+    work.replace(change.keep, change.new)
+    tell(
+        PopulationReport(
+            stage=work.stage,
+            step=work.step,
+            pruned=before - kept,
+            grown=added,
+            points=work.points,
+        )
+    )

@@ -11,6 +11,7 @@ from pcore.training.events import Listener, silent
 from pcore.training.gaussian_config import GaussianFinetuneConfig
 from pcore.training.gaussian_consistency import GaussianObjective
 from pcore.training.gaussian_start import camera_distance
+from pcore.training.held_out import scores_by_view
 from pcore.training.loop import run_loop
 from pcore.training.loop_plan import Plan
 from pcore.training.trainable_gaussians import TrainedGaussians, trainable_gaussians
@@ -61,7 +62,7 @@ def finetune_gaussians(
     if config.largest_loss is not None and validation:
         budget = Budget(
             before={name: tensor.clone() for name, tensor in work.weights().items()},
-            psnr=work.scores(validation, config.background)["psnr"],
+            psnr=[one["psnr"] for one in scores_by_view(work, validation, config.background)],
             largest_loss=config.largest_loss,
         )
     return run_loop(

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
 from pcore.data.images import background_color, composite
-from pcore.data.scene import Scene, check_images, hold_out
-from pcore.errors import TrainingError
+from pcore.data.scene import Scene, View, check_images, hold_out
 from pcore.files.run_folder import RunFolder
 from pcore.gaussians.gaussians import Gaussians
-from pcore.gaussians.render import GaussianPictures, PosedGaussians, render_views, view_matrices
+from pcore.gaussians.pinhole import view_matrices
+from pcore.gaussians.render import GaussianPictures, PosedGaussians, render_views
 from pcore.geometry.camera import Camera
-from pcore.training.events import Listener, PopulationReport, silent
+from pcore.training.events import Listener, silent
 from pcore.training.exposure import ViewExposure
-from pcore.training.gaussian_config import DensityConfig, GaussianConfig
-from pcore.training.gaussian_density import changes
+from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.gaussian_density import change_population, observe
 from pcore.training.gaussian_start import camera_distance, start_gaussians
 from pcore.training.loop import run_loop
 from pcore.training.loop_plan import Plan
@@ -70,10 +70,92 @@ def fit_gaussians(
         DependencyError: on a GPU without gsplat.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
-    where = torch.device(device)
+    fit = _fit(scene, config, torch.device(device), start, bound, clock)
+    plan = Plan.of(config, fit.validation, scene.name, pace=fit.pace, exposure=fit.exposure)
+    return run_loop(
+        fit.work,
+        plan,
+        fit.losses,
+        after_step=fit.after_step,
+        folder=folder,
+        listener=listener,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Fit:
+    """What a step needs.
+
+    Attributes:
+        work: what is trained.
+        config: numbers, rates, schedule.
+        photos: of the training views, as large as the step wants them.
+        views: how many of them there are.
+        validation: views that are held out.
+        masked: whether masks say how large the object is.
+        pace: how far the training is.
+        exposure: learned along; None takes photos as they are.
+        where: the device.
+        ranks: processes that train together.
+        shown: pictures of the step, until it is done.
+    """
+
+    work: TrainableGaussians
+    config: GaussianConfig
+    photos: PhotosInTurn
+    views: int
+    validation: Sequence[View]
+    masked: bool
+    pace: Pace
+    exposure: ViewExposure | None
+    where: torch.device
+    ranks: Ranks
+    shown: list[GaussianPictures] = field(default_factory=list[GaussianPictures])
+
+    def losses(self) -> Losses:
+        """Draw the photos of the coming step and compare."""
+        progress = self.pace.progress(self.work.step)
+        at_hand = self.photos.at(reduction_at(self.config.levels, progress))
+        batch = _batch(self.work, self.config, self.views)
+        shared = self.ranks.share(batch)
+        found = [self._of_photo(index, at_hand[index], color) for index, color in shared]
+        return found[0] if len(batch) == 1 else mean_of(found, of=len(batch))
+
+    def _of_photo(self, index: int, photo: Photo, color: Tensor) -> Losses:
+        progress, behind = self.pace.progress(self.work.step), color.to(self.where)
+        found = _drawn(self.work, self.config, photo.camera, behind, progress)
+        self.shown.append(found)
+        rgb = found.rgb
+        if self.exposure is not None:
+            rgb = self.exposure.applied(index, rgb, found.alpha, behind)
+        target = composite(photo.rgba(), color).to(self.where).unsqueeze(0)
+        rgb = valid_only(rgb, target, photo.valid())
+        return picture_losses(rgb, target, self.config.ssim_weight)
+
+    def after_step(self, tell: Listener) -> None:
+        """Let Gaussians come and go where that is due."""
+        work, density = self.work, self.config.density
+        observe(work, self.shown, self.config.views, self.ranks)
+        self.shown.clear()
+        due = work.step % density.every == 0 and work.step >= density.first
+        progress = self.pace.progress(work.step)
+        if due and progress <= density.last:
+            room = density.limit // reduction_at(self.config.levels, progress)
+            most = replace(density, limit=max(self.config.points, room))
+            change_population(work, most, self.masked, tell)
+
+
+def _fit(
+    scene: Scene,
+    config: GaussianConfig,
+    where: torch.device,
+    start: Gaussians | None,
+    bound: Bound | None,
+    clock: Clock,
+) -> _Fit:
+    """Make everything ready for the first step; arguments are those of `fit_gaussians`."""
     check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
-    masked = all(view.has_alpha for view in views)
     if bound is not None:
         start = bound.start
     if start is None:
@@ -87,48 +169,20 @@ def fit_gaussians(
         backdrop=config.background,
         seed=config.seed + 1,
         place=None if bound is None else bound.place,
+        cameras=[view.camera for view in views],
         fits_exposure=exposure is not None,
     )
-    pace = _pace(config, scene, clock)
-    photos = PhotosInTurn(views)
-    ranks = current_ranks()
-    shown: list[GaussianPictures] = []
-
-    def losses() -> Losses:
-        progress = pace.progress(work.step)
-        at_hand = photos.at(reduction_at(config.levels, progress))
-        batch = _batch(work, config, len(views))
-        found = [picture(index, at_hand[index], color) for index, color in ranks.share(batch)]
-        return found[0] if len(batch) == 1 else mean_of(found, of=len(batch))
-
-    def picture(index: int, photo: Photo, color: Tensor) -> Losses:
-        found = _drawn(work, config, photo.camera, color.to(where), pace.progress(work.step))
-        shown.append(found)
-        rgb = found.rgb
-        if exposure is not None:
-            rgb = exposure.applied(index, rgb, found.alpha, color.to(where))
-        target = composite(photo.rgba(), color).to(where).unsqueeze(0)
-        rgb = valid_only(rgb, target, photo.valid())
-        return picture_losses(rgb, target, config.ssim_weight)
-
-    def after_step(tell: Listener) -> None:
-        _observe(work, shown, config.views, ranks)
-        shown.clear()
-        density = config.density
-        due = work.step % density.every == 0 and work.step >= density.first
-        progress = pace.progress(work.step)
-        if due and progress <= density.last:
-            room = density.limit // reduction_at(config.levels, progress)
-            most = replace(density, limit=max(config.points, room))
-            _change_population(work, most, masked, tell)
-
-    return run_loop(
-        work,
-        Plan.of(config, validation, scene.name, pace=pace, exposure=exposure),
-        losses,
-        after_step=after_step,
-        folder=folder,
-        listener=listener,
+    return _Fit(
+        work=work,
+        config=config,
+        photos=PhotosInTurn(views),
+        views=len(views),
+        validation=validation,
+        masked=all(view.has_alpha for view in views),
+        pace=_pace(config, scene, clock),
+        exposure=exposure,
+        where=where,
+        ranks=current_ranks(),
     )
 
 
@@ -201,56 +255,3 @@ def _pace(config: GaussianConfig, scene: Scene, clock: Clock) -> Pace:
 
 def _degree(progress: float, config: GaussianConfig) -> int:
     return min(config.degree, int(progress / config.degree_every))
-
-
-@torch.no_grad()
-def _observe(
-    work: TrainableGaussians, shown: Sequence[GaussianPictures], views: int, ranks: Ranks
-) -> None:
-    """Sum up how strongly the centres are pulled on the screen, per half a picture."""
-    if not shown[0].means2d.retains_grad:
-        return
-    slopes, seen = torch.zeros_like(work.slopes), torch.zeros_like(work.seen)
-    for one in shown:
-        gradient = one.means2d.grad
-        assert gradient is not None
-        height, width = one.alpha.shape[1:]
-        # Of the loss of this picture alone: the step's is the mean over all of them.
-        half = views * gradient.new_tensor([width / 2, height / 2])
-        lengths = (gradient * half).norm(dim=-1)
-        slopes += lengths.sum(dim=0)
-        seen += (lengths > 0).sum(dim=0)
-    ranks.add([slopes, seen])
-    work.slopes += slopes
-    work.seen += seen
-
-
-@torch.no_grad()
-def _change_population(
-    work: TrainableGaussians, config: DensityConfig, masked: bool, tell: Listener
-) -> None:
-    before = work.points
-    change = changes(
-        work.weights(),
-        work.slopes / work.seen.clamp_min(1),
-        config,
-        work.distance,
-        masked=masked,
-        generator=work.generator,
-    )
-    kept, added = int(change.keep.sum()), len(change.new["means"])
-    if kept + added == 0:
-        raise TrainingError(
-            f"training of Gaussians: none is left at step {work.step}, all have become "
-            "transparent; check the poses and masks, or lower the learning rates"
-        )
-    work.replace(change.keep, change.new)
-    tell(
-        PopulationReport(
-            stage=work.stage,
-            step=work.step,
-            pruned=before - kept,
-            grown=added,
-            points=work.points,
-        )
-    )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from statistics import fmean
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,6 +16,7 @@ from pcore.render.picture import render
 from pcore.training.config import Background
 from pcore.training.exposure import fitted_exposure
 from pcore.training.trained import Trained
+from pcore.training.work import Work
 
 
 def validate(
@@ -60,6 +63,22 @@ def mean_scores(
             closest = fitted_exposure(rgb[known], photo[known]).clamp(0, 1)
             found["fitted_psnr"].append(_decibels((closest - photo[known]).square().mean()))
     return {name: sum(values) / len(values) for name, values in found.items() if values}
+
+
+def scores_by_view(
+    work: Work[Any],
+    views: Sequence[View],
+    background: Background,
+    weights: Mapping[str, Tensor] | None = None,
+) -> list[dict[str, float]]:
+    """Figures of every single view, of what is trained or of weights in its place."""
+    return [work.scores([view], background, weights) for view in views]
+
+
+def mean_of_views(scores: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Mean of every figure over the views that have it."""
+    names = dict.fromkeys(name for one in scores for name in one)
+    return {name: fmean(one[name] for one in scores if name in one) for name in names}
 
 
 def _decibels(squared_error: Tensor) -> float:

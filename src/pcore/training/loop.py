@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from statistics import fmean
 from typing import Any, TypeVar
 
 import torch
@@ -23,6 +24,7 @@ from pcore.training.events import (
     Stopped,
     ValidationReport,
 )
+from pcore.training.held_out import mean_of_views, scores_by_view
 from pcore.training.interrupt import deferred_interrupt
 from pcore.training.loop_plan import Plan
 from pcore.training.losses import Losses
@@ -157,7 +159,8 @@ def _validate(
 ) -> None:
     if not plan.validation:
         return
-    scores = work.scores(plan.validation, plan.background)
+    found = scores_by_view(work, plan.validation, plan.background)
+    scores = mean_of_views(found)
     psnr = scores["psnr"]
     best = psnr > work.best.get("psnr", -math.inf)
     if best:
@@ -170,28 +173,36 @@ def _validate(
             views=len(plan.validation),
             scores=scores,
             best=best,
-            accepted=budget is None or budget.met_by(psnr),
+            accepted=budget is None or budget.met_by([one["psnr"] for one in found]),
         )
     )
     if budget is not None:
-        _keep(work, plan, budget, psnr, listener, last=last)
+        _keep(work, plan, budget, [one["psnr"] for one in found], listener, last=last)
 
 
 def _keep(
-    work: Work[Any], plan: Plan, budget: Budget, psnr: float, listener: Listener, *, last: bool
+    work: Work[Any],
+    plan: Plan,
+    budget: Budget,
+    psnr: Sequence[float],
+    listener: Listener,
+    *,
+    last: bool,
 ) -> None:
     """Keep weights that meet the budget: these or, at the end, a part of the way to them."""
     if not (last or budget.met_by(psnr)):
         return
 
-    def score(weights: Mapping[str, Tensor]) -> float:
-        return work.scores(plan.validation, plan.background, weights)["psnr"]
+    def score(weights: Mapping[str, Tensor]) -> list[float]:
+        found = scores_by_view(work, plan.validation, plan.background, weights)
+        return [one["psnr"] for one in found]
 
     part = largest_part(budget, work.weights(), psnr, score)
     work.best["weights"] = {name: t.clone() for name, t in part.weights.items()}
-    work.best |= {"kept_step": work.step, "kept_psnr": part.psnr}
+    work.best |= {"kept_step": work.step, "kept_psnr": fmean(part.psnr)}
     if last:
-        trade = {"share": part.share, "before": budget.psnr, "after": psnr, "psnr": part.psnr}
+        ends = {"before": fmean(budget.psnr), "after": fmean(psnr), "psnr": fmean(part.psnr)}
+        trade = {"share": part.share, **ends}
         work.best["trade"] = {**trade, "largest_loss": budget.largest_loss}
         listener(BudgetReport(stage=work.stage, step=work.step, **work.best["trade"]))
 

@@ -13,7 +13,8 @@ from torch import Tensor
 from torch.autograd.graph import saved_tensors_hooks
 
 from pcore.data.scene import Scene, View
-from pcore.gaussians.render import PosedGaussians, render_views, view_matrices
+from pcore.gaussians.pinhole import view_matrices
+from pcore.gaussians.render import PosedGaussians, render_views
 from pcore.metrics.trunks import TRUNKS
 from pcore.training.config import PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
@@ -18,6 +18,8 @@ from pcore.files.run_folder import RunFolder, write_guard
 from pcore.files.training_state import TrainingState, generator_states, restore_generators
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, PosedGaussians, render
+from pcore.gaussians.wide_pixels import pixel_width
+from pcore.geometry.camera import Camera
 from pcore.training.config import Background
 from pcore.training.held_out import mean_scores
 from pcore.training.population import replace_rows
@@ -75,6 +77,8 @@ class TrainableGaussians:
         slopes: (N,) sums of the lengths of screen gradients since the number changed last.
         seen: (N,) how many pictures they are of.
         place: gives Gaussians in the world of what the parameters say; None where they are that.
+        cameras: of the photos, which tell how wide their pixels are; none leaves that as it is in
+            `footprint`.
         stage: "pretrain" or "finetune": in a run folder they stand in the place of PAPR's.
         step: steps done.
         best: figures of the best validation.
@@ -90,6 +94,7 @@ class TrainableGaussians:
     slopes: Tensor
     seen: Tensor
     place: Callable[[Gaussians], Gaussians] | None = None
+    cameras: Sequence[Camera] = ()
     stage: str = "pretrain"
     step: int = 0
     best: dict[str, Any] = field(default_factory=dict[str, Any])
@@ -143,10 +148,14 @@ class TrainableGaussians:
         """Gaussians to hand over."""
         with torch.no_grad():
             gaussians = self.gaussians(weights=weights).each(lambda tensor: tensor.detach().clone())
+        footprint = self.footprint
+        if self.cameras:
+            widest = max(pixel_width(gaussians, camera) for camera in self.cameras)
+            footprint = replace(footprint, pixel=widest)
         color = background_color("black" if self.backdrop == "black" else "white").tolist()
         return TrainedGaussians(
             gaussians=gaussians,
-            footprint=self.footprint,
+            footprint=footprint,
             background=(color[0], color[1], color[2]),
             step=self.step,
             stage="pretrain" if self.stage == "pretrain" else "finetune",
@@ -229,6 +238,7 @@ def trainable_gaussians(
     backdrop: Background,
     seed: int,
     place: Callable[[Gaussians], Gaussians] | None = None,
+    cameras: Sequence[Camera] = (),
     stage: Stage = "pretrain",
     fits_exposure: bool = False,
 ) -> TrainableGaussians:
@@ -255,6 +265,7 @@ def trainable_gaussians(
         slopes=slopes,
         seen=seen,
         place=place,
+        cameras=cameras,
         stage=stage,
         fits_exposure=fits_exposure,
     )

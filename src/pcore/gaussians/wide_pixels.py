@@ -1,0 +1,75 @@
+"""Pictures whose pixels are wider on the object than those that its Gaussians learned from.
+
+A screen filter blurs each Gaussian, and blends what several cover of one pixel as if it lay there
+at random. Drawn as finely as the photos were, and averaged, they show what they have learned
+(ADR 46).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+
+from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.render import Footprint, GaussianPictures, PosedGaussians, render
+from pcore.geometry.camera import Camera
+
+_WIDER = 1.15
+"""So much wider a pixel may be before it is divided: there both ways are equally good."""
+_MOST, _PIXELS = 8, 2**23
+"""Parts of a side of a pixel at most, and of a picture."""
+
+
+def pixel_width(gaussians: Gaussians, camera: Camera, growth: Tensor | None = None) -> float:
+    """Width of a pixel at the object, world units: the median over Gaussians.
+
+    Args:
+        gaussians: at least one.
+        camera: one.
+        growth: (N,) by how much an edit has made each longer; the width is then that at rest.
+    """
+    means = gaussians.means.detach()
+    widths = (means - camera.center.detach().to(means)).norm(dim=-1) / min(camera.focal)
+    return float((widths if growth is None else widths / growth).median())
+
+
+def parts_of_pixels(posed: PosedGaussians, camera: Camera, footprint: Footprint) -> int:
+    """Into how many parts along each side a pixel must be divided; 1 where that is not known."""
+    if footprint.pixel is None or not len(posed.gaussians):
+        return 1
+    growth = None
+    if posed.axes is not None:
+        first, second, third = posed.axes.detach().double().unbind(dim=-1)
+        volumes = (torch.linalg.cross(first, second) * third).sum(dim=-1).abs()
+        rest = posed.gaussians.scales.detach().double().prod(dim=-1)
+        growth = (volumes / rest).pow(1 / 3).clamp_min(torch.finfo(torch.float32).tiny)
+    wider = pixel_width(posed.gaussians, camera, growth) / footprint.pixel
+    room = max(1, math.isqrt(_PIXELS // (camera.width * camera.height)))
+    return max(1, min(math.ceil(min(wider, _MOST) / _WIDER), room))
+
+
+def render_divided(
+    posed: PosedGaussians, cameras: Sequence[Camera], *, footprint: Footprint, background: Tensor
+) -> GaussianPictures:
+    """Draw as `render`, pixels divided where they are too wide; there it has no normals."""
+    parts = max(parts_of_pixels(posed, camera, footprint) for camera in cameras)
+    if parts == 1:
+        return render(posed, cameras, footprint=footprint, background=background)
+    fine = [camera.resized(parts * camera.width, parts * camera.height) for camera in cameras]
+    found = render(posed, fine, footprint=footprint, background=background)
+
+    def averaged(pixels: Tensor) -> Tensor:
+        return avg_pool2d(pixels.unsqueeze(1), parts).squeeze(1)
+
+    alpha = averaged(found.alpha)
+    depth = averaged(found.alpha * found.depth) / alpha.clamp_min(torch.finfo(alpha.dtype).tiny)
+    return GaussianPictures(
+        rgb=avg_pool2d(found.rgb.movedim(-1, 1), parts).movedim(1, -1),
+        alpha=alpha,
+        depth=depth,
+        means2d=found.means2d / parts,
+    )
