@@ -87,7 +87,7 @@ def fit_pose(
     numbers = min(begun, lifted, key=lambda one: fine.error(one, small, config))
     numbers = fine.through(config.stages[config.coarse :], numbers, photos, config, count)
     if config.parts:
-        numbers = _rigid(fine, numbers, photos, config, count)
+        numbers = rigid_limbs(fine, numbers, photos, config, count)
     after = fine.agreement(numbers, finest)
     check_same_object(after, silhouettes=config.silhouettes)
     edit = edit_of(fine.space.pose(numbers), config)
@@ -130,7 +130,7 @@ def _coarse(
     return min(best, searched(best, 1), key=error)
 
 
-def _rigid(
+def rigid_limbs(
     fitter: Fitter,
     free: Tensor,
     photos: Sequence[Photo],
