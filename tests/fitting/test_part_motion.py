@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from banded_rod import armed, cameras, write_photos
+from banded_rod import armed, cameras, rod, write_photos
 from torch import Tensor
 
 from pcore.capture.load import load_scene
-from pcore.deform.skinning import AnchorPose
+from pcore.deform.skinning import AnchorPose, pose_of
+from pcore.editing.script import parse_edit
 from pcore.fitting.anchor_motion import AnchorSpace, rotation_matrices
 from pcore.fitting.fit_config import FitConfig, FitStage
 from pcore.fitting.fit_photos import photos_of
@@ -114,3 +115,23 @@ def test_a_crumpled_arm_is_fitted_as_a_whole(tmp_path: Path, known: bool) -> Non
         return float((places - raised.points).norm(dim=1).mean())
 
     assert miss(found) < (1.1 * miss(true) + 0.005 if known else 0.6 * miss(start))
+
+
+def test_what_bends_everywhere_keeps_its_anchors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asset = rod()
+    bend = {"version": 2, "edits": [{"type": "bend", "axis": "z", "angle_deg": 70}]}
+    photos = write_photos(tmp_path / "bent", asset, asset.pose(bend), cameras(3))
+    fitter = Fitter(gaussian_content(asset), anchor_rig(asset.points, None, CONFIG))
+    true = pose_of(parse_edit(bend).bind(asset.points), fitter.rig.graph.rest)
+    start = fitter.space.numbers(true)
+    views = photos_of(load_scene(photos).split("train"), torch.device("cpu"))
+    # One rigid part cannot bend at all, and one step does not mend that.
+    monkeypatch.setattr("pcore.fitting.rigid_parts._APART", 1e3)
+    config = replace(
+        CONFIG,
+        parts=tuple(replace(stage, steps=1) for stage in CONFIG.parts),
+        jointed=replace(CONFIG.jointed, steps=1),
+    )
+    assert torch.equal(rigid_limbs(fitter, start, views, config, lambda: None), start)
