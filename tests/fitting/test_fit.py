@@ -33,6 +33,7 @@ TWELVE = {"anchors": 12}
 QUICK = FitConfig(
     **TWELVE,
     coarse=1,
+    parts=(),
     search=SearchConfig(sweeps=1, pixels=16),
     stages=(
         FitStage(pixels=16, steps=50, rate=0.1, stiffness=0.05, spread=2.0),
@@ -258,7 +259,7 @@ def test_the_command(
     out = tmp_path / "edit.json"
     words = ["fit", tmp_path / "run", "--photos", bent, "-o", out, "--factor", "1"]
     with pytest.MonkeyPatch.context() as patch:
-        quick = partial(FitConfig, stages=QUICK.stages, coarse=1, search=QUICK.search)
+        quick = partial(FitConfig, stages=QUICK.stages, coarse=1, parts=(), search=QUICK.search)
         patch.setattr("pcore.fitting.fit_config.FitConfig", quick)
         code = main([str(word) for word in [*words, "--anchors", 12]])
     said = capsys.readouterr()

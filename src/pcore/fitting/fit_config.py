@@ -38,6 +38,12 @@ STAGES = (
     FitStage(pixels=100, steps=400, rate=0.05, stiffness=0.001, spread=0.1),
 )
 """Chosen on figures of limbs (docs/research/fit.md)."""
+PART_STAGES = (
+    FitStage(pixels=50, steps=100, rate=0.1, stiffness=0.01, spread=0.0),
+    FitStage(pixels=100, steps=150, rate=0.05, stiffness=0.003, spread=0.0),
+)
+JOINTED = FitStage(pixels=100, steps=250, rate=0.05, stiffness=0.02, spread=0.5)
+"""Of rigid parts, and of all anchors with joints between these; chosen like the others."""
 SEARCHED = 2
 """Last coarse stages that follow a search from the start."""
 
@@ -73,6 +79,8 @@ class FitConfig:
         silhouettes: compare outlines only, not colours: photos that are masks.
         stages: from coarse to fine.
         coarse: how many of the stages are coarse.
+        parts: stages after them of rigid parts, whose motions were found; none leaves them out.
+        jointed: last stage of all anchors, which bend between the parts.
         search: for limbs that moved far.
         relight: steps after which the light on the moved object is computed anew.
     """
@@ -84,6 +92,8 @@ class FitConfig:
     silhouettes: bool = False
     stages: tuple[FitStage, ...] = STAGES
     coarse: int = 4
+    parts: tuple[FitStage, ...] = PART_STAGES
+    jointed: FitStage = JOINTED
     search: SearchConfig = field(default_factory=SearchConfig)
     relight: int = 40
 
@@ -103,8 +113,9 @@ class FitConfig:
     def steps(self) -> int:
         """Steps of all stages of all tries, and sweeps of both searches."""
         coarse = self.stages[: self.coarse]
-        parts = (self.stages, coarse[-SEARCHED:], coarse[-1:])
-        return 2 * self.search.sweeps + sum(stage.steps for part in parts for stage in part)
+        parts = (*self.parts, self.jointed) if self.parts else ()
+        all_stages = (*self.stages, *coarse[-SEARCHED:], *coarse[-1:], *parts)
+        return 2 * self.search.sweeps + sum(stage.steps for stage in all_stages)
 
 
 @dataclass(frozen=True, kw_only=True)

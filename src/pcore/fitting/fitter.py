@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -41,6 +42,12 @@ class Fitter:
         self._weights = SkinningWeights(
             anchors=weights.anchors.to(device), values=weights.values.detach().to(device).float()
         )
+
+    def within(self, space: AnchorSpace) -> Fitter:
+        """Return the same with other numbers that say how its anchors move."""
+        other = copy.copy(self)
+        other.space = space
+        return other
 
     def skinned(self, pose: AnchorPose) -> Skinned:
         """The Gaussians as a pose carries them."""

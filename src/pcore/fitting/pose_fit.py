@@ -19,6 +19,10 @@ from pcore.fitting.fit_config import SEARCHED, FitConfig
 from pcore.fitting.fit_photos import Photo, photos_of
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, pose_of_edit
 from pcore.fitting.fitter import Fitter
+from pcore.fitting.part_motion import PartSpace
+
+_WORSE = 0.1
+"""Share of the error that limbs which keep their shape may cost."""
 
 Progress = Callable[[int, int], None]
 """Told (steps done, steps in all)."""
@@ -51,7 +55,8 @@ def fit_pose(
 
     Positions and turns of few anchors are learned by Adam through the differentiable drawing, from
     small to larger pictures, as rigid as possible; limbs that moved far are found by a search. More
-    anchors then follow the largest pictures.
+    anchors then follow the largest pictures. Parts that turn out to move as wholes are fitted again
+    as such.
 
     Args:
         asset: an object of Gaussians.
@@ -81,6 +86,8 @@ def fit_pose(
     # A start that says more than the coarse anchors can is not given up for what they found.
     numbers = min(begun, lifted, key=lambda one: fine.error(one, small, config))
     numbers = fine.through(config.stages[config.coarse :], numbers, photos, config, count)
+    if config.parts:
+        numbers = rigid_limbs(fine, numbers, photos, config, count)
     after = fine.agreement(numbers, finest)
     check_same_object(after, silhouettes=config.silhouettes)
     edit = edit_of(fine.space.pose(numbers), config)
@@ -121,6 +128,28 @@ def _coarse(
     tries = [fitter.through(stages, start, photos, config, told), searched(start, SEARCHED)]
     best = min(tries, key=error)
     return min(best, searched(best, 1), key=error)
+
+
+def rigid_limbs(
+    fitter: Fitter,
+    free: Tensor,
+    photos: Sequence[Photo],
+    config: FitConfig,
+    told: Callable[[], None],
+) -> Tensor:
+    """Numbers (M, 6) of a pose that bends between rigid parts, unless photos speak against it.
+
+    Anchors by themselves follow what photos and drawing differ in, which other views do not share.
+    Parts cannot, and turn as wholes where one anchor finds no way.
+    """
+    begun = fitter.space.pose(free)
+    parts = PartSpace.found(fitter.space, begun)
+    rigid = fitter.within(parts).through(config.parts, parts.numbers(begun), photos, config, told)
+    bent = fitter.space.numbers(parts.pose(rigid))
+    bent = fitter.within(parts.jointed()).stage(bent, photos, config.jointed, config, told)
+    finest = [photo.at_most(config.jointed.pixels) for photo in photos]
+    errors = [fitter.error(each, finest, config) for each in (free, bent)]
+    return bent if errors[1] < (1 + _WORSE) * errors[0] else free
 
 
 def gaussian_content(asset: Asset) -> GaussianContent:
