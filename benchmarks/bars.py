@@ -67,8 +67,9 @@ def run(wish: argparse.Namespace) -> int:
     for name in wish.only:
         found[name] = scored(wish.data / SCENES[name][0], wish.out / name, SCENES[name][1])
         rest.append(rest_line(name, found[name], open_subject(wish.out / name)))
-        states += state_lines(name, found[name])
-        print(rest[-1], *states[-len(found[name]) :], sep="\n", flush=True)
+        edited = state_lines(name, found[name])
+        states += edited
+        print(rest[-1], *edited, sep="\n", flush=True)
     text = "\n".join(
         [
             "| scene | PSNR, object | bar | whole image | SSIM | Gaussians | processor s | bar |",
