@@ -20,11 +20,14 @@ from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.contest import Contest, Contestant, Cost, Entry, Outcome
 from pcore.evaluation.contest_tables import contest_csv, lines_of, quality_rows
 from pcore.evaluation.contestants import RULES, Given, given_entries, rule_entries
+from pcore.evaluation.equal_time import as_begun
 from pcore.evaluation.rival_entries import BOUND, VOXELS, Workshop
 from pcore.evaluation.states import SceneStates, State, open_states
+from pcore.files.run_record import RunRecord
 from pcore.model.papr import Papr
 from pcore.rivals.voxel_fit import VoxelConfig
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
+from small_training import pretrain_config
 
 
 @pytest.fixture(scope="module")
@@ -224,6 +227,7 @@ def test_rivals_are_trained_once_and_kept(states: SceneStates, tmp_path: Path) -
         config=GaussianConfig(
             steps=60, points=150, degree=1, density=DensityConfig(limit=200), validate_every=60
         ),
+        points=pretrain_config(),
         primitives=120,
         seconds=0.5,
     )
@@ -245,12 +249,41 @@ def test_rivals_are_trained_once_and_kept(states: SceneStates, tmp_path: Path) -
     assert again[0].cost == bound
 
 
+def test_papr_is_trained_for_its_time_and_goes_on_as_it_began(
+    states: SceneStates, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shop = Workshop(
+        folder=tmp_path / "trained",
+        scene=states.scene,
+        config=GaussianConfig(),
+        points=pretrain_config(),
+        primitives=120,
+        seconds=0.2,
+    )
+    for name in ("_LEAST", "_TIMED"):
+        monkeypatch.setattr(f"pcore.evaluation.equal_time.{name}", 3)
+    assert not shop.entries(["papr-time"], ["primitives"], [0])
+    contest = Contest(folder=tmp_path, states=states.select(["grown"]), stamp="x")
+    found = contest.run(shop.entries(["papr-time"], ["time"], [1]))
+    assert [one.failed for one in found[:4]] == [None] * 4
+    assert "expected a light" in str(found[4].failed)  # Of a box that was not learned.
+    assert [one.name for one in found[::2]] == ["PAPR", "aware", "aware + light"]
+    record = RunRecord.read(tmp_path / "trained" / "points-time-0.2-1")
+    asked = record.config["pretrain"]
+    assert asked["seed"] == 1
+    assert record.seconds is not None
+    assert 0 < record.seconds < 10
+    again = as_begun(pretrain_config(), tmp_path / "trained" / "points-time-0.2-1", "pretrain")
+    assert (again.steps, again.save_every) == (asked["steps"], asked["save_every"])
+
+
 @pytest.mark.slow
 def test_a_voxel_field_is_trained_for_its_time(states: SceneStates, tmp_path: Path) -> None:
     shop = Workshop(
         folder=tmp_path / "trained",
         scene=states.scene,
         config=GaussianConfig(steps=60, points=150, degree=0, density=DensityConfig(limit=200)),
+        points=pretrain_config(),
         primitives=120,
         seconds=2.0,
         voxels=VoxelConfig(cells=10, steps=150, rays=300),

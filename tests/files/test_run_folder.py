@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,10 @@ from pcore.files import run_folder as output
 from pcore.files.lock import held
 from pcore.files.run_folder import RunFolder
 from pcore.files.run_place import bytes_needed
+from pcore.files.run_record import RunRecord
 from pcore.files.training_state import TrainingState
+from pcore.training.events import silent
+from pcore.training.in_folder import FolderPlan, train_in_folder
 
 CONFIG = {"steps": 100, "papr": {"neighbours": 8, "size": (1, 2)}}
 
@@ -304,3 +308,44 @@ def test_a_write_that_the_system_stops_halfway_loses_nothing(tmp_path: Path) -> 
     assert "state.pt of step 1" in message
     assert step == "1"
     assert sorted(files(tmp_path / "run")) == [".lock", "run.json", "state.pt"]
+
+
+def test_seconds_are_those_of_both_trainings(tmp_path: Path) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    with create(first) as run:
+        run.update(processor_seconds=40.5)
+    with create(second, config={**CONFIG, "base": "../first"}) as run:
+        assert RunRecord.read(second).seconds is None
+        run.update(processor_seconds=2)
+    assert RunRecord.read(first).seconds == 40.5
+    assert RunRecord.read(second).seconds == 42.5
+    shutil.rmtree(first)
+    assert RunRecord.read(second).seconds is None
+
+
+def test_what_a_killed_training_took_is_not_known(tmp_path: Path) -> None:
+    plan = FolderPlan(path=tmp_path / "run", stage="pretrain", scene="lego", config=CONFIG)
+
+    def train(run: RunFolder, *, until: int) -> None:
+        run.save_state(state(until))
+        if until == 4:
+            raise KeyboardInterrupt
+
+    def spent() -> float | None:
+        return RunFolder.open(plan.path).notes["processor_seconds"]
+
+    with pytest.raises(KeyboardInterrupt):
+        train_in_folder(plan, lambda run, tell: train(run, until=4), silent)
+    first = spent()
+    assert first is not None
+    again = replace(plan, resume=True)
+    train_in_folder(again, lambda run, tell: train(run, until=5), silent)
+    both = spent()
+    assert both is not None
+    assert both >= first
+    with RunFolder.create(
+        plan.path, stage="pretrain", scene="lego", config=CONFIG, resume=True
+    ) as run:
+        run.update(processor_seconds=None)
+    train_in_folder(again, lambda run, tell: train(run, until=6), silent)
+    assert spent() is None

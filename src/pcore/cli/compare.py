@@ -42,8 +42,8 @@ class CompareCommand:
     (plain rays), aware (rays that know of the deformation), light (the light stands still too).
     Rules on Gaussians, given ones and ones that are trained now: 3dgs-fixed, 3dgs-rotation,
     3dgs-affine, 3dgs-light, sc-gs; on flat ones 2dgs-affine, 2dgs-light. Trained now: mani-gs
-    (Gaussians on a mesh), voxels (a field in a cage), motion (PAPR in Motion, for states that have
-    training photos)."""
+    (Gaussians on a mesh), voxels (a field in a cage), papr-time (PAPR for equal time, drawn in the
+    three ways of given runs), motion (PAPR in Motion, for states that have training photos)."""
 
     settings: Annotated[
         tuple[Literal["primitives", "time"], ...], arg(metavar="NAME [NAME ...]")
@@ -219,6 +219,7 @@ def _entries(
         folder=output / "trained",
         scene=places.scene,
         config=gaussian_preset("tiny"),
+        points=preset("tiny"),
         primitives=counts[0] if counts else preset("tiny").points,
         seconds=command.seconds,
         device=device,

@@ -36,6 +36,7 @@ from pcore.evaluation.report import (
     headlines,
 )
 from pcore.evaluation.runner import Value, mean
+from pcore.evaluation.states import CANONICAL
 from pcore.evaluation.summary import Gain, StateMean
 from pcore.evaluation.tables import SUMMARY_FILE, read_summary, shown
 from pcore.files.provenance import pcore_version
@@ -200,7 +201,11 @@ def _sections(panels: Path, means: list[StateMean], views: tuple[int, ...]) -> t
             title=_NAMES.get(state, state),
             caption=" ".join([_ABOUT.get(state, ""), _outcome(state, means)]).strip(),
             rows=tuple(
-                tuple(_figure(panel(panels, state, view, n), n, state) for n in range(len(_TITLES)))
+                # At rest nothing is strained.
+                tuple(
+                    _figure(panel(panels, state, view, n), n, state)
+                    for n in range(len(_TITLES) - (state == CANONICAL))
+                )
                 for view in views
                 if panel(panels, state, view, 0).is_file()
             ),

@@ -11,6 +11,7 @@ from typing import Literal, get_args
 from torch import Tensor
 
 from pcore.asset.asset import Asset
+from pcore.asset.content import LightName, RaysName
 from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.neural_points import NeuralPoints
 from pcore.data.scene import Scene
@@ -40,6 +41,7 @@ MethodName = Literal[
     "sc-gs",
     "mani-gs",
     "voxels",
+    "papr-time",
     "motion",
 ]
 METHODS: tuple[MethodName, ...] = get_args(MethodName)
@@ -53,6 +55,12 @@ RULES: dict[MethodName, str] = {
     "sc-gs": "3DGS (ours), SC-GS's edit rule",
 }
 """Rules for Gaussians: who trains them, and whose rule it is."""
+_WAYS: tuple[tuple[str, RaysName, LightName], ...] = (
+    ("PAPR", "plain", "baked"),
+    ("aware", "aware", "baked"),
+    ("aware + light", "aware", "still"),
+)
+"""To draw neural points: name, rays, light."""
 FLAT: tuple[MethodName, ...] = ("2dgs-affine", "2dgs-light")
 """Those for flat Gaussians; the others are for those in space."""
 
@@ -144,6 +152,33 @@ def rule_entries(
         )
         for key in RULES
         if key in wanted
+    ]
+
+
+def point_entries(
+    setting: Setting,
+    seed: int,
+    stamp: object,
+    make: Callable[[], tuple[Asset, Spent | None]],
+    scene: Scene,
+) -> list[Entry]:
+    """Entries of all ways to draw neural points, which are trained at most once."""
+
+    def contestant(name: str, rays: RaysName, light: LightName) -> Contestant:
+        asset, spent = make()
+        unseen = never_seen(asset.points, scene)
+        method = AssetMethod(name=name, asset=asset, rays=rays, light=light, unseen=unseen)
+        return Contestant(method=method, cost=cost_of(asset, spent))
+
+    return [
+        Entry(
+            name=way[0],
+            setting=setting,
+            seed=seed,
+            stamp=stamp,
+            make=lambda way=way: contestant(*way),
+        )
+        for way in _WAYS
     ]
 
 
@@ -246,8 +281,8 @@ def _parameters(asset: Asset) -> int:
 
 def spent_on(asset: Asset) -> Spent | None:
     """Seconds that are on record of a run's training."""
-    found = asset.record.notes.get("processor_seconds")
-    return Spent(seconds=float(found), megabytes=None) if isinstance(found, int | float) else None
+    found = asset.record.seconds
+    return None if found is None else Spent(seconds=found, megabytes=None)
 
 
 def _stamp_of_folder(folder: Path) -> list[list[str | int]]:

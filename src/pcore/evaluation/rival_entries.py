@@ -1,8 +1,7 @@
-"""Rivals that a comparison trains itself: Gaussians, Gaussians on a mesh, voxels."""
+"""What a comparison trains itself: Gaussians, Gaussians on a mesh, voxels, neural points."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -17,10 +16,17 @@ from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.training import RunOptions, train
 from pcore.data.scene import Scene
 from pcore.evaluation.contest import Contestant, Cost, Entry, Setting
-from pcore.evaluation.contestants import FLAT, RULES, MethodName, rule_entries
+from pcore.evaluation.contestants import (
+    FLAT,
+    RULES,
+    MethodName,
+    point_entries,
+    rule_entries,
+)
+from pcore.evaluation.equal_time import MOST, as_begun, with_seconds
 from pcore.evaluation.gaussian_method import GaussianMethod
 from pcore.evaluation.voxel_method import VoxelMethod
-from pcore.files.run_record import RunRecord, begun, finished
+from pcore.files.run_record import begun, finished
 from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
@@ -29,17 +35,16 @@ from pcore.rivals.cage_mesh import coarse_cage
 from pcore.rivals.kept import Spent, kept_bound, kept_cost, kept_mesh, kept_voxels
 from pcore.rivals.mesh_bound import PER_TRIANGLE
 from pcore.rivals.voxel_fit import VoxelConfig, fit_voxels
+from pcore.training.config import PretrainConfig
 from pcore.training.events import Listener, silent
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.gaussian_fit import fit_gaussians
+from pcore.training.pretrain import pretrain
 
 BOUND = "mesh-bound 3DGS (ours), Mani-GS's binding"
 VOXELS = "cage-warped voxel radiance field (ours), Deforming-NeRF's rule"
 _TRIANGLES = 4000
 """Of the mesh for as long as asked for; three Gaussians each."""
-_PACE, _WARM = 40, 2
-"""Steps that are timed, and those before."""
-_LEAST, _MOST = 200, 30_000
 
 Mesh = tuple[Tensor, Tensor, Tensor, Tensor]
 """Vertices and faces of a mesh of the object, and of its cage."""
@@ -53,6 +58,8 @@ class Workshop:
         folder: for what was trained.
         scene: whose training views they see.
         config: of our Gaussians, from a preset.
+        points: of neural points, which are trained for equal time only: given ones are what equal
+            primitives are equal to.
         primitives: how many they have with equal primitives.
         seconds: of the processor for each with equal time.
         voxels: of voxel fields, whose steps end with their time.
@@ -64,9 +71,10 @@ class Workshop:
     folder: Path
     scene: Scene
     config: GaussianConfig
+    points: PretrainConfig
     primitives: int
     seconds: float
-    voxels: VoxelConfig = field(default_factory=lambda: VoxelConfig(steps=_MOST))
+    voxels: VoxelConfig = field(default_factory=lambda: VoxelConfig(steps=MOST))
     device: str = "cpu"
     listener: Listener = silent
     note: Callable[[str], None] = field(default=lambda text: None)
@@ -85,6 +93,10 @@ class Workshop:
         asked = self.primitives if setting == "primitives" else self.seconds
         stamp = [setting, seed, asked, self.config.steps]
         found: list[Entry] = []
+        if setting == "time" and "papr-time" in wanted:
+            make = cache(partial(self.neural_points, seed))
+            of = [stamp, self.points.steps]
+            found += point_entries(setting, seed, of, make, self.scene)
         for flat in (False, True):
             names: list[MethodName] = [
                 name for name in wanted if name in RULES and (name in FLAT) == flat
@@ -114,21 +126,35 @@ class Workshop:
             self.note(f"{'flat ' * flat}Gaussians, {setting}, seed {seed}{part}")
         found: list[Asset] = []
 
+        config = self._config(setting, seed, share, run, flat=flat)
+
         def make() -> None:
-            config = self._config(setting, seed, share, run, flat=flat)
-            options = RunOptions(resume=begun(run), light=share == 1.0)
-            found.append(
-                train(
-                    self.scene,
-                    config,
-                    folder=run,
-                    listener=self.listener,
-                    device=self.device,
-                    options=options,
-                )
-            )
+            found.append(self._trained(config, run, light=share == 1.0))
 
         spent = kept_cost(run.with_suffix(".json"), make)
+        return found[0].over(WHITE), spent
+
+    def neural_points(self, seed: int) -> tuple[Asset, Spent | None]:
+        """Train PAPR for equal time, or read it.
+
+        Raises:
+            PcoreError: as `pcore.train`.
+        """
+        run = self.folder / f"points-{self._tag('time', seed)}"
+        if not finished(run):
+            self.note(f"PAPR, time, seed {seed}")
+        found: list[Asset] = []
+
+        config = replace(self.points, seed=seed)
+        if begun(run):
+            config = as_begun(config, run, "pretrain")
+        else:
+            fit = partial(pretrain, self.scene, device=self.device)
+            config = with_seconds(config, self.seconds, fit)
+        spent = kept_cost(
+            run.with_suffix(".json"),
+            lambda: found.append(self._trained(config, run, light=True)),
+        )
         return found[0].over(WHITE), spent
 
     def _tag(self, setting: Setting, seed: int) -> str:
@@ -165,10 +191,8 @@ class Workshop:
             self.note(f"Gaussians on a mesh of {len(faces):,} triangles, {setting}, seed {seed}")
         config = replace(self.config, seed=seed)
         if setting == "time" and not path.is_file():
-            pace = _pace(
-                lambda steps: fit_bound(self.scene, vertices, faces, _brief(config, steps))
-            )
-            config = _for(config, self.seconds / 2 / pace)
+            fit = partial(fit_bound, self.scene, vertices, faces)
+            config = with_seconds(config, self.seconds / 2, fit)
         found: list[Any] = []
         spent = kept_cost(
             path.with_suffix(".json"),
@@ -217,45 +241,28 @@ class Workshop:
     def _config(
         self, setting: Setting, seed: int, share: float, run: Path, *, flat: bool
     ) -> GaussianConfig:
-        base = replace(self.config, footprint=replace(self.config.footprint, flat=flat))
-        if begun(run):
-            # What a killed training asked for; another pace would be another training.
-            stored = RunRecord.read(run).config["gaussians"]
-            names = ("steps", "points", "validate_every", "save_every")
-            config = replace(base, seed=seed, **{name: stored[name] for name in names})
-            return replace(
-                config, density=replace(config.density, limit=stored["density"]["limit"])
-            )
-        config = replace(base, seed=seed)
+        footprint = replace(self.config.footprint, flat=flat)
+        config = replace(self.config, seed=seed, footprint=footprint)
         if setting == "primitives":
             start = min(config.points, max(2, round(0.6 * self.primitives)))
             limit = replace(config.density, limit=self.primitives)
             return replace(config, points=start, density=limit)
+        if begun(run):
+            return as_begun(config, run, "gaussians")
+        # Paid for at the end, so that growing is not counted as free.
         full = replace(config, points=config.density.limit)
-        pace = _pace(lambda steps: fit_gaussians(self.scene, _brief(full, steps)))
-        return _for(config, share * self.seconds / pace)
+        found = with_seconds(full, share * self.seconds, partial(fit_gaussians, self.scene))
+        return replace(found, points=config.points)
 
-
-def _pace(fit: Callable[[int], object]) -> float:
-    """Seconds of the processor for a step, from a few."""
-    fit(_WARM)  # Kernels are compiled once.
-    spent: list[float] = []
-    for steps in (_WARM, _WARM + _PACE):
-        begin = time.process_time()
-        fit(steps)
-        spent.append(time.process_time() - begin)
-    # What a training takes besides its steps is in both.
-    return max(spent[1] - spent[0], 1e-3) / _PACE
-
-
-def _brief(config: GaussianConfig, steps: int) -> GaussianConfig:
-    return replace(config, steps=steps, validate_every=_MOST, save_every=_MOST)
-
-
-def _for(config: GaussianConfig, steps: float) -> GaussianConfig:
-    chosen = int(min(max(steps, _LEAST), _MOST))
-    quarter = max(1, chosen // 4)
-    return replace(config, steps=chosen, validate_every=quarter, save_every=quarter)
+    def _trained(self, config: GaussianConfig | PretrainConfig, run: Path, *, light: bool) -> Asset:
+        return train(
+            self.scene,
+            config,
+            folder=run,
+            listener=self.listener,
+            device=self.device,
+            options=RunOptions(resume=begun(run), light=light),
+        )
 
 
 def _at_rest(asset: Asset, camera: Camera) -> Image:

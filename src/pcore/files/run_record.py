@@ -18,6 +18,9 @@ from pcore.files.model_file import MODEL_FILE
 from pcore.files.provenance import Stage
 from pcore.geometry.object_region import Region
 
+SPENT = "processor_seconds"
+"""The note of what a training took, without the light."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
@@ -77,6 +80,17 @@ class RunRecord:
         """Folder of the run that this one was fine-tuned from; None for other runs."""
         found = self.config.get("base")
         return None if found is None else (self.path or Path()) / str(found)
+
+    @property
+    def seconds(self) -> float | None:
+        """Of the processor, for the training and the one that it began with; None: not known."""
+        found = self.notes.get(SPENT)
+        if not isinstance(found, int | float):
+            return None
+        if self.base is None:
+            return float(found)
+        before = RunRecord.read(self.base).seconds if begun(self.base) else None
+        return None if before is None else before + found
 
     @property
     def scene_folder(self) -> Path | None:

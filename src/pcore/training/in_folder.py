@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+import time
+from collections.abc import Callable, Generator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,7 +18,7 @@ from pcore.files.manifest import MANIFEST_FILE, new_manifest, same_run
 from pcore.files.provenance import Stage
 from pcore.files.run_folder import RunFolder
 from pcore.files.run_place import bytes_needed, saved_nothing
-from pcore.files.run_record import finished, relative
+from pcore.files.run_record import SPENT, finished, relative
 from pcore.model.papr import Papr
 from pcore.model.papr_config import PaprConfig
 from pcore.training.events import JsonLinesLog, Listener, TensorBoardLog, fan_out
@@ -105,6 +106,7 @@ def _train(
     if plan.resume:
         plan.note("begins anew" if step is None else f"goes on from step {step:,}")
     with ExitStack() as stack:
+        stack.enter_context(_spending(run, 0.0 if step is None else run.notes.get(SPENT)))
         listeners: list[Listener] = [stack.enter_context(JsonLinesLog(run.log, resumed=resumed))]
         if plan.tensorboard:
             try:
@@ -113,6 +115,19 @@ def _train(
             except DependencyError as error:
                 plan.note(f"note: {error}")
         return train(run, fan_out(*listeners, listener))
+
+
+@contextmanager
+def _spending(run: RunFolder, before: float | None) -> Generator[None]:
+    """Note processor seconds of a training, and those before; None where they are not known."""
+    # Of a training that is killed nobody knows what it took, and so of one that goes on from there.
+    run.update(**{SPENT: None})
+    begin = time.process_time()
+    try:
+        yield
+    finally:
+        if before is not None:
+            run.update(**{SPENT: round(before + time.process_time() - begin, 3)})
 
 
 def _remove_traces(run: RunFolder, *, whole: bool) -> None:
