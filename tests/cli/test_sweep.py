@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from safetensors.numpy import load_file
 from toys import write_scene
 
 from pcore.cli.main import main
@@ -75,6 +79,39 @@ def test_a_plan_in_turn(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (out / "sweep.json").read_bytes() == tables
     assert sweep(plan, "--dry-run") == 0
     assert "0 to run, 1 at a time: about 0:00" in capsys.readouterr().out
+
+
+KILLED = """
+import os, signal, sys
+from pcore.cli.main import main
+from pcore.files.run_folder import RunFolder
+save = RunFolder.save_state
+RunFolder.save_state = lambda *words: (save(*words), os.kill(os.getpid(), signal.SIGKILL))
+main(["sweep", *sys.argv[1:]])
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="nothing is killed outright there")
+def test_a_sweep_that_is_killed_outright_goes_on_to_the_same_bits(plan: Path) -> None:
+    """Killed between the state and the model of the first trial, of two."""
+    plan.write_text(PLAN.partition("    finetune:")[0])
+    out = plan.parent / "out"
+    command = [sys.executable, "-c", KILLED, str(plan), "-o", str(out)]
+    ended = subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
+    assert ended.returncode == -signal.SIGKILL
+    first = out / "trials" / "ball" / "papr" / "seed-0"
+    assert (first / "run" / "state.pt").exists()
+    assert not (first / "trial.json").exists()
+    assert sweep(plan) == 0
+    assert "goes on from step 3" in (first / "output.txt").read_text()
+    # The second began after the kill, so that the first alone is made again.
+    quiet, scene = plan.parent / "quiet", str(plan.parent / "ball")
+    train = ["--model", "papr", "--steps", "3", "--points", "60", "--seed", "0"]
+    machine = ["--device", "cpu", "--threads", "1"]
+    assert main(["train", scene, "-o", str(quiet), *train, *machine]) == 0
+    found, expected = (load_file(run / "model.safetensors") for run in (first / "run", quiet))
+    assert {*found} == {*expected}
+    assert all(found[key].tobytes() == expected[key].tobytes() for key in found)
 
 
 def _check_tables(out: Path) -> None:
