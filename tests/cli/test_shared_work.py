@@ -28,8 +28,8 @@ WORDS = [
     "animate run --edit move.json --frames 3 --orbit --frames-dir {}/frames -o {}/film.mp4",
     "eval run --state scale:1.5 --factor 1 --pictures -o {}/eval",
     "train ball --steps 12 --points 60 --patches 2 --no-tensorboard --threads 1 -o {}/splats",
-    "finetune run --steps 4 --patches 2 --no-tensorboard --threads 1 -o {}/tuned",
-    "compare run --state scale:1.5 --methods papr aware -o {}/compare",
+    "finetune run --preset tiny --steps 4 --patches 2 --no-tensorboard --threads 1 -o {}/tuned",
+    "compare run --factor 1 --state scale:1.5 --methods papr aware -o {}/compare",
 ]
 TRAINED = {"splats", "tuned"}
 TIMED = {"run.json", "compare.csv", "compare.json", "compare.md"}

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +18,7 @@ from toys import write_scene
 
 from pcore.cli.main import main
 from pcore.cli.sweep_places import placed
+from pcore.sweep import sweep_storage
 from pcore.sweep.sweep_storage import fetch
 from pcore.sweep.sweep_tables import TABLES
 from pcore.sweep.sweep_trial import Trial
@@ -273,3 +276,29 @@ def test_a_storage_that_cannot_be_used_is_said_first(
     assert sweep(plan, "--storage", url) == 2
     assert said in capsys.readouterr().err
     assert not (plan.parent / "out").exists()
+
+
+def test_a_full_disk_is_said_first(
+    plan: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=2_000_000))
+    out, store = plan.parent / "out", plan.parent / "store"
+    for words in ([], ["--storage", store.as_uri()]):
+        assert sweep(plan, *words) == 2
+        assert "16 MB free, got 2 MB" in capsys.readouterr().err
+        assert not out.exists()
+
+
+def test_a_storage_that_fails_later_is_one_message(
+    plan: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(url: str) -> None:
+        raise OSError(28, "No space left on device")
+
+    url = f"memory://{plan.parent}/sweep"
+    monkeypatch.setattr(sweep_storage, "_opened", full)
+    monkeypatch.setattr(sweep_storage, "check_storage", lambda url: None)
+    assert sweep(plan, "--storage", url) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"Error: storage {url}")
+    assert "No space left on device; what is complete there is undamaged" in told
