@@ -35,7 +35,6 @@ TRAINED = {"splats", "tuned"}
 TIMED = {"run.json", "compare.csv", "compare.json", "compare.md"}
 
 
-
 def calls(folder: str) -> list[list[str]]:
     return [[*words.format(folder, folder).split(), "--device", "cpu"] for words in WORDS]
 

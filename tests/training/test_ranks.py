@@ -134,9 +134,7 @@ def work(rank: int, folder: Path, kind: str) -> None:
     )
     run = folder / "run" if kind == "gaussians" and rank == 0 else None
     found = (
-        tuned(folder / "box", kind)
-        if kind.startswith("tuned")
-        else told(folder / "box", kind, run)
+        tuned(folder / "box", kind) if kind.startswith("tuned") else told(folder / "box", kind, run)
     )
     (folder / f"{rank}.json").write_text(json.dumps(found))
     torch.distributed.destroy_process_group()

@@ -150,8 +150,7 @@ def _compare(
         stamp=[str(places.path.resolve()), places.factor, command.every],
         perceptual=perceptual,
     )
-    total = len(entries) * len(states)
-    outcomes = contest.run(entries, teller(console, total))
+    outcomes = contest.run(entries, teller(console, len(entries) * len(states)))
     if ranks.rank > 0:
         return
     notes = [places.left_out] if places.left_out else []
