@@ -42,6 +42,10 @@ class DataSet:
     width: int | None = None
     factors: tuple[tuple[str, int], ...] = ()
 
+    def run(self, scene: str) -> str:
+        """Name of the run of a scene."""
+        return scene if self.name == AT_HAND else f"{self.name.lower().replace(' ', '_')}-{scene}"
+
 
 SETS = {
     one.name: one
@@ -100,9 +104,7 @@ class Found:
     @property
     def run(self) -> str:
         """Name of its run."""
-        if self.data.name == AT_HAND:
-            return self.name
-        return f"{self.data.name.lower().replace(' ', '_')}-{self.name}"
+        return self.data.run(self.name)
 
     @property
     def note(self) -> str:
@@ -143,13 +145,12 @@ def find(
             gone = f"no {', '.join(missing)}" if places else "none of its scenes"
             skipped.append(Skipped(name=name, reason=f"{gone} (looked for {tried})"))
         for scene, path in places.items():
+            if only and not {scene, here.run(scene)} & {*only}:
+                continue
             try:
-                one = _opened(here, scene, path, factor)
+                found.append(_opened(here, scene, path, factor))
             except PcoreError as error:
                 skipped.append(Skipped(name=f"{name}, {scene}", reason=str(error)))
-                continue
-            if not only or {scene, one.run} & {*only}:
-                found.append(one)
     return found, skipped
 
 

@@ -34,3 +34,7 @@ class TrainingError(PcoreError):
 
 class DependencyError(PcoreError, ImportError):
     """An optional package is missing; the message names the extra that brings it."""
+
+
+class StorageError(PcoreError, OSError):
+    """The storage of a sweep cannot be read or written."""

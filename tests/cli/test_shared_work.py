@@ -28,7 +28,11 @@ WORDS = [
     "animate run --edit move.json --frames 3 --orbit --frames-dir {}/frames -o {}/film.mp4",
     "eval run --state scale:1.5 --factor 1 --pictures -o {}/eval",
     "train ball --steps 12 --points 60 --patches 2 --no-tensorboard --threads 1 -o {}/splats",
+    "finetune run --preset tiny --steps 4 --patches 2 --no-tensorboard --threads 1 -o {}/tuned",
+    "compare run --factor 1 --state scale:1.5 --methods papr aware -o {}/compare",
 ]
+TRAINED = {"splats", "tuned"}
+TIMED = {"run.json", "compare.csv", "compare.json", "compare.md"}
 
 
 def calls(folder: str) -> list[list[str]]:
@@ -68,7 +72,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")
-        if path.is_file() and "splats" not in path.parts and path.name != "run.json"
+        if path.is_file() and not {"rows", *TRAINED} & {*path.parts} and path.name not in TIMED
     }
 
 
@@ -100,6 +104,8 @@ for number, one in enumerate({calls("two")}):
     assert len(one) > 3 + 5 + 3 + 2
     assert [name for name in one if one[name] != two[name]] == []
     assert (made / "two" / "splats" / "gaussians.safetensors").exists()
+    assert (made / "two" / "tuned" / "model.safetensors").exists()
+    assert len([*(made / "two" / "compare" / "rows").iterdir()]) == 2
 
 
 @pytest.mark.slow

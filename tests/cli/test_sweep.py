@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from safetensors.numpy import load_file
 from toys import write_scene
 
 from pcore.cli.main import main
 from pcore.cli.sweep_places import placed
+from pcore.sweep import sweep_storage
 from pcore.sweep.sweep_storage import fetch
 from pcore.sweep.sweep_tables import TABLES
 from pcore.sweep.sweep_trial import Trial
@@ -75,6 +82,39 @@ def test_a_plan_in_turn(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (out / "sweep.json").read_bytes() == tables
     assert sweep(plan, "--dry-run") == 0
     assert "0 to run, 1 at a time: about 0:00" in capsys.readouterr().out
+
+
+KILLED = """
+import os, signal, sys
+from pcore.cli.main import main
+from pcore.files.run_folder import RunFolder
+save = RunFolder.save_state
+RunFolder.save_state = lambda *words: (save(*words), os.kill(os.getpid(), signal.SIGKILL))
+main(["sweep", *sys.argv[1:]])
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="nothing is killed outright there")
+def test_a_sweep_that_is_killed_outright_goes_on_to_the_same_bits(plan: Path) -> None:
+    """Killed between the state and the model of the first trial, of two."""
+    plan.write_text(PLAN.partition("    finetune:")[0])
+    out = plan.parent / "out"
+    command = [sys.executable, "-c", KILLED, str(plan), "-o", str(out)]
+    ended = subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
+    assert ended.returncode == -signal.SIGKILL
+    first = out / "trials" / "ball" / "papr" / "seed-0"
+    assert (first / "run" / "state.pt").exists()
+    assert not (first / "trial.json").exists()
+    assert sweep(plan) == 0
+    assert "goes on from step 3" in (first / "output.txt").read_text()
+    # The second began after the kill, so that the first alone is made again.
+    quiet, scene = plan.parent / "quiet", str(plan.parent / "ball")
+    train = ["--model", "papr", "--steps", "3", "--points", "60", "--seed", "0"]
+    machine = ["--device", "cpu", "--threads", "1"]
+    assert main(["train", scene, "-o", str(quiet), *train, *machine]) == 0
+    found, expected = (load_file(run / "model.safetensors") for run in (first / "run", quiet))
+    assert {*found} == {*expected}
+    assert all(found[key].tobytes() == expected[key].tobytes() for key in found)
 
 
 def _check_tables(out: Path) -> None:
@@ -236,3 +276,29 @@ def test_a_storage_that_cannot_be_used_is_said_first(
     assert sweep(plan, "--storage", url) == 2
     assert said in capsys.readouterr().err
     assert not (plan.parent / "out").exists()
+
+
+def test_a_full_disk_is_said_first(
+    plan: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=2_000_000))
+    out, store = plan.parent / "out", plan.parent / "store"
+    for words in ([], ["--storage", store.as_uri()]):
+        assert sweep(plan, *words) == 2
+        assert "16 MB free, got 2 MB" in capsys.readouterr().err
+        assert not out.exists()
+
+
+def test_a_storage_that_fails_later_is_one_message(
+    plan: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(url: str) -> None:
+        raise OSError(28, "No space left on device")
+
+    url = f"memory://{plan.parent}/sweep"
+    monkeypatch.setattr(sweep_storage, "_opened", full)
+    monkeypatch.setattr(sweep_storage, "check_storage", lambda url: None)
+    assert sweep(plan, "--storage", url) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"Error: storage {url}")
+    assert "No space left on device; what is complete there is undamaged" in told

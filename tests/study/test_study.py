@@ -211,6 +211,11 @@ def change(record: dict[str, Any], place: str, value: object) -> None:
         (lambda r: change(r, "trial", 99), "pictures of the study's pair 99"),
         (lambda r: change(r, "chosen", "?"), r"chosen \?; was the file changed"),
         (lambda r: change(r, "seconds", "long"), "answers.0.seconds: Input should be a valid"),
+        (
+            lambda r: change(r, "seconds", float("nan")),
+            "answers.0.seconds: Input should be a finite",
+        ),
+        (lambda r: r.update(asked=1), "expected at most the 1 pairs that were asked, got"),
     ],
 )
 def test_changed_answers_are_refused(

@@ -9,13 +9,14 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from tests.small_training import pretrain_config
+from tests.small_training import finetune_config, pretrain_config
 from tests.tiny_scene import write_scene
 
 from pcore.capture.load import load_scene
@@ -24,10 +25,16 @@ from pcore.errors import InputError
 from pcore.files.run_folder import RunFolder
 from pcore.training.config import GrowConfig, PatchConfig, PretrainConfig, PruneConfig
 from pcore.training.events import Event, PopulationReport, Saved, StepReport
-from pcore.training.gaussian_config import DensityConfig, GaussianConfig
+from pcore.training.finetune import finetune
+from pcore.training.gaussian_config import (
+    DensityConfig,
+    GaussianConfig,
+    GaussianFinetuneConfig,
+)
+from pcore.training.gaussian_finetune import finetune_gaussians
 from pcore.training.gaussian_fit import fit_gaussians
 from pcore.training.pretrain import pretrain
-from pcore.training.ranks import Ranks
+from pcore.training.ranks import Ranks, by_itself, current_ranks
 from pcore.training.schedule import Level
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -59,6 +66,32 @@ def gaussian_settings() -> GaussianConfig:
         hold_out=3,
         seed=3,
     )
+
+
+def tuned(scene: Path, kind: str) -> dict[str, Any]:
+    """Fine-tune what this process has trained by itself; what was reported, and the result."""
+    events: list[Event] = []
+    opened = load_scene(scene)
+    if kind == "tuned papr":
+        with by_itself():
+            base = pretrain(opened, replace(settings(), steps=20, prune=None, grow=None))
+        config = finetune_config(steps=60, patch=PatchConfig(side=16, views=2), save_every=30)
+        papr = finetune(opened, base, config, listener=events.append)
+        weights = [*papr.papr.state_dict().values(), papr.cloud.positions, papr.cloud.features]
+    else:
+        with by_itself():
+            start = fit_gaussians(opened, replace(gaussian_settings(), steps=40, exposure=None))
+        config = GaussianFinetuneConfig(
+            steps=60, views=2, rays=40, hold_out=3, validate_every=30, save_every=30, seed=1
+        )
+        splats = finetune_gaussians(opened, start, config, listener=events.append)
+        weights = [splats.gaussians.means, splats.gaussians.scales, splats.gaussians.sh]
+    steps = [one for one in events if isinstance(one, StepReport)]
+    return {
+        "losses": [one.loss for one in steps],
+        "terms": sorted({name for one in steps for name in one.losses}),
+        "bits": [np.asarray(one).tobytes().hex() for one in weights],
+    }
 
 
 def told(scene: Path, kind: str, run: Path | None = None) -> dict[str, Any]:
@@ -100,7 +133,10 @@ def work(rank: int, folder: Path, kind: str) -> None:
         "gloo", init_method=f"file://{folder / 'meeting'}", rank=rank, world_size=2
     )
     run = folder / "run" if kind == "gaussians" and rank == 0 else None
-    (folder / f"{rank}.json").write_text(json.dumps(told(folder / "box", kind, run)))
+    found = (
+        tuned(folder / "box", kind) if kind.startswith("tuned") else told(folder / "box", kind, run)
+    )
+    (folder / f"{rank}.json").write_text(json.dumps(found))
     torch.distributed.destroy_process_group()
 
 
@@ -146,6 +182,34 @@ def test_two_processes_are_one_with_the_whole_batch(
         assert np.mean(resumed["losses"][-8:]) == pytest.approx(end, rel=late)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["tuned papr", "tuned gaussians"])
+@pytest.mark.skipif(not torch.distributed.is_available(), reason="this torch has no distributed")
+def test_two_processes_tune_as_one_with_the_whole_batch(kind: str, tmp_path: Path) -> None:
+    write_scene(tmp_path / "box")
+    processes = started(tmp_path, kind)
+    alone = tuned(tmp_path / "box", kind)
+    assert [process.wait(timeout=280) for process in processes] == [0, 0]
+    first, second = (json.loads((tmp_path / f"{rank}.json").read_text()) for rank in range(2))
+    assert first == second
+    assert first["terms"] == alone["terms"]
+    assert any(name.startswith("geo_") for name in first["terms"])
+    # As above: equal but for rounding at first, and near in the end.
+    expected, found = np.array(alone["losses"]), np.array(first["losses"])
+    assert np.abs(found / expected - 1)[:2].max() < 1e-3
+    assert np.mean(found) == pytest.approx(np.mean(expected), rel=0.02)
+
+
+def test_what_a_process_does_by_itself_is_not_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.distributed, "get_rank", lambda: 1)
+    monkeypatch.setattr(torch.distributed, "get_world_size", lambda: 2)
+    assert current_ranks() == Ranks(rank=1, count=2)
+    with by_itself():
+        assert current_ranks() == Ranks()
+    assert current_ranks() == Ranks(rank=1, count=2)
+
+
 def test_a_batch_is_shared_without_rest() -> None:
     shares: list[Sequence[int]] = [Ranks(rank=k, count=3).share(range(7)) for k in range(3)]
     assert sorted(item for share in shares for item in share) == [*range(7)]
@@ -181,5 +245,5 @@ def test_what_does_not_share_its_work_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("WORLD_SIZE", "2")
-    assert main(["finetune", "nowhere", "-o", "run"]) == 2
+    assert main(["light", "nowhere"]) == 2
     assert "expected one process, got 2 by torchrun" in capsys.readouterr().err

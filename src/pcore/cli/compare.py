@@ -13,12 +13,14 @@ from tyro.conf import Positional, arg
 
 from pcore.cli.options import Count, Folder, Output
 from pcore.cli.runtime import DeviceName
+from pcore.cli.torchrun import is_first
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from pcore.evaluation.contest import Entry
     from pcore.evaluation.contestants import Given
     from pcore.evaluation.states import SceneStates, State
+    from pcore.training.ranks import Ranks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,21 +97,19 @@ class CompareCommand:
 
     def run(self) -> None:
         """Compare; raises PcoreError subclasses for what the user can mend."""
-        compare(self, Console())
+        compare(self, Console(quiet=not is_first()))
 
 
 def compare(command: CompareCommand, console: Console) -> None:
-    """Train, move, draw, score, write and print.
+    """Train, move, draw, score, write and print; processes of torchrun take methods in turn.
 
     Raises:
         CheckpointError: a run cannot be read.
         SceneError: the scene or a state cannot be read.
         InputError: unknown names, options that do not fit, or an output folder in use.
     """
-    from pcore.cli.compare_results import finish, teller
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.evaluation.contest import Contest
-    from pcore.evaluation.protocol import load_perceptual
+    from pcore.cli.torchrun import joined_ranks, refuse_ranks
 
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -118,11 +118,31 @@ def compare(command: CompareCommand, console: Console) -> None:
     if command.export_field is not None:
         from pcore.cli.export_field import export_field
 
+        refuse_ranks("--export-field")
         assets, given = [one.asset for one in runs], _pairs("--points", command.points)
         export_field(console, command.export_field, assets, given, (places, states))
         return
-    output = _output(command, runs, places)
-    entries = _entries(command, console, output, runs, (places, states), device)
+    with joined_ranks(device, learns=False) as ranks:
+        _compare(command, console, device, ranks, runs, (places, states))
+
+
+def _compare(
+    command: CompareCommand,
+    console: Console,
+    device: str,
+    ranks: Ranks,
+    runs: Sequence[Given],
+    where: tuple[SceneStates, Sequence[State]],
+) -> None:
+    from pcore.cli.compare_results import finish, teller
+    from pcore.evaluation.contest import Contest
+    from pcore.evaluation.protocol import load_perceptual
+
+    places, states = where
+    output = ranks.from_first(_output(command, runs, places) if ranks.rank == 0 else Path())
+    entries = _entries(command, console, output, runs, where, device)
+    asked = [(one.name, one.setting, one.seed, one.stamp) for one in entries]
+    ranks.agree({"methods": asked, "states": [(one.name, len(one.shots)) for one in states]})
     perceptual = load_perceptual()
     contest = Contest(
         folder=output,
@@ -130,8 +150,9 @@ def compare(command: CompareCommand, console: Console) -> None:
         stamp=[str(places.path.resolve()), places.factor, command.every],
         perceptual=perceptual,
     )
-    total = len(entries) * len(states)
-    outcomes = contest.run(entries, teller(console, total))
+    outcomes = contest.run(entries, teller(console, len(entries) * len(states)))
+    if ranks.rank > 0:
+        return
     notes = [places.left_out] if places.left_out else []
     about = _about(command, places, states, output)
     names = [state.name for state in states]

@@ -12,6 +12,7 @@ from tyro.conf import Positional, arg
 from pcore.cli.losses import LossOptions, check_weights
 from pcore.cli.options import Count, Folder, PresetName, optional
 from pcore.cli.runtime import DeviceName
+from pcore.cli.torchrun import is_first
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,6 +55,10 @@ class FinetuneCommand:
     skinning_recipe: Annotated[Literal["ours", "paper"] | None, optional("{ours,paper}")] = None
     """With --skinning: where the weights start and what teaches them; default: ours."""
 
+    patches: Count = None
+    """Patches of a step (gaussians: whole photos), whose loss is their mean; default: those of the
+    preset. The processes that `torchrun` starts share them."""
+
     losses: Annotated[LossOptions, arg(name="")] = field(default_factory=LossOptions)
     """Weights of the losses; default: those of the preset."""
 
@@ -78,11 +83,13 @@ class FinetuneCommand:
 
     def run(self) -> None:
         """Fine-tune; raises PcoreError subclasses for what the user can mend."""
-        finetune_run(self, Console())
+        finetune_run(self, Console(quiet=not is_first()))
 
 
 def finetune_run(command: FinetuneCommand, console: Console) -> None:
-    """Fine-tune as the command says.
+    """Fine-tune as the command says, together with the other processes that torchrun started.
+
+    Only the first of them has the folder and says anything.
 
     Raises:
         CheckpointError: there is no run, or its model is missing or damaged.
@@ -95,37 +102,36 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     from pcore.asset.saving import load
     from pcore.asset.training import finetune
     from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.sessions import show_result, trained_with
-    from pcore.cli.torchrun import refuse_ranks
+    from pcore.cli.sessions import show_result, trained_together
     from pcore.cli.train_checks import announce
+    from pcore.files.run_place import check_place
     from pcore.training.config import FinetuneConfig
 
-    refuse_ranks("pcore finetune")
     prepare_torch(command.threads)
     device = pick_device(command.device)
     asset, output = load(command.run_folder), _output(command)
+    if is_first():
+        check_place(output, resume=command.resume)  # Before the photos are read.
     scene = asset.scene(command.scene, factor=command.factor)
     name, config = _config(command, asset)
     if isinstance(config, FinetuneConfig):
         command.losses.check(config, scene.split("train"))
         check_weights(config.lpips_weight, config.lpips_trunk)
     announce(console, scene, f"{name}, {config.steps:,} steps on {device}")
-    tuned = trained_with(
+    tuned = trained_together(
         command,
         console,
-        output,
-        name,
-        lambda listener, options: finetune(
-            asset,
-            scene,
-            config,
-            folder=output,
-            listener=listener,
-            device=device,
-            options=options,
+        lambda folder, listener, options: finetune(
+            asset, scene, config, folder=folder, listener=listener, device=device, options=options
         ),
+        output=output,
+        preset=name,
+        device=device,
+        scene=scene,
+        given={"settings": config, "points of the run": asset.points},
     )
-    show_result(console, tuned)
+    if tuned is not None:
+        show_result(console, tuned)
 
 
 def _output(command: FinetuneCommand) -> Path:
@@ -150,17 +156,17 @@ def _config(command: FinetuneCommand, asset: Asset) -> tuple[PresetName, Finetun
     from pcore.training.presets import skinning_preset
 
     name, config = finetune_settings(asset, command.preset)
-    if isinstance(config, GaussianFinetuneConfig):
-        _refuse_networks(command)
-        steps = config.steps if command.steps is None else command.steps
-        return name, replace(config, seed=command.seed, steps=steps)
-    changes: dict[str, Any] = {
-        "seed": command.seed,
-        "aware": command.rays == "aware",
-        **command.losses.changes(),
-    }
+    changes: dict[str, Any] = {"seed": command.seed}
     if command.steps is not None:
         changes["steps"] = command.steps
+    if isinstance(config, GaussianFinetuneConfig):
+        _refuse_networks(command)
+        if command.patches is not None:
+            changes["views"] = command.patches
+        return name, replace(config, **changes)
+    changes |= {"aware": command.rays == "aware", **command.losses.changes()}
+    if command.patches is not None:
+        changes["patch"] = replace(config.patch, views=command.patches)
     if command.skinning:
         changes["skinning"] = skinning_preset(command.skinning_recipe or "ours")
     elif command.skinning_recipe is not None:

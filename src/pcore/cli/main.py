@@ -18,6 +18,7 @@ from rich.table import Table
 
 import pcore
 from pcore.cli.console import guarded
+from pcore.cli.torchrun import refuse_ranks
 from pcore.errors import InputError
 
 
@@ -98,6 +99,8 @@ VERBS: tuple[Verb, ...] = (
     Verb("doctor", "pcore.cli.doctor", "DoctorCommand", "check this machine"),
 )
 """In the order of the help; a new verb is one more line."""
+_SHARING = ("train", "finetune", "render", "animate", "eval", "compare")
+"""Verbs whose work several processes of torchrun share."""
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -121,6 +124,8 @@ def _dispatch(words: list[str]) -> None:
         console.print(f"\n`pcore {group[0].name} --help` shows its options.", markup=False)
     else:
         verb = _find(words)
+        if verb.name not in _SHARING:
+            refuse_ranks(f"pcore {verb.name}")
         command_of(verb, words[len(verb.name.split()) :]).run()
 
 

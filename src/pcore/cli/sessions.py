@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from pcore.asset.run_options import RunOptions
     from pcore.cli.finetune import FinetuneCommand
     from pcore.cli.train import TrainCommand
+    from pcore.data.scene import Scene
     from pcore.training.events import Listener
+
+    Make = Callable[[Path | None, Listener, RunOptions], Asset]
 
 
 @contextmanager
@@ -31,19 +34,67 @@ def shown_training(console: Console) -> Generator[tuple[Listener, Callable[[str]
         yield display, note
 
 
-def trained_with(
+def trained_together(
     command: TrainCommand | FinetuneCommand,
     console: Console,
+    make: Make,
+    *,
     output: Path,
     preset: str,
-    make: Callable[[Listener, RunOptions], Asset],
+    device: str,
+    scene: Scene,
+    given: Mapping[str, object],
+) -> Asset | None:
+    """Train or fine-tune, together with the other processes that torchrun started.
+
+    Args:
+        command: says whether to resume, and what is written besides.
+        console: of the first process.
+        make: trains in a folder or, for None, in memory.
+        output: folder of the run.
+        preset: name of the settings.
+        device: see `joined_ranks`.
+        scene: whose photos are learned from.
+        given: what all processes must have been given alike, by what it is called.
+
+    Returns:
+        The result in the first process, the only one that has the folder; None in the others.
+
+    Raises:
+        InputError: processes that were given different things.
+    """
+    from pcore.asset.run_options import RunOptions
+    from pcore.cli.torchrun import joined_ranks
+    from pcore.files.provenance import pcore_version
+    from pcore.files.run_record import finished
+    from pcore.training.events import silent
+
+    with joined_ranks(device) as ranks:
+        views = [
+            (view.name, view.camera.width, view.camera.height) for view in scene.split("train")
+        ]
+        ranks.agree({"version of pcore": pcore_version(), **given, "photos": views})
+        done = ranks.from_first(command.resume and finished(output))
+        if ranks.rank == 0:
+            return _trained(command, console, make, output, preset, done=done)
+        if not done:
+            make(None, silent, RunOptions(light=False, compiled=not command.no_compile))
+    return None
+
+
+def _trained(
+    command: TrainCommand | FinetuneCommand,
+    console: Console,
+    make: Make,
+    output: Path,
+    preset: str,
+    *,
+    done: bool,
 ) -> Asset:
     """Train with progress shown; say what the light is, unless the run was finished before."""
     from pcore.asset.run_options import RunOptions
     from pcore.cli.light import show_light
-    from pcore.files.run_record import finished
 
-    done = command.resume and finished(output)
     with shown_training(console) as (listener, note):
         options = RunOptions(
             resume=command.resume,
@@ -52,7 +103,7 @@ def trained_with(
             preset=preset,
             note=note,
         )
-        asset = make(listener, options)
+        asset = make(output, listener, options)
     if not done:
         show_light(asset, console)
     return asset

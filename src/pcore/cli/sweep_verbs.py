@@ -150,8 +150,11 @@ def output_folder(folder: Path, file: str) -> None:
 
     Raises:
         InputError: it is a file, or holds other files.
+        TrainingError: its disk has no space for any run.
         OSError: it cannot be made.
     """
     from pcore.cli.output import pictures_folder
+    from pcore.files.run_place import bytes_needed, check_space
 
+    check_space(folder, bytes_needed(0))
     pictures_folder(folder, overwrite=(folder / file).is_file())

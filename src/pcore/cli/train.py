@@ -140,7 +140,7 @@ def train(command: TrainCommand, console: Console) -> None:
     """
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
-    from pcore.cli.torchrun import refuse_ranks, trained_together
+    from pcore.cli.torchrun import refuse_ranks
     from pcore.files.run_place import check_place
 
     began = time.monotonic()
@@ -160,7 +160,7 @@ def train(command: TrainCommand, console: Console) -> None:
     announce(console, scene, f"{plan} on {device}")
     if command.minutes is None:
         say_duration(console, scene, config, device)
-    asset = trained_together(command, scene, config, device, console)
+    asset = trained(command, scene, config, device, console)
     if asset is None:
         return
     if config.steps >= EARLY:
@@ -195,24 +195,22 @@ def trained(
     config: PretrainConfig | GaussianConfig,
     device: str,
     console: Console,
-) -> Asset:
-    """Train with progress shown; say what the light is, unless the run was finished before."""
+) -> Asset | None:
+    """Train with progress shown; only the first process has the result, the others get None."""
     from pcore.asset.training import train as make
-    from pcore.cli.sessions import trained_with
+    from pcore.cli.sessions import trained_together
 
-    return trained_with(
+    return trained_together(
         command,
         console,
-        command.output,
-        command.preset,
-        lambda listener, options: make(
-            scene,
-            config,
-            folder=command.output,
-            listener=listener,
-            device=device,
-            options=options,
+        lambda folder, listener, options: make(
+            scene, config, folder=folder, listener=listener, device=device, options=options
         ),
+        output=command.output,
+        preset=command.preset,
+        device=device,
+        scene=scene,
+        given={"settings": config},
     )
 
 

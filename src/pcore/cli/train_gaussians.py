@@ -11,7 +11,7 @@ from rich.text import Text
 
 from pcore.cli.minutes import Promise, promised, say_duration
 from pcore.cli.torchrun import is_first
-from pcore.cli.train import TrainCommand, opened
+from pcore.cli.train import TrainCommand, opened, trained
 from pcore.cli.train_checks import EARLY, announce, check_shows, start_file, warn_of_start
 from pcore.errors import InputError
 
@@ -34,7 +34,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     """
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result
-    from pcore.cli.torchrun import refuse_ranks, trained_together
+    from pcore.cli.torchrun import refuse_ranks
     from pcore.evaluation.findings import region_advice
     from pcore.files.run_place import check_place
     from pcore.training.gaussian_start import chosen_start
@@ -61,7 +61,7 @@ def train_gaussians(command: TrainCommand, console: Console) -> None:
     if start in _STARTS:
         why = "photos from one side leave the hull open" if masked else _NO_HULL
         console.print(Text(f"{why}: Gaussians start {_STARTS[start]}"), soft_wrap=True)
-    asset = trained_together(command, scene, config, device, console)
+    asset = trained(command, scene, config, device, console)
     if asset is None:
         return
     if config.steps >= EARLY:

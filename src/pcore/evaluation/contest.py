@@ -22,6 +22,7 @@ from pcore.evaluation.states import State
 from pcore.evaluation.tables import jsonable, numbers_of, write_json
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
+from pcore.training.ranks import by_itself, current_ranks
 
 Setting = Literal["given", "primitives", "time"]
 """Trained before; with as many primitives as the points of PAPR; for as long as asked for."""
@@ -72,6 +73,7 @@ class Entry:
         seed: of its training.
         stamp: what it depends on, as JSON values; results of another stamp are done again.
         make: trains or opens it.
+        learns: whether it trains something by itself; entries of one stamp share their training.
     """
 
     name: str
@@ -79,6 +81,7 @@ class Entry:
     seed: int
     stamp: Any
     make: Callable[[], Contestant]
+    learns: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,17 +132,42 @@ class Contest:
     ) -> list[Outcome]:
         """Score all entries, or read their scores where they are on the disk already.
 
+        Processes that work together take methods in turn, those that share a training as one.
+
+        Args:
+            entries: the methods.
+            tell: told of what this process has done.
+
+        Returns:
+            In the first process all of it, in order; nothing in the others.
+
         Raises:
             OSError: a result cannot be written.
             KeyboardInterrupt: Ctrl-C; what was done is kept.
         """
+        ranks = current_ranks()
+        groups: dict[str, list[int]] = {}
+        for number, entry in enumerate(entries):
+            key = str(jsonable(entry.stamp)) if entry.learns else str(number)
+            groups.setdefault(key, []).append(number)
+        shares = [[*groups.values()][rank :: ranks.count] for rank in range(ranks.count)]
+
+        def done(rank: int) -> dict[int, list[Outcome]]:
+            with by_itself():
+                numbers = [number for group in shares[rank] for number in group]
+                return {number: self._all_of(entries[number], tell) for number in numbers}
+
+        parts = ranks.in_turn(ranks.count, done)
+        found = {number: own for part in parts for number, own in part.items()}
+        return [one for number in sorted(found) for one in found[number]]
+
+    def _all_of(self, entry: Entry, tell: Callable[[Outcome], None]) -> list[Outcome]:
+        once = _Once(entry)
         outcomes: list[Outcome] = []
-        for entry in entries:
-            once = _Once(entry)
-            for state in self.states:
-                found = self._outcome(entry, once, state)
-                outcomes.append(found)
-                tell(found)
+        for state in self.states:
+            found = self._outcome(entry, once, state)
+            outcomes.append(found)
+            tell(found)
         return outcomes
 
     def _outcome(self, entry: Entry, once: _Once, state: State) -> Outcome:

@@ -149,6 +149,7 @@ def rule_entries(
             seed=seed,
             stamp=stamp,
             make=lambda key=key: contestant(key, RULES[key] + suffix),
+            learns=setting != "given",
         )
         for key in RULES
         if key in wanted

@@ -125,6 +125,7 @@ def motion_entries(
                     seed=seed_of(asset),
                     stamp=[run.stamp, config.steps],
                     make=lambda contestant=contestant: contestant,
+                    learns=True,
                 )
             )
     return entries

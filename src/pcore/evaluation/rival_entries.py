@@ -92,6 +92,7 @@ class Workshop:
     def _of(self, wanted: Sequence[MethodName], setting: Setting, seed: int) -> list[Entry]:
         asked = self.primitives if setting == "primitives" else self.seconds
         stamp = [setting, seed, asked, self.config.steps]
+        entry = partial(Entry, setting=setting, seed=seed, stamp=stamp, learns=True)
         found: list[Entry] = []
         if setting == "time" and "papr-time" in wanted:
             make = cache(partial(self.neural_points, seed))
@@ -105,10 +106,10 @@ class Workshop:
             found += rule_entries(setting, seed, stamp, names, make, self.scene)
         if "mani-gs" in wanted:
             make = cache(lambda: self._bound(setting, seed))
-            found.append(Entry(name=BOUND, setting=setting, seed=seed, stamp=stamp, make=make))
+            found.append(entry(name=BOUND, make=make))
         if "voxels" in wanted and setting == "time":
             make = cache(lambda: self._voxels(seed))
-            found.append(Entry(name=VOXELS, setting=setting, seed=seed, stamp=stamp, make=make))
+            found.append(entry(name=VOXELS, make=make))
         return found
 
     def gaussians(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from pcore.errors import InputError
 from pcore.study.page import ANSWERS_FORMAT, KEY_FORMAT, VERSION
@@ -24,7 +24,7 @@ class Answer(_Strict):
     left: str
     right: str
     chosen: str
-    seconds: float
+    seconds: FiniteFloat
 
 
 class Answers(_Strict):
@@ -156,6 +156,11 @@ def _check_trials(path: Path, found: Answers, key: Key) -> None:
         raise InputError(
             f"answers {path}: expected each pair once, got number {twice[0]} more than once; was "
             "the file changed?"
+        )
+    if len(numbers) > found.asked:
+        raise InputError(
+            f"answers {path}: expected at most the {found.asked} pairs that were asked, got "
+            f"{len(numbers)}; was the file changed?"
         )
     for one in found.answers:
         known = 0 <= one.trial < len(key.trials)

@@ -13,8 +13,9 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from pcore.errors import DependencyError, InputError
+from pcore.errors import DependencyError, InputError, StorageError
 from pcore.files.lock import LOCK_FILE
+from pcore.files.run_place import bytes_needed, check_space
 
 SEND_EVERY = 15.0
 """Seconds between looks at what has changed; a killed worker loses no more than that."""
@@ -29,6 +30,7 @@ def check_storage(url: str) -> None:
     Raises:
         DependencyError: its package is missing.
         InputError: no such kind of storage, or it cannot be written.
+        TrainingError: a disk that has no space for any run.
     """
     try:
         files, root = _opened(url)
@@ -45,6 +47,8 @@ def check_storage(url: str) -> None:
             f"--storage {url}: expected a place that can be written, got: {error}; see fsspec's "
             "documentation for the forms of URLs"
         ) from error
+    if "file" in files.protocol:
+        check_space(Path(root), bytes_needed(0))
 
 
 def fetch(url: str, folder: Path, *, records: bool = False) -> bool:
@@ -204,4 +208,7 @@ def _os_errors(url: str) -> Generator[None]:
         yield
     except Exception as error:
         told = " ".join(str(error).split()) or type(error).__name__
-        raise OSError(f"storage {url}: {told}") from error
+        raise StorageError(
+            f"storage {url}: {told}; what is complete there is undamaged: mend it, then give the "
+            "same command again"
+        ) from error

@@ -21,6 +21,7 @@ from pcore.training.losses import Losses, mean_of, perceptual_loss
 from pcore.training.objective import Objective
 from pcore.training.patches import draw_patch
 from pcore.training.random_motion import skinning_to_train
+from pcore.training.ranks import current_ranks
 from pcore.training.trainable import Trainable, trainable
 from pcore.training.trained import Trained
 
@@ -66,12 +67,18 @@ def finetune(
     objective = Objective(config, work, anchor, perceptual)
 
     def losses() -> Losses:
+        batch = [
+            (
+                draw_patch(views, config.patch, config.background, work.generator, where),
+                objective.field(),
+            )
+            for _ in range(config.patch.views)
+        ]
         found: list[Losses] = []
-        for _ in range(config.patch.views):
-            patch = draw_patch(views, config.patch, config.background, work.generator, where)
+        for patch, field in current_ranks().share(batch):
             with autocast(where, enabled=config.mixed_precision):
-                found.append(objective(patch))
-        return mean_of(found)
+                found.append(objective(patch, field))
+        return mean_of(found, of=len(batch))
 
     rates = {} if config.skinning is None else {"skinning": config.skinning.rate}
     return run_loop(

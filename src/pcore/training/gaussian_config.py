@@ -154,9 +154,12 @@ class GaussianFinetuneConfig:
     """Self-supervised fine-tuning of Gaussians (P-CORE on Gaussians, ADR 24)."""
 
     steps: int = 300
-    """Optimiser steps, one photo and one random field each."""
+    """Optimiser steps."""
+    views: int = 1
+    """Photos of a step, with a random field each, whose loss is their mean; processes that tune
+    together share them."""
     rays: int = 128
-    """Deformed rays of a step."""
+    """Deformed rays of a photo."""
     rates: GaussianRates = field(default_factory=lambda: GaussianRates().times(0.1))
     """Learning rates: a tenth of those of the training, which would undo what is learned."""
     points_only: bool = True
@@ -205,7 +208,7 @@ class GaussianFinetuneConfig:
         return max(self.geometry_weight, self.texture_weight, self.spread_weight) > 0
 
     def __post_init__(self) -> None:
-        for name in ("steps", "rays", "validate_every", "save_every"):
+        for name in ("steps", "views", "rays", "validate_every", "save_every"):
             if getattr(self, name) < 1:
                 raise InputError(
                     f"fine-tuning of Gaussians: expected {name} >= 1, got {getattr(self, name)}"

@@ -29,7 +29,8 @@ from pcore.gaussians.render import (
 )
 from pcore.geometry.rays import RayBundle
 from pcore.training.gaussian_config import GaussianFinetuneConfig
-from pcore.training.losses import Losses
+from pcore.training.losses import Losses, mean_of
+from pcore.training.ranks import current_ranks
 from pcore.training.ssim import picture_losses
 from pcore.training.trainable_gaussians import TrainableGaussians, photo_on, valid_only
 
@@ -56,8 +57,25 @@ class Seen:
     rgb: Tensor
 
 
+@dataclass(frozen=True, kw_only=True)
+class Drawn:
+    """What chance decides about a photo of a step.
+
+    Attributes:
+        view: whose photo it is.
+        color: (3,) behind the object.
+        field: the deformation; None where no loss looks at one.
+        pixels: source of the draw of pixels.
+    """
+
+    view: View
+    color: Tensor
+    field: Deformation | None
+    pixels: torch.Generator
+
+
 class GaussianObjective:
-    """The losses of one step: a photo, a random field, one of the two modes."""
+    """The losses of one step: photos, a random field each, one of the two modes."""
 
     def __init__(
         self,
@@ -72,12 +90,33 @@ class GaussianObjective:
         self._unit = float((self._upper - self._lower).norm())
 
     def __call__(self) -> Losses:
-        """L_rgb + lambda_geo L_geo + lambda_tex L_tex (paper, "Joint Loss") and regularisers."""
-        config, work = self._config, self._work
-        generator = work.generator
+        """L_rgb + lambda_geo L_geo + lambda_tex L_tex (paper, "Joint Loss") and regularisers.
+
+        All processes draw everything, and each looks at its share.
+        """
+        batch = [self._draw() for _ in range(self._config.views)]
+        found = [self._losses(one) for one in current_ranks().share(batch)]
+        return mean_of(found, of=len(batch))
+
+    def _draw(self) -> Drawn:
+        config, generator = self._config, self._work.generator
         view = self._views[int(torch.randint(len(self._views), (), generator=generator))]
+        color = background_color(config.background, generator)
+        field, pixels = None, generator
+        if config.consistent:
+            field = sample_deformation(
+                generator, self._lower, self._upper, self._points, config.ranges
+            )
+        if config.views > 1:
+            # How far the draw of pixels goes depends on the picture, which is not drawn everywhere.
+            seed = int(torch.randint(2**62, (), generator=generator))
+            pixels = torch.Generator().manual_seed(seed)
+        return Drawn(view=view, color=color, field=field, pixels=pixels)
+
+    def _losses(self, drawn: Drawn) -> Losses:
+        config, work, view = self._config, self._work, drawn.view
         gaussians, device = work.gaussians(), work.raw["means"].device
-        color = background_color(config.background, generator).to(device)
+        color = drawn.color.to(device)
         picture = render(
             PosedGaussians(gaussians=gaussians),
             [view.camera],
@@ -90,12 +129,10 @@ class GaussianObjective:
         terms = dict(found.terms)
         if config.needle_weight > 0:
             terms["needle"] = config.needle_weight * needles(gaussians.scales, config.needle)
-        if config.consistent:
-            field = sample_deformation(
-                generator, self._lower, self._upper, self._points, config.ranges
-            )
-            seen = seen_by(gaussians, work.footprint, view, photo, config, generator)
-            terms |= self._consistency(gaussians, seen, view.camera.center.to(device), field, color)
+        if drawn.field is not None:
+            seen = seen_by(gaussians, work.footprint, view, photo, config, drawn.pixels)
+            eye = view.camera.center.to(device)
+            terms |= self._consistency(gaussians, seen, eye, drawn.field, color)
         return Losses(terms=terms, squared_error=found.squared_error)
 
     def _consistency(

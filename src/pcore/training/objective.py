@@ -40,7 +40,13 @@ class Objective:
         self._unit = float((upper - lower).norm())
         self._move = _motion(config, work, self._unit)
 
-    def __call__(self, patch: Patch) -> Losses:
+    def field(self) -> Deformation:
+        """Draw a field for a patch."""
+        return sample_deformation(
+            self._work.generator, self._lower, self._upper, self._points, self._config.ranges
+        )
+
+    def __call__(self, patch: Patch, deformation: Deformation) -> Losses:
         """L_rgb + lambda_geo L_geo + lambda_tex L_tex of a patch (paper, "Joint Loss")."""
         config, work = self._config, self._work
         posed = PosedCloud.at_rest(work.cloud)
@@ -59,9 +65,6 @@ class Objective:
         elif config.texture_target == "photo":
             rgb = patch.rgb
         canonical = canonical_of(image, work.cloud, patch.rays, rgb, config.foreground_alpha)
-        deformation = sample_deformation(
-            work.generator, self._lower, self._upper, self._points, config.ranges
-        )
         moved = self._move(work.cloud, canonical, deformation)
         terms = {**photo.terms, **moved.terms}
         for name, rays in self._modes(patch.rays, canonical, deformation).items():

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -14,6 +16,8 @@ from torch import Tensor
 from pcore.errors import InputError, TrainingError
 
 Item = TypeVar("Item")
+
+_alone: ContextVar[bool] = ContextVar("alone", default=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,9 +147,19 @@ class Ranks:
         return "cuda" if dist.get_backend() == "nccl" else "cpu"
 
 
+@contextmanager
+def by_itself() -> Generator[None]:
+    """Let this process do all of what it does inside, while others do something else."""
+    token = _alone.set(True)
+    try:
+        yield
+    finally:
+        _alone.reset(token)
+
+
 def current_ranks() -> Ranks:
     """This process among those of torch's process group; alone where there is none."""
-    if not (dist.is_available() and dist.is_initialized()):
+    if _alone.get() or not (dist.is_available() and dist.is_initialized()):
         return Ranks()
     return Ranks(rank=dist.get_rank(), count=dist.get_world_size())
 
