@@ -138,8 +138,9 @@ def test_views_do_not_carve_what_they_do_not_see() -> None:
     blind.world_from_camera[:3, 3] *= -1.0  # Upright, on the other side, and looks away.
     views = around()[::3]
     with_blind = [*views, FakeView(blind, torch.zeros(48, 64, 4))]
-    moved = (hull(with_blind, 100) - hull(views, 100)).norm(dim=1)
-    assert float(moved.quantile(0.9)) < 1e-5  # Voxels on the rim of a mask go by rounding.
+    apart = torch.cdist(hull(with_blind), hull(views))  # Voxels may lie along other axes.
+    assert float(apart.amin(dim=1).max()) < 0.2
+    assert float(apart.amin(dim=0).max()) < 0.2
 
 
 def test_what_no_view_sees_is_no_object() -> None:
