@@ -175,8 +175,10 @@ def test_videos_without_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         load_scene(path)
     av = pytest.importorskip("av")
     with av.open(str(tmp_path / "sound.mp4"), "w") as container:
-        stream = container.add_stream("aac", rate=48000)
-        silence = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp")
+        stream = container.add_stream("aac", rate=48000, layout="mono")
+        silence = av.AudioFrame.from_ndarray(
+            np.zeros((1, 1024), np.float32), format="fltp", layout="mono"
+        )
         silence.sample_rate = 48000
         container.mux(stream.encode(silence))
         container.mux(stream.encode())
