@@ -188,4 +188,4 @@ def test_one_picture_tells_that_alpha_is_a_mask(photos: Path) -> None:
     save_alpha(photos, DISC, DISC, DISC)
     views = load_scene(photos).split("train")
     assert all(view.has_alpha for view in views)
-    assert views[0].image.cache.bytes_used == 8 * 12 * 4  # Bytes: the file has no more.
+    assert views[0].image.cache.bytes_used == 8 * 12 * 4 * 4

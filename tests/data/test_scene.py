@@ -31,7 +31,7 @@ def test_writing_to_an_image_does_not_change_the_scene(scene: Path) -> None:
 
 
 def test_memory_budget_is_shared_by_all_views(scene: Path) -> None:
-    one = 8 * 12 * 4
+    one = 8 * 12 * 4 * 4
     loaded = load_scene(scene, memory_budget=2 * one)
     views = [*loaded.split("train"), *loaded.split("test")]
     for view in views:

@@ -132,8 +132,7 @@ class ImageSource:
         Pixels that the photo says nothing about (`valid`) are 0 in all channels.
         """
         key = (self.path, self.mask, self.upright, self.lens, self.crop, self.factor)
-        found = self.cache.get(key, self._stored)
-        found = found.float() / 255 if found.dtype == torch.uint8 else found
+        found = self.cache.get(key, self._decode)
         if self.cut is None:
             return found
         cut = self.cut[..., None].float() / 255
@@ -164,12 +163,6 @@ class ImageSource:
         """(width, height) of the whole picture as it is decoded, before lens, crop and factor."""
         header = self.header
         return header.upright_size if self.upright else (header.width, header.height)
-
-    def _stored(self) -> Tensor:
-        """The picture as it is kept: a quarter of its memory where that loses nothing."""
-        rgba = self._decode()
-        levels = (255 * rgba).round().byte()
-        return levels if torch.equal(levels.float() / 255, rgba) else rgba
 
     def _decode(self) -> Tensor:
         stored = (self.header.width, self.header.height)
