@@ -17,7 +17,7 @@ BOX = region_of_box(torch.full((3,), -0.9), torch.full((3,), 0.9))
 
 
 def _overlap(mask: Tensor, truth: Tensor) -> float:
-    one, other = mask > 0.5, truth > 0.5
+    one, other = (m > (127 if m.dtype == torch.uint8 else 0.5) for m in (mask, truth))
     return float((one & other).sum() / (one | other).sum())
 
 

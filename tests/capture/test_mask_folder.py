@@ -72,13 +72,16 @@ def test_a_mask_of_another_size_is_refused(tmp_path: Path) -> None:
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     scene = load_scene(write_room(tmp_path / "room", 9))
     views = [view for split in scene.splits for view in scene.split(split)]
-    masks = [torch.rand(HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0)) for _ in views]
+    generator = torch.Generator().manual_seed(0)
+    masks = [
+        torch.randint(256, (HEIGHT, WIDTH), generator=generator, dtype=torch.uint8) for _ in views
+    ]
     write_masks(views, masks, tmp_path / "cut")
     again = load_scene(tmp_path / "room", masks=tmp_path / "cut")
     known = dict(zip((view.name for view in views), masks, strict=True))
     for split in again.splits:
         for view in again.split(split):
-            assert torch.allclose(view.alpha(), known[view.name], atol=1 / 255)
+            assert torch.allclose(view.alpha(), known[view.name] / 255, atol=1 / 255)
 
 
 def test_photos_of_one_name_have_masks_in_folders_of_their_own(tmp_path: Path) -> None:
@@ -88,11 +91,11 @@ def test_photos_of_one_name_have_masks_in_folders_of_their_own(tmp_path: Path) -
     write_photos(tmp_path / "rig" / "images", [shot.name for shot in photos])
     write_model(tmp_path / "rig" / "sparse" / "0", photos)
     views = load_scene(tmp_path / "rig").split("train")
-    masks = list(torch.eye(24)[: len(views), None].expand(-1, 16, -1))
+    masks = list(255 * torch.eye(24).byte()[: len(views), None].expand(-1, 16, -1))
     write_masks(views, masks, tmp_path / "cut")
     found = match_masks([view.image.path for view in views], tmp_path / "cut").files
     read = [read_mask(found[view.image.path], size=(24, 16)) for view in views]
-    assert all(torch.equal(one, other) for one, other in zip(read, masks, strict=True))
+    assert all(torch.equal(one, other / 255) for one, other in zip(read, masks, strict=True))
 
 
 @pytest.mark.parametrize("size", [(WIDTH // 2, HEIGHT // 2), (3 * WIDTH, 3 * HEIGHT)])

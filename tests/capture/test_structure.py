@@ -15,7 +15,7 @@ from pcore.capture import structure
 from pcore.capture.layouts import layout_of
 from pcore.capture.load import load_scene
 from pcore.capture.structure import Patience, with_poses
-from pcore.capture.video_frames import choose_frames
+from pcore.capture.video_frames import choose_frames, scenes_of
 from pcore.errors import DependencyError, SceneError
 
 FAKE = """
@@ -171,11 +171,67 @@ def test_portrait_videos_are_turned(tmp_path: Path) -> None:
 def test_videos_without_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fake(monkeypatch)
     path = video(tmp_path / "short.mp4", 1)
-    with pytest.raises(SceneError, match="expected at least 3 frames, got 1"):
+    with pytest.raises(SceneError, match="expected at least 3 frames of one scene, got 1"):
         load_scene(path)
+    av = pytest.importorskip("av")
+    with av.open(str(tmp_path / "sound.mp4"), "w") as container:
+        stream = container.add_stream("aac", rate=48000, layout="mono")
+        silence = av.AudioFrame.from_ndarray(
+            np.zeros((1, 1024), np.float32), format="fltp", layout="mono"
+        )
+        silence.sample_rate = 48000
+        container.mux(stream.encode(silence))
+        container.mux(stream.encode())
+    with pytest.raises(SceneError, match="expected a video with frames"):
+        load_scene(tmp_path / "sound.mp4")
     (tmp_path / "none.mp4").write_bytes(b"no video at all")
     with pytest.raises(SceneError, match="cannot be decoded"):
         load_scene(tmp_path / "none.mp4")
+
+
+def write_frames(path: Path, frames: list[np.ndarray]) -> Path:
+    av = pytest.importorskip("av")
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for pixels in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+        container.mux(stream.encode())
+    return path
+
+
+def pan(seed: int, count: int, speed: int = 1) -> list[np.ndarray]:
+    """Frames (32, 48, 3) of a camera that moves along a wall of random patches."""
+    wall = np.random.default_rng(seed).integers(0, 255, (4, 40, 3), dtype=np.uint8)
+    wide = wall.repeat(8, axis=0).repeat(8, axis=1)
+    return [np.ascontiguousarray(wide[:, k * speed : k * speed + 48]) for k in range(count)]
+
+
+def test_of_two_scenes_the_longer_one_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake(monkeypatch)
+    path = write_frames(tmp_path / "two.mp4", [*pan(0, 12), *pan(1, 30)])
+    heard: list[str] = []
+    scene = load_scene(path, tell=heard.append)
+    said = "two.mp4 shows 2 scenes, with a cut between them: the longest one is used, frames 12 to"
+    assert heard[0].startswith(said)
+    assert sum(len(split) for split in scene.views.values()) == 30
+    # What is kept of it says so, too.
+    assert any(said in note for note in load_scene(path).notes)
+    path = write_frames(tmp_path / "slides.mp4", [pan(k, 2)[1] for k in range(4) for _ in "ab"])
+    with pytest.raises(SceneError, match=r"got 2 in the longest of 4 scenes"):
+        load_scene(path)
+
+
+def test_fast_pans_and_flashes_are_no_cuts() -> None:
+    fast = pan(0, 30, speed=9)
+    assert scenes_of(fast) == [(0, 30)]
+    slow = pan(0, 30)
+    slow[14] = np.full_like(slow[14], 255)
+    assert scenes_of(slow) == [(0, 30)]
+    assert scenes_of([*slow, *pan(1, 20), *pan(2, 10)]) == [(0, 30), (30, 50), (50, 60)]
 
 
 @pytest.mark.slow

@@ -16,7 +16,8 @@ from gaussian_ball import ball_run
 from pcore.asset import meshing, splats_of_points
 from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.saving import load
-from pcore.capture.load import load_scene
+from pcore.capture.colmap_model import read_model
+from pcore.capture.load import load_scene, load_state
 from pcore.cli.export import ExportCommand, export
 from pcore.data.splat_formats import read_splats
 from pcore.errors import DependencyError, EditError, InputError
@@ -24,6 +25,7 @@ from pcore.errors import DependencyError, EditError, InputError
 pytest.importorskip("skimage", reason="the extra mesh is not installed")
 
 TWIST = {"type": "twist", "axis": "z", "angle_deg": {"keyframes": [[0, 0], [1, 60]]}}
+RISE = {"type": "rigid", "translation": {"keyframes": [[0, [0, 0, 0]], [4, [0, 0, 0.5]]]}}
 MOVE = {"type": "rigid", "translation": [0.0, 0.0, 2.0]}
 
 
@@ -39,6 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ball_run(root / "ball")
     (root / "twist.json").write_text(json.dumps({"version": 2, "edits": [TWIST]}))
     (root / "move.json").write_text(json.dumps({"version": 2, "edits": [MOVE]}))
+    (root / "rise.json").write_text(json.dumps({"version": 2, "edits": [RISE]}))
     return root
 
 
@@ -133,6 +136,32 @@ def test_cameras_for_colmap(folder: Path):
     assert (out / "transforms.json").exists()
 
 
+def test_frames_of_pictures_are_states_in_time(folder: Path):
+    options = {"orbit": 4, "size": (24, 24), "edit": folder / "rise.json", "frames": 3}
+    out = run(folder, "nerfstudio", "moving", **options)
+    scene = load_scene(out)
+    assert scene.states == ("t2", "t4")
+    assert [len(scene.split(split)) for split in ("train", "test")] == [3, 1]
+    states = [scene, *(load_state(out, name) for name in scene.states)]
+    for state, height in zip(states, (0.0, 0.25, 0.5), strict=True):
+        view = state.split("test")[0]
+        column, row, _ = view.camera.project(torch.tensor([[0.0, 0.0, height]]))
+        rows, columns = (view.alpha() > 0.5).nonzero().T.float() + 0.5
+        assert float(rows.mean()) == pytest.approx(float(row), abs=0.5)
+        assert float(columns.mean()) == pytest.approx(float(column), abs=0.5)
+
+
+def test_frames_of_cameras_have_the_points_of_their_time(folder: Path):
+    options = {"orbit": 4, "edit": folder / "rise.json", "frames": 3}
+    out = run(folder, "cameras", "cameras-of-frames", **options)
+    for k, height in enumerate((0.0, 0.25, 0.5)):
+        points = read_model(out / f"frame_00{k}" / "sparse" / "0").points
+        assert points is not None
+        assert float(points.positions[:, 2].mean()) == pytest.approx(height, abs=0.01)
+        frames = json.loads((out / f"frame_00{k}" / "transforms.json").read_text())["frames"]
+        assert [frame["time"] for frame in frames] == [2.0 * k] * 4
+
+
 def test_splats_of_points(folder: Path):
     papr = folder / "papr"
     write_run(papr, points=60, surfels=True)
@@ -163,7 +192,6 @@ def test_what_cannot_be_is_refused_before_any_work(folder: Path, monkeypatch: py
     refuse("lower corner", "obj", "x.obj", box=(1, 0, 0, 0, 1, 1))
     refuse("none in", "obj", "x.obj", box=(50, 50, 50, 51, 51, 51), resolution=20)
     refuse("got both", "cameras", "x", orbit=3, cameras=twist)
-    refuse("--frames", "nerfstudio", "x", edit=twist, frames=2)
     (folder / "fold.json").write_text(
         json.dumps({"version": 2, "edits": [{**TWIST, "type": "bend", "angle_deg": 5000}]})
     )

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from pcore.capture.load import load_scene
+from pcore.data.pictures import to_bytes
 from pcore.data.scene import Scene
 from pcore.errors import InputError
 from pcore.geometry.object_region import Region, region_of_box
@@ -32,7 +33,7 @@ def room(tmp_path: Path) -> Scene:
 def _masked(scene: Scene, masks: dict[str, Tensor]) -> Scene:
     views = {
         name: tuple(
-            replace(view, image=replace(view.image, cut=masks[view.name]))
+            replace(view, image=replace(view.image, cut=to_bytes(masks[view.name])))
             for view in scene.split(name)
         )
         for name in scene.splits

@@ -19,7 +19,7 @@ def test_the_ball_of_a_room(tmp_path) -> None:
     assert [view.name for view in views[-3:]] == [view.name for view in scene.split("test")]
     overlaps = []
     for view, mask in zip(views, found.masks, strict=True):
-        one, other = mask > 0.5, picture(view.camera)[1] > 0.5
+        one, other = mask > 127, picture(view.camera)[1] > 0.5
         overlaps.append(float((one & other).sum() / (one | other).sum()))
     assert sum(overlaps) / len(overlaps) > 0.7
     assert told[-1] == (400, 400)

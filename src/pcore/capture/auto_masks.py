@@ -59,7 +59,7 @@ class FoundMasks:
     """Masks of all photos and how well they agree.
 
     Attributes:
-        masks: (H, W) float32 in [0, 1] of every photo, in its size.
+        masks: (H, W) uint8 of every photo, in its size; 255 is object.
         agreement: intersection over union of each with the hull of all.
     """
 
@@ -288,8 +288,9 @@ def _resized(mask: Bits, camera: Camera) -> Tensor:
     cv2 = require_opencv()
     size = (camera.width, camera.height)
     if mask.shape == (camera.height, camera.width):
-        return torch.from_numpy(mask.astype(np.float32))
+        return torch.from_numpy(255 * mask)
     smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7)
     large = cv2.resize(smooth, size, interpolation=cv2.INTER_CUBIC)
     factor = max(1.0, camera.width / mask.shape[1])
-    return torch.from_numpy(np.clip((large - 0.5) * factor + 0.5, 0.0, 1.0).astype(np.float32))
+    soft = np.clip((large - 0.5) * factor + 0.5, 0.0, 1.0)
+    return torch.from_numpy((255 * soft).round().astype(np.uint8))

@@ -47,8 +47,8 @@ def write_corrected(
     Args:
         scene: whose views are copied, in the size that they were opened in.
         folder: new or empty, outside of the scene's own.
-        masks: split and name of a view -> (h, w) mask in any size; views without one are left out.
-            None takes the alpha that views have.
+        masks: split and name of a view -> (h, w) uint8 mask in any size, 255 is object; views
+            without one are left out. None takes the alpha that views have.
         leave_out: splits and names of views.
         progress: told (pictures written, pictures in all).
 
@@ -127,7 +127,7 @@ def _picture(view: View, mask: Tensor | None) -> Tensor:
     rgba = view.rgba()
     if mask is not None:
         size = (view.camera.height, view.camera.width)
-        rgba[..., 3] *= F.interpolate(mask[None, None], size, mode="bilinear")[0, 0]
+        rgba[..., 3] *= F.interpolate(mask[None, None].float() / 255, size, mode="bilinear")[0, 0]
     return rgba
 
 

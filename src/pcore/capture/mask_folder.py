@@ -108,7 +108,7 @@ def write_masks(views: Sequence[View], masks: Sequence[Tensor], folder: Path) ->
 
     Args:
         views: of photos.
-        masks: (H, W) in [0, 1] of each view's picture, the lens undone.
+        masks: (H, W) uint8 of each view's picture, the lens undone; 255 is object.
         folder: made where it is missing.
 
     Raises:
@@ -125,7 +125,7 @@ def write_masks(views: Sequence[View], masks: Sequence[Tensor], folder: Path) ->
         raise SceneError(f"masks {folder}: two photos would have the mask {twice}; rename one")
     for view, mask, name in zip(views, masks, names, strict=True):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        write_mask(folder / name, in_file(view, mask))
+        write_mask(folder / name, in_file(view, mask.float() / 255))
 
 
 def in_file(view: View, mask: Tensor) -> Tensor:

@@ -30,6 +30,8 @@ CHILD = (sys.executable, "-m", "pcore.capture.structure_child")
 _LEAST = 3
 _NOT_COLMAP = (".webp", ".avif", ".heic", ".heif")
 """Pictures that Pillow reads, with its plug-in, and COLMAP does not."""
+_NOTE = "video.txt"
+"""What was left out of a video, beside its frames."""
 
 
 def with_poses(layout: Layout, tell: Tell, patience: Patience | None = None) -> Layout:
@@ -65,7 +67,11 @@ def with_poses(layout: Layout, tell: Tell, patience: Patience | None = None) -> 
     if found is None:
         raise SceneError(f"{place}: expected the model of {layout.path}; remove this folder")
     root = place if video else layout.root
-    return Layout(name="COLMAP", root=root, path=found.folder, note=found.note)
+    notes = [found.note]
+    if (place / _NOTE).is_file():
+        notes.append((place / _NOTE).read_text(encoding="utf-8"))
+    note = "; ".join(note for note in notes if note)
+    return Layout(name="COLMAP", root=root, path=found.folder, note=note)
 
 
 def cache_folder() -> Path:
@@ -91,7 +97,8 @@ def _reconstruct(layout: Layout, place: Path, tell: Tell, patience: Patience) ->
         images = layout.path
         if layout.name != PHOTOS:
             images = work / "images"
-            choose_frames(layout.path, images, tell)
+            note = choose_frames(layout.path, images, tell)
+            (work / _NOTE).write_text(note, encoding="utf-8")
         images, names = _readable(images, work / "converted")
         wish = {
             "images": str(images.resolve()),

@@ -47,7 +47,9 @@ class ExportCommand:
 
     frames: Count = None
     """For an edit file with keyframes: so many frames of it, evenly. Meshes in glb (morph targets)
-    and usd are one file; all others get one for each frame, NAME_000, NAME_001, ..."""
+    and usd are one file; other objects get one for each frame, NAME_000, NAME_001, ... Depth: a
+    picture for each frame, on a path through the cameras. Cameras: a folder for each frame.
+    Nerfstudio: all cameras at each time, as D-NeRF's sets have them (`time`)."""
 
     scene: Folder = None
     """Folder of the scene whose cameras look at the object; default: the one it was trained on.

@@ -9,6 +9,7 @@ from pcore.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from torch import Tensor
 
     from pcore.asset.asset import Asset, Posed
     from pcore.cli.cameras import Named
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
     from pcore.geometry.camera import Camera
     from pcore.render.image import Image
 
-Shot = tuple[str, "Camera", "Posed"]
+Moment = tuple[float | None, "Posed"]
+"""A time of the edit file, or None, and the object then."""
+Shot = tuple[str, "Camera", float | None, "Posed"]
 
 
 def check(command: ExportCommand) -> None:
@@ -25,61 +28,62 @@ def check(command: ExportCommand) -> None:
 
     if command.to == "depth" and not command.no_exr:
         require_exr()
-    if command.to != "depth" and command.frames is not None:
-        raise InputError(f"--frames: expected --to depth or an object, got --to {command.to}")
     if command.orbit is not None and command.orbit < 1:
         raise InputError(f"--orbit: expected at least 1 camera, got {command.orbit}")
 
 
 def write(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
     """Write depth and normals, cameras, or a data set."""
+    import torch
+
     from pcore.cli.output import export_folder
 
-    shots = _shots(command, asset)
+    moments = _moments(command, asset)
+    views = _views(command, asset, torch.cat([posed.points for _, posed in moments]))
     export_folder(command.output, overwrite=command.overwrite)
     if command.to == "depth":
-        return _write_depth(command, asset, shots, console)
-    named = [(name, camera) for name, camera, _ in shots]
-    posed = shots[0][2]
-    notes = [f"  note: {line}" for line in posed.notes]
+        return _write_depth(command, asset, _shots(command, views, moments), console)
+    notes = [f"  note: {line}" for line in moments[0][1].notes]
     if command.to == "cameras":
-        return [*_write_cameras(command.output, named, posed), *notes]
-    from pcore.asset.picture_set import save_picture_set
-    from pcore.cli.results import counting
-
-    with counting(console, "pictures") as tell:
-        save_picture_set(command.output, asset, posed, named, progress=tell)
-    return [f"{command.output}: {len(named)} pictures and transforms.json", *notes]
+        return [*_write_cameras(command, views, moments), *notes]
+    return [_write_pictures(command, asset, views, moments, console), *notes]
 
 
-def _shots(command: ExportCommand, asset: Asset) -> list[Shot]:
-    """Names, cameras and poses of all pictures."""
+def _moments(command: ExportCommand, asset: Asset) -> list[Moment]:
+    """The object at each time that is asked for."""
     from pcore.editing.animation import load_animation
+
+    times: list[float | None] = [command.time]
+    if command.frames is not None and command.edit is not None:
+        times = [*load_animation(command.edit).times(command.frames)]
+    return [(time, asset.pose(command.edit, time=time)) for time in times]
+
+
+def _shots(command: ExportCommand, views: Named, moments: list[Moment]) -> list[Shot]:
+    """Names, cameras, times and poses of the pictures of depth: one for each frame, on a path."""
+    from pcore.asset.picture_set import frame_names
     from pcore.geometry.camera_path import path_through
 
-    if command.frames is None or command.edit is None:
-        posed = asset.pose(command.edit, time=command.time)
-        return [(name, camera, posed) for name, camera in _views(command, asset, posed)]
-    times = load_animation(command.edit).times(command.frames)
-    poses = [asset.pose(command.edit, time=time) for time in times]
-    views = _views(command, asset, poses[-1])
-    path = path_through([camera for _, camera in views], len(poses))
-    digits = max(3, len(str(len(poses) - 1)))
-    named = ((f"frame_{k:0{digits}}", camera) for k, camera in enumerate(path))
-    return [(*one, posed) for one, posed in zip(named, poses, strict=True)]
+    if command.frames is None:
+        return [(name, camera, *moments[0]) for name, camera in views]
+    path = path_through([camera for _, camera in views], len(moments))
+    names = frame_names(len(moments))
+    return [
+        (name, camera, *moment) for name, camera, moment in zip(names, path, moments, strict=True)
+    ]
 
 
-def _views(command: ExportCommand, asset: Asset, posed: Posed) -> Named:
+def _views(command: ExportCommand, asset: Asset, points: Tensor) -> Named:
     """Cameras of a file, of the scene's training views, or of an orbit."""
     from pcore.cli import cameras
 
     if command.cameras is not None:
         given = cameras.cameras_of_file(command.cameras, command.size)
-        return cameras.that_see(given, posed.points, str(command.cameras))
+        return cameras.that_see(given, points, str(command.cameras))
     folder = command.scene or asset.record.scene_folder
     wish = cameras.OrbitWish(count=command.orbit or 24, size=command.size)
     if folder is None:
-        return cameras.orbit_of_cloud(posed.points, wish)
+        return cameras.orbit_of_cloud(points, wish)
     scene = asset.scene(folder)
     if command.orbit is not None:
         return cameras.orbit_of_scene(scene, wish)
@@ -87,14 +91,40 @@ def _views(command: ExportCommand, asset: Asset, posed: Posed) -> Named:
     return cameras.cameras_of_split(scene, split, command.size)
 
 
-def _write_cameras(folder: Path, named: Named, posed: Posed) -> list[str]:
+def _write_cameras(command: ExportCommand, named: Named, moments: list[Moment]) -> list[str]:
+    """Write all cameras with the points of the object; a folder for each frame."""
+    from pcore.asset.picture_set import frame_names
     from pcore.data.camera_output import TRANSFORMS, save_colmap, save_transforms
 
-    model = folder / "sparse" / "0"
-    model.mkdir(parents=True, exist_ok=True)
-    save_transforms(folder / TRANSFORMS, named)
-    save_colmap(model, named, posed.points, None)
-    return [f"{folder}: {len(named)} cameras in {TRANSFORMS} and in sparse/0 (COLMAP, text)"]
+    folder = command.output
+    folders = [folder]
+    if command.frames is not None:
+        folders = [folder / name for name in frame_names(len(moments))]
+    for place, (time, posed) in zip(folders, moments, strict=True):
+        model = place / "sparse" / "0"
+        model.mkdir(parents=True, exist_ok=True)
+        save_transforms(place / TRANSFORMS, named, times=[time] * len(named))
+        save_colmap(model, named, posed.points, None)
+    where = folder if command.frames is None else f"{folders[0]} to {folders[-1].name}"
+    return [f"{where}: {len(named)} cameras in {TRANSFORMS} and in sparse/0 (COLMAP, text)"]
+
+
+def _write_pictures(
+    command: ExportCommand, asset: Asset, named: Named, moments: list[Moment], console: Console
+) -> str:
+    """Write pictures of all cameras; of all times where frames are asked for."""
+    from pcore.asset.picture_set import save_moving_set, save_picture_set
+    from pcore.cli.results import counting
+
+    folder = command.output
+    with counting(console, "pictures") as tell:
+        if command.frames is None:
+            save_picture_set(folder, asset, moments[0][1], named, progress=tell)
+            return f"{folder}: {len(named)} pictures and transforms.json"
+        stamped = [(time or 0.0, posed) for time, posed in moments]
+        files = save_moving_set(folder, asset, stamped, named, progress=tell)
+    names = " and ".join(path.name for path in files)
+    return f"{folder}: {len(named)} pictures at each of {len(moments)} times, with {names}"
 
 
 def _write_depth(
@@ -107,10 +137,10 @@ def _write_depth(
 
     folder = command.output
     # One step for all pictures, before any is taken: what is behind the farthest point is nothing.
-    step = depth_step(1.05 * max(float(c.depth(p.points).max()) for _, c, p in shots))
+    step = depth_step(1.05 * max(float(c.depth(p.points).max()) for _, c, _, p in shots))
     seen = 0
     with counting(console, "pictures") as tell:
-        for number, (name, camera, posed) in enumerate(shots, start=1):
+        for number, (name, camera, _, posed) in enumerate(shots, start=1):
             image = asset.render(posed, camera).cpu()
             seen += _write_picture(folder, name, camera, image, step, exr=not command.no_exr)
             tell(number, len(shots))
@@ -119,13 +149,14 @@ def _write_depth(
             f"{folder}: no depth in any of the {len(shots)} picture(s); do the cameras look at the "
             "object, and was the run trained to its end?"
         )
-    named = [(name, camera) for name, camera, _ in shots]
+    named = [(name, camera) for name, camera, _, _ in shots]
     keys = {
         "depth_unit_scale_factor": step,
         "frames": {name: {"depth_file_path": f"{name}_depth.png"} for name, _ in named},
     }
     files = {name: f"{name}_depth.png" for name, _ in named}
-    save_transforms(folder / TRANSFORMS, named, files=files, keys=keys)
+    times = [time for _, _, time, _ in shots]
+    save_transforms(folder / TRANSFORMS, named, files=files, keys=keys, times=times)
     about = {
         "depth": "camera z",
         "png": "value * step = world units; 0: nothing there",

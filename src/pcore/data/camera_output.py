@@ -25,6 +25,7 @@ def save_transforms(
     *,
     files: Mapping[str, str] | None = None,
     keys: Mapping[str, Any] | None = None,
+    times: Sequence[float | None] | None = None,
 ) -> None:
     """Write cameras as nerfstudio, instant-ngp and pcore read them.
 
@@ -33,6 +34,7 @@ def save_transforms(
         cameras: by name.
         files: what `file_path` is for a name; None writes `images/NAME.png`.
         keys: further keys of the file, or of each frame under "frames" by name.
+        times: `time` of each camera, as D-NeRF has it; None for one that has none.
 
     Raises:
         InputError: a place that is not writable.
@@ -45,8 +47,9 @@ def save_transforms(
             **_intrinsics(camera),
             "transform_matrix": camera.world_from_camera.double().tolist(),
             **of_frames.get(name, {}),
+            **({} if time is None else {"time": time}),
         }
-        for name, camera in cameras
+        for (name, camera), time in zip(cameras, times or [None] * len(cameras), strict=True)
     ]
     content = {"camera_model": "OPENCV", **_shared(frames), **further, "frames": frames}
     write_whole(path, (json.dumps(content, indent=1) + "\n").encode(), "cameras")

@@ -104,7 +104,8 @@ class ImageSource:
         lens: that bent the whole picture as it is decoded; None of a pinhole.
         crop: part that is kept of the straight picture before down-scaling; None keeps all.
         alpha: of the split that it belongs to; None takes any alpha channel for a mask.
-        cut: (H, W) mask of the finished picture that the alpha is multiplied by; None is none.
+        cut: (H, W) uint8 mask of the finished picture that the alpha is multiplied by, 255 is
+            object; None is none.
     """
 
     path: Path
@@ -134,7 +135,8 @@ class ImageSource:
         found = self.cache.get(key, self._decode)
         if self.cut is None:
             return found
-        return torch.cat([found[..., :3], found[..., 3:] * self.cut[..., None]], dim=-1)
+        cut = self.cut[..., None].float() / 255
+        return torch.cat([found[..., :3], found[..., 3:] * cut], dim=-1)
 
     def valid(self) -> Tensor | None:
         """(H, W) bool: pixels that the photo shows; None where it shows all.

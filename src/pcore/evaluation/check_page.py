@@ -183,7 +183,7 @@ def _photo(check: SceneCheck, number: int) -> Shown:
         return Shown(source=_uri(_rgb(view)), title=view.name)
     mask, share = check.masks.masks[number], check.masks.agreement[number]
     return Shown(
-        source=_uri(_veiled(_rgb(view), mask)),
+        source=_uri(_veiled(_rgb(view), mask.float() / 255)),
         title=f"{view.name}: {100 * share:.0f} %",
         odd=number in check.masks.doubtful(),
     )

@@ -228,7 +228,7 @@ def _odd_masks(check: SceneCheck) -> list[Finding]:
         found = list(check_masks(check.views))
     except SceneError as problem:
         found = [str(problem)]
-    share = torch.stack([mask.mean() for mask in check.masks.masks]).median()
+    share = torch.stack([mask.float().mean() / 255 for mask in check.masks.masks]).median()
     if share > _WHOLE:
         found.append(f"half of the masks hold {100 * float(share):.0f} % of the picture or more")
     action = "Mend them, or make others: --masks auto with a tighter --box, or --masks trained."

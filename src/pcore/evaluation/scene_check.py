@@ -19,6 +19,7 @@ from pcore.capture.reprojection import Reprojection, reprojection
 from pcore.capture.scene_masks import ordered_views, photos_of
 from pcore.capture.triangulation import PoseAgreement
 from pcore.capture.voted_hull import hull_silhouettes
+from pcore.data.pictures import to_bytes
 from pcore.data.scene import Scene, View
 from pcore.errors import DependencyError, InputError
 from pcore.evaluation.findings import Finding, findings
@@ -39,7 +40,7 @@ class CheckedMasks:
     """Masks of all views.
 
     Attributes:
-        masks: (H, W) of each view.
+        masks: (H, W) uint8 of each view; 255 is object.
         agreement: of each with the hull of all, intersection over union.
         automatic: whether they were cut now.
     """
@@ -123,7 +124,7 @@ def check_scene(
     region = located.region
     masks, why = None, ""
     if all(view.has_alpha for view in views):
-        masks = _agreed(views, region, tuple(view.alpha() for view in views))
+        masks = _agreed(views, region, tuple(to_bytes(view.alpha()) for view in views))
     elif automatic is not None:
         masks, why = _automatic(located, whole, automatic, progress)
         if masks is not None:
@@ -219,5 +220,6 @@ def _small(
 ) -> tuple[Camera, np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]:
     scale = min(1.0, _SIDE / max(view.camera.width, view.camera.height))
     size = round(scale * view.camera.height), round(scale * view.camera.width)
-    alpha = torch.nn.functional.interpolate(mask[None, None], size, mode="area")[0, 0]
+    soft = mask[None, None].float() / 255
+    alpha = torch.nn.functional.interpolate(soft, size, mode="area")[0, 0]
     return view.camera.resized(size[1], size[0]), (alpha > 0.5).numpy().astype(np.uint8)

@@ -13,6 +13,7 @@ from torch import Tensor
 from pcore.capture.sparse_region import object_points, region_of_points
 from pcore.data.scene import Scene, View
 from pcore.errors import InputError
+from pcore.geometry.capture_axes import capture_axes
 from pcore.geometry.object_region import Region, region_of_box
 from pcore.training.population import coarse_hull
 
@@ -103,9 +104,10 @@ def _of_hull(scene: Scene, views: Sequence[View], points: Tensor | None) -> Regi
     Then all stays as it is without a region, to the last bit. Sparse points of the object bound
     the hull where no camera does: views from one side leave it open behind.
     """
+    axes = capture_axes([view.camera for view in views])
     voxels, size = coarse_hull(views, scene.lower, scene.upper)
     if len(voxels) > 0:
-        reach = (voxels - scene.center).abs().max()
+        reach = ((voxels - scene.center) @ axes).abs().max()
         radius = (voxels - voxels.mean(dim=0)).norm(dim=-1).max()
         if reach + 1.5 * size < scene.radius and radius > _SMALLEST * scene.radius:
             return None
@@ -119,8 +121,10 @@ def _of_hull(scene: Scene, views: Sequence[View], points: Tensor | None) -> Regi
         voxels, size = coarse_hull(views, *region.bounds, region)
         if len(voxels) == 0:
             return None  # Masks without a common inside are told of where points start.
-        lower, upper = voxels.amin(dim=0) - 1.5 * size, voxels.amax(dim=0) + 1.5 * size
-        center = 0.5 * (lower + upper)
+        # The sphere turns along with the capture; the box only keeps off what is far away.
+        turned = voxels @ axes
+        center = axes @ (0.5 * (turned.amin(dim=0) + turned.amax(dim=0)))
         radius = float((voxels - center).norm(dim=-1).max()) + size
-        region = Region(center=center, radius=radius, box=torch.stack([lower, upper]))
+        box = torch.stack([voxels.amin(dim=0) - 1.5 * size, voxels.amax(dim=0) + 1.5 * size])
+        region = Region(center=center, radius=radius, box=box)
     return region

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from pcore.errors import InputError, TrainingError
 from pcore.geometry.camera import Camera
+from pcore.geometry.capture_axes import capture_axes
 from pcore.geometry.object_region import Region
 
 _NEIGHBOURS_OF_SPREAD = 10
@@ -24,6 +25,10 @@ _TRACE = 0.05
 _SEEN, _SEEN_IN_REGION = 0.5, 0.15
 """Share of the views that must see a part of the hull: in a region that every view sees whole, and
 in one that is known, parts of which only few views may see."""
+
+
+_VOXELS, _VOXELS_OF_BOX = 64, 96
+"""Voxels along the side of a cube around a region, and of one around the sphere about a box."""
 
 
 class MaskedView(Protocol):
@@ -81,13 +86,13 @@ def hull_points(
 
     A sheet seen edge-on covers no pixel by half, and would be carved away by that one view. So what
     lies farther than a pixel from the hull of half covered pixels is carved only by pixels that
-    show nothing at all.
+    show nothing at all. Voxels lie along axes of the capture: in another frame it has this hull.
 
     Args:
         count: number of points.
         views: training views with an alpha channel.
-        lower: (3,) corner of the region that is searched, world units.
-        upper: (3,) corner of the region.
+        lower: (3,) corner of a cube, turned copies of which are searched without a region.
+        upper: (3,) corner of the cube, world units.
         generator: draws among the surface voxels and jitters inside them.
         resolution: voxels along the longest side of the hull's bounding box.
         region: where the object is known to be: nothing outside of it belongs to the hull.
@@ -100,8 +105,9 @@ def hull_points(
     """
     solid = [_Mask(view.camera, view.alpha() > _SOLID, view.valid()) for view in views]
     trace = [_Mask(view.camera, view.alpha() > _TRACE, view.valid()) for view in views]
-    coarse, size = _voxels(lower, upper, 64)
-    inside = _inside_all(coarse, trace, region)
+    axes = capture_axes([view.camera for view in views])
+    coarse, size = _coarse(lower, upper, region, axes)
+    inside = _inside_all(coarse @ axes.T, trace, region)
     if not bool(inside.any()):
         raise TrainingError(
             "visual hull: the training masks have no common inside; expected silhouettes of one "
@@ -110,17 +116,19 @@ def hull_points(
         )
     kept = coarse[inside]
     fine, size = _voxels(kept.amin(dim=0) - size, kept.amax(dim=0) + size, resolution)
-    core = _inside_all(fine, solid, region)
-    middle = kept.mean(dim=0)
+    places = fine @ axes.T
+    core = _inside_all(places, solid, region)
+    middle = axes @ kept.mean(dim=0)
     pixel = statistics.median_high(view.camera.pixel_width(middle) for view in views)
     reach = math.ceil(pixel / size)
     outside = ~_widened(core, reach)
     inside = core.clone()
-    inside[outside] = _inside_all(fine[outside], trace, region)
+    inside[outside] = _inside_all(places[outside], trace, region)
     surface = _surface_voxels(fine, inside, size)
-    chosen = torch.randint(len(surface), (count,), generator=generator)
+    # A voxel more by rounding moves the choice to the next one, and not to anywhere.
+    drawn = torch.rand(count, generator=generator) * len(surface)
     jitter = torch.rand(count, 3, generator=generator) - 0.5
-    return surface[chosen] + jitter * size
+    return (surface[drawn.long().clamp_max(len(surface) - 1)] + jitter * size) @ axes.T
 
 
 def faint_share(views: Sequence[MaskedView]) -> float:
@@ -150,20 +158,31 @@ def _voxels(lower: Tensor, upper: Tensor, resolution: int) -> tuple[Tensor, floa
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1), size
 
 
+def _coarse(
+    lower: Tensor, upper: Tensor, region: Region | None, axes: Tensor
+) -> tuple[Tensor, float]:
+    """Voxels (X, Y, Z, 3) of a region's sphere, or of a cube, along axes, and their size."""
+    center, half, count = 0.5 * (lower + upper), 0.5 * float((upper - lower).max()), _VOXELS
+    if region is not None:
+        center, half = region.center, region.radius
+        count = _VOXELS if region.box is None else _VOXELS_OF_BOX
+    return _voxels(center @ axes - half, center @ axes + half, count)
+
+
 def coarse_hull(
     views: Sequence[MaskedView], lower: Tensor, upper: Tensor, region: Region | None = None
 ) -> tuple[Tensor, float]:
-    """Voxels (V, 3) that no mask carves away, 64 along a region's longest side, and their size.
+    """Voxels (V, 3) that no mask carves away, world units, and their size; as `hull_points`.
 
     Args:
         views: with an alpha channel.
-        lower: (3,) corner of the region that is searched, world units.
-        upper: (3,) corner of the region.
+        lower: (3,) corner of the cube, as for `hull_points`.
+        upper: (3,) corner of the cube.
         region: as for `hull_points`.
     """
-    voxels, size = _voxels(lower, upper, 64)
+    voxels, size = _coarse(lower, upper, region, axes := capture_axes([v.camera for v in views]))
     trace = [_Mask(view.camera, view.alpha() > _TRACE, view.valid()) for view in views]
-    return voxels[_inside_all(voxels, trace, region)], size
+    return (voxels @ axes.T)[_inside_all(voxels @ axes.T, trace, region)], size
 
 
 def _inside_all(voxels: Tensor, masks: Sequence[_Mask], region: Region | None) -> Tensor:

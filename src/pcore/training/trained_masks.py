@@ -15,6 +15,7 @@ from torch.nn import functional as F
 
 from pcore.capture.auto_masks import FoundMasks
 from pcore.capture.gaussian_shape import GaussianShape, find_shape
+from pcore.data.pictures import to_bytes
 from pcore.data.scene import Scene, View
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
@@ -100,6 +101,6 @@ def _mask(shape: GaussianShape, camera: Camera) -> Tensor:
     """A mask in the size of its photo, drawn small and enlarged."""
     mask = shape.mask(_small(camera))
     size = (camera.height, camera.width)
-    if mask.shape == size:
-        return mask
-    return F.interpolate(mask[None, None], size, mode="bicubic")[0, 0].clamp(0, 1)
+    if mask.shape != size:
+        mask = F.interpolate(mask[None, None], size, mode="bicubic")[0, 0]
+    return to_bytes(mask)
