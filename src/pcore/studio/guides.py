@@ -103,7 +103,9 @@ def _shape(editor: Editor, raw: dict[str, Any]) -> list[tuple[Tensor, tuple[int,
     if raw["type"] in CENTRED and "axis" in raw:
         points = arriving(editor.session.state, editor.shown.selected or 0).points
         index = editor.shown.selected or 0
-        return [(carried_places(one, editor.session.state, index), c) for one, c in _axis(raw, points)]
+        return [
+            (carried_places(one, editor.session.state, index), c) for one, c in _axis(raw, points)
+        ]
     return []
 
 

@@ -9,7 +9,7 @@ HELP = """
 | **Drag** | the ball, or arrows and rings; Escape puts back |
 | **One axis** | X, Y, Z, also in a drag; again: free |
 | **Reach** | Shift and the wheel; PageUp, PageDown |
-| **Take away** | Delete, for the selected handle |
+| **Remove** | Delete, for the selected handle |
 | **Select** | Shift-drag; Ctrl-Shift adds, Alt-Shift removes |
 | **Tools** | R box, B brush, L lasso, G ball |
 | **Freeze** | H; Shift-H lets everything go |

@@ -33,6 +33,7 @@ class Widgets:
     rest: Any
     name: Any
     progress: Any
+    stop: Any
     line: Any
     owner: Any
 
@@ -68,8 +69,8 @@ class Panels(Panel):
         with tabs.add_tab("View"):
             view = self._view_tab(lit)
         with tabs.add_tab("Files"):
-            name_, progress, line = self._files_tab(name)
-        shown = (status, widen, time, keys, play, *view, name_, progress, line)
+            files = self._files_tab(name)
+        shown = (status, widen, time, keys, play, *view, *files)
         self._w = Widgets(*shown, owner)
 
     # What stands in the panel
@@ -116,7 +117,7 @@ class Panels(Panel):
         self._on_click(dark, "dark")
         return overlay, compare, still, moving, rest
 
-    def _files_tab(self, name: str) -> tuple[Any, Any, Any]:
+    def _files_tab(self, name: str) -> tuple[Any, ...]:
         gui = self._gui
         named = gui.add_text("Edit file", name)
         for label, wish in (("Save as", "save"), ("Open", "open")):
@@ -141,9 +142,10 @@ class Panels(Panel):
             self._say("film", event, int(frames.value), int(width.value))
 
         progress = gui.add_progress_bar(0.0, visible=False)
-        self._on_click(gui.add_button("Stop", color="gray"), "stop_film")
+        stop = gui.add_button("Stop the film", color="gray", visible=False)
+        self._on_click(stop, "stop_film")
         line = gui.add_markdown("")
-        return named, progress, line
+        return named, progress, stop, line
 
     # What the state says
 
@@ -187,7 +189,7 @@ class Panels(Panel):
 
     def progress(self, share: float | None) -> None:
         """Show how far a film is; None where there is none."""
-        self._w.progress.visible = share is not None
+        self._w.progress.visible = self._w.stop.visible = share is not None
         self._w.progress.value = 100 * (share or 0.0)
 
     def named(self, name: str) -> None:

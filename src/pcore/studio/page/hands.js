@@ -12,6 +12,16 @@ if (window.matchMedia("(prefers-color-scheme: dark)").matches) {
 
 if (!window.pcoreHands) {
   window.pcoreHands = true;
+
+  // The corners of viser's splats are flat, so that three.js finds no sphere around them and says so.
+  // They are drawn wherever they are.
+  const error = console.error;
+  console.error = (...said) => {
+    const flat = said[1]?.attributes?.sortedIndex && said[1].boundingSphere;
+    if (flat && Number.isNaN(flat.radius)) flat.radius = Infinity;
+    else error(...said);
+  };
+
   let last = 0;
   window.addEventListener(
     "wheel",
