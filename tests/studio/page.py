@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-
 KNOWN = "Unable to preventDefault inside passive event listener"
 """What viser's own page says on the console when something is dragged; all else is a problem."""
 

@@ -41,7 +41,8 @@ class Widened:
 def widened(session: EditSession, edit: EditLike, at: int | None = None) -> Widened:
     """Find the next falloff, of the edit's region and of what is held, with which nothing folds.
 
-    How far handles reach counts as a falloff. They grow by a quarter at a time from the narrowest there is, up to the object's size.
+    How far handles reach counts as a falloff. They grow by a quarter at a time from the narrowest
+    there is, up to the object's size.
 
     Args:
         session: where it would be done.

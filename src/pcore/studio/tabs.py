@@ -156,7 +156,8 @@ class Tabs(ABC):
         self.perform(take)
 
     def _complain(self, error: Exception) -> None:
-        self._said = f"⚠ {_FOLDS.sub(r'space would fold; \1', plain(str(error)))}"
+        said = _FOLDS.sub(r"space would fold; \1", plain(str(error)))
+        self._said = f"⚠ {said}"
 
     def _failed(self, error: Exception) -> None:
         """What should not happen is said without its trace; the last good picture stays."""
