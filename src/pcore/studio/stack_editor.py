@@ -25,7 +25,7 @@ TOOLS = ("box", "brush", "lasso", "ball")
 MOVING = {"splats": 0, "points": 0, "pictures, 100 pixels": 100, "pictures, 200 pixels": 200}
 """What is shown while things move, and the pixels along a side where it is an exact picture."""
 MANY = 100_000
-"""Points from which on a page begins with points: a splat takes 32 bytes per event, a point 9."""
+"""Points from which on a page begins with points: a splat takes 32 bytes per event, a point 15."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -147,6 +147,7 @@ class Viewport:
                 colors=colors,
                 point_size=spacing * self._frame.scale,
                 point_shape="circle",
+                precision="float32",
                 visible=not self._resting,
             )
         else:

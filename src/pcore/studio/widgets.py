@@ -71,7 +71,7 @@ class Panels(Panel):
         with tabs.add_tab("Files"):
             files = self._files_tab(name)
         shown = (status, widen, time, keys, play, *view, *files)
-        self._w = Widgets(*shown, owner)
+        self._w = Widgets(*shown, owner=owner)
 
     # What stands in the panel
 
