@@ -33,9 +33,9 @@ class Page:
         if ready:
             self.open(browser)
 
-    def open(self, browser: Any) -> None:
+    def open(self, browser: Any, **options: Any) -> None:
         """Show the page in a new tab, until its first picture: before it pointers do nothing."""
-        self.tab = browser.new_page(viewport={"width": 1000, "height": 640})
+        self.tab = browser.new_page(viewport={"width": 1000, "height": 640}, **options)
         self.tab.on("pageerror", lambda error: self.problems.append(str(error)))
         self.tab.on("console", self._heard)
         self.tab.goto(self.url)

@@ -16,7 +16,7 @@ HELP = """
 | **Undo** | Ctrl-Z; Ctrl-Shift-Z does it again |
 | **Save** | Ctrl-S |
 | **Time** | I keys, space plays |
-| **View** | M mirror, O overlay, D dark, K this help |
+| **View** | M mirror, O overlay, T dark, K this help |
 
 Grey balls hold their place. Red dots: space folds there; let go, and the handle returns to the last
 good place.

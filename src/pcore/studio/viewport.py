@@ -29,6 +29,8 @@ _LOWER = 0.25
 _OVERLAP = 0.12
 """Seconds that a picture stays behind splats that become visible."""
 _QUALITY = 92
+_POINT = 0.6
+"""Size of a point in spacings: marks of points are seen beside it."""
 
 
 class Viewport:
@@ -135,7 +137,7 @@ class Viewport:
 
         Args:
             splats: of which centres and colours count.
-            spacing: of neighbours, world units; points are as large.
+            spacing: of neighbours, world units; points are a share of it.
         """
         self._splats = _gone(self._splats)
         places = self._frame.to_page(splats.centers)
@@ -145,7 +147,7 @@ class Viewport:
                 "/points",
                 points=places,
                 colors=colors,
-                point_size=spacing * self._frame.scale,
+                point_size=_POINT * spacing * self._frame.scale,
                 point_shape="circle",
                 precision="float32",
                 visible=not self._resting,

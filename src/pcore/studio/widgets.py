@@ -113,7 +113,7 @@ class Panels(Panel):
         rest = gui.add_checkbox("Exact when it rests", True, hint="Off: what moves stays shown")
         self._on_update(rest, "rest")
         self._on_click(gui.add_button("Whole object (F)", icon="focus-2", color="gray"), "home")
-        dark = gui.add_button("Dark or light panel (D)", icon="moon", color="gray")
+        dark = gui.add_button("Dark or light panel (T)", icon="moon", color="gray")
         self._on_click(dark, "dark")
         return overlay, compare, still, moving, rest
 

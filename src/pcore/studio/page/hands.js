@@ -5,9 +5,9 @@ const press = (key, code) =>
     new KeyboardEvent("keydown", { key, code, bubbles: true }),
   );
 
-// Commands are there once the page has shown them.
+// Commands are there once the page has shown them. D is taken: viser moves its camera with it.
 if (window.matchMedia("(prefers-color-scheme: dark)").matches) {
-  setTimeout(() => press("d", "KeyD"), 500);
+  setTimeout(() => press("t", "KeyT"), 500);
 }
 
 if (!window.pcoreHands) {
