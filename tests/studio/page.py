@@ -10,6 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+KNOWN = "Unable to preventDefault inside passive event listener"
+"""What viser's own page says on the console when something is dragged; all else is a problem."""
+
 
 class Page:
     """A running `pcore studio` and a tab that shows it."""
@@ -30,14 +33,19 @@ class Page:
         if ready:
             self.open(browser)
 
-    def open(self, browser: Any) -> None:
+    def open(self, browser: Any, **options: Any) -> None:
         """Show the page in a new tab, until its first picture: before it pointers do nothing."""
-        self.tab = browser.new_page(viewport={"width": 1000, "height": 640})
+        self.tab = browser.new_page(viewport={"width": 1000, "height": 640}, **options)
         self.tab.on("pageerror", lambda error: self.problems.append(str(error)))
+        self.tab.on("console", self._heard)
         self.tab.goto(self.url)
         self.says("points")
         self.tab.get_by_text("Loading").wait_for(state="detached", timeout=60_000)
         self.tab.wait_for_timeout(800)
+
+    def _heard(self, message: Any) -> None:
+        if message.type == "error" and KNOWN not in message.text:
+            self.problems.append(message.text)
 
     def says(self, text: str) -> None:
         self.tab.get_by_text(text).first.wait_for(timeout=30_000)

@@ -97,7 +97,7 @@ def test_an_overlay_stays_while_things_move(scene: Any, overlay: str) -> None:
 
 def test_small_exact_pictures_while_things_move(scene: Any, lit: Asset) -> None:
     editor, drawer, viewport, showing = scene
-    editor.shown = replace(editor.shown, exact=100)
+    editor.shown = replace(editor.shown, moving="pictures, 100 pixels")
     showing.move([viewport])
     assert viewport.shown == ["picture"]
     posed = drawer.posed(editor.state, still=True)

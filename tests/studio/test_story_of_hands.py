@@ -5,6 +5,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import imageio.v3 as iio
 import pytest
 from page import Page, kept, until
 
@@ -108,5 +109,35 @@ def test_hands_on_the_page(browser: Any, run: Path, free_port: int) -> None:
         assert page.problems == []
         page.tab.close()
         without_webgl(browser, page.url)
+    finally:
+        page.end(signal.SIGKILL)
+
+
+def test_a_dark_browser_and_points(browser: Any, run: Path, free_port: int) -> None:
+    page = Page(browser, run, free_port, ready=False)
+    try:
+        page.open(browser, color_scheme="dark")
+        panel = 'document.documentElement.getAttribute("data-mantine-color-scheme")'
+        page.tab.wait_for_function(f'{panel} === "dark"', timeout=30_000)
+        page.go_to("View")
+        page.choose("While moving", "points")
+        row = page.tab.get_by_text("Exact when it rests", exact=True).locator("xpath=../../..")
+        row.locator("input").last.click()
+        page.tab.wait_for_timeout(2500)
+        picture = iio.imread(page.tab.screenshot())[:, :600, :3]
+        assert 0.05 < float((picture.min(axis=2) < 200).mean()) < 0.6  # The snail, by points.
+        page.click((355, 350), "Control")
+        page.says("1 edit, not saved")
+        page.go_to("Edit")
+        reach = page.tab.get_by_text("Reach", exact=True).locator("xpath=../../..")
+        before = float(reach.locator("input:visible").last.input_value())
+        page.tab.mouse.move(500, 500)
+        page.tab.keyboard.down("Shift")
+        page.tab.mouse.wheel(0, -100)
+        page.tab.keyboard.up("Shift")
+        until(lambda: float(reach.locator("input:visible").last.input_value()) > before)
+        page.tab.keyboard.press("t")
+        page.tab.wait_for_function(f'{panel} === "light"', timeout=30_000)
+        assert page.problems == []
     finally:
         page.end(signal.SIGKILL)

@@ -42,10 +42,26 @@ class EditSession(Undoable):
         stack = replace(base, edits=(*base.edits, entry))
         return self._do(stack, f"do {_kind(entry)}", merge)
 
-    def replace(self, index: int, edit: EditLike, *, merge: str | None = None) -> EditState:
-        """Put another edit in the place of one; arguments and errors as `do`."""
+    def replace(
+        self,
+        index: int,
+        edit: EditLike,
+        *,
+        merge: str | None = None,
+        freeze: tuple[RegionEntry, ...] | None = None,
+    ) -> EditState:
+        """Put another edit in the place of one; arguments and errors as `do`.
+
+        Args:
+            index: of the one.
+            edit: the other one.
+            merge: as `do`.
+            freeze: what is frozen from now on, in the same step; None leaves that as it is.
+        """
         entry = edit_entry(edit)
-        return self._do(self.stack.changed(index, entry), f"change {_kind(entry)}", merge)
+        stack = self.stack.changed(index, entry)
+        stack = stack if freeze is None else replace(stack, freeze=freeze)
+        return self._do(stack, f"change {_kind(entry)}", merge)
 
     def set(self, index: int, path: str, value: Any, *, merge: str | None = None) -> EditState:
         """Change one value of an edit.

@@ -1,9 +1,10 @@
-"""The least falloff with which an edit that folds space at a seam does not."""
+"""The least falloff, or reach, with which an edit that folds space at a seam does not."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.reading import parse_region
 from pcore.editing.regions import FALLOFF, RegionEntry
 from pcore.editing.session import EditLike, EditSession
@@ -27,7 +28,7 @@ class Widened:
     """An edit and what is frozen, with wider seams.
 
     Attributes:
-        falloff: of all seams that were narrower, world units.
+        falloff: of all seams that were narrower, and the reach of handles; world units.
         edit: the edit.
         freeze: for `EditSession.freeze`, before the edit is done.
     """
@@ -40,7 +41,8 @@ class Widened:
 def widened(session: EditSession, edit: EditLike, at: int | None = None) -> Widened:
     """Find the next falloff, of the edit's region and of what is held, with which nothing folds.
 
-    Falloffs grow by a quarter at a time from the narrowest there is, up to the object's size.
+    How far handles reach counts as a falloff. They grow by a quarter at a time from the narrowest
+    there is, up to the object's size.
 
     Args:
         session: where it would be done.
@@ -54,12 +56,17 @@ def widened(session: EditSession, edit: EditLike, at: int | None = None) -> Wide
     raw, frozen = raw_edit(entry), [raw_region(one) for one in held]
     seams = [*([raw["region"]] if raw.get("region") else []), *raw.get("freeze", []), *frozen]
     size = size_of(session.canonical)
-    widths = [FALLOFF * size if one.get("falloff") is None else one["falloff"] for one in seams]
-    falloff = max(_NARROWEST * size, min(widths, default=size))
-    while seams and falloff < size:
+    widths = [
+        (one, "falloff", FALLOFF * size if one.get("falloff") is None else one["falloff"])
+        for one in seams
+    ]
+    if raw["type"] == "anchors":
+        widths.append((raw, "reach", AnchorsEdit.reach_of(raw.get("reach"), size)))
+    falloff = max(_NARROWEST * size, min((width for *_, width in widths), default=size))
+    while falloff < size:
         falloff = float(f"{_GROWTH * falloff:.{_DIGITS}g}")
-        for one, width in zip(seams, widths, strict=True):
-            one["falloff"] = max(falloff, width)
+        for one, key, width in widths:
+            one[key] = max(falloff, width)
         found = Widened(
             falloff=falloff,
             edit=edit_entry(raw),

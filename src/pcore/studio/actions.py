@@ -28,7 +28,9 @@ COMMANDS = (
         "unkey",
         "overlay",
         "still",
-        "exact",
+        "moving",
+        "rest",
+        "widen",
         "mirror",
         "lock",
         "click",
@@ -154,9 +156,18 @@ class Actions:
         """Whether the light stands still."""
         self._shown(still=on)
 
-    def exact(self, pixels: int) -> None:
-        """Show exact pictures of so many pixels squared while things move; 0: splats."""
-        self._shown(exact=pixels)
+    def moving(self, what: str) -> None:
+        """What is shown while things move, one of `MOVING`."""
+        self._shown(moving=what)
+
+    def rest(self, on: bool) -> None:
+        """Whether an exact picture is drawn when things rest."""
+        self._shown(rest=on)
+
+    def widen(self) -> None:
+        """Do what folded, with soft edges wide enough."""
+        falloff = self._editor.widen()
+        self._studio.say(f"It holds with soft edges of {falloff:.3g} world units.")
 
     def mirror(self, axis: str | None = None) -> None:
         """Across which axis handles move in pairs; None is the next one."""
@@ -218,7 +229,7 @@ class Actions:
 
     def _stays(self, there: bool) -> None:
         if not there:
-            raise EditError("drag: space would fold there; back at the last place where it did not")
+            raise EditError("space would fold there; back to the last place where it did not")
 
     def _shown(self, **changes: Any) -> None:
         self._editor.shown = replace(self._editor.shown, **changes)

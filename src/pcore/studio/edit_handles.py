@@ -8,6 +8,7 @@ from pcore.editing.dragging import Mirror
 from pcore.editing.state import EditState
 from pcore.errors import EditError, PcoreError
 from pcore.studio.cage_handles import KINDS, cage_handles, with_image, with_vertex, without_vertex
+from pcore.studio.carrying import carried, uncarried
 from pcore.studio.formula_handles import CENTRED, MOVING, formula_handle, with_formula_handle
 from pcore.studio.handle_edit import arriving, mirrored, moved_handle, placed
 from pcore.studio.handle_pose import HandlePose
@@ -30,7 +31,9 @@ def handles_of_edit(raw: dict[str, Any], state: EditState, index: int) -> list[H
         return placed(raw, state, index)
     if raw["type"] in KINDS:
         return cage_handles(raw)
-    return [formula_handle(raw, arriving(state, index))] if raw["type"] in ONE else []
+    if raw["type"] not in ONE:
+        return []
+    return [carried(formula_handle(raw, arriving(state, index)), state, index)]
 
 
 def handles_or_error(
@@ -48,6 +51,8 @@ def with_handle(
     number: int,
     before: HandlePose,
     after: HandlePose,
+    state: EditState,
+    index: int,
     mirror: tuple[Mirror, float] | None = None,
 ) -> dict[str, Any]:
     """Return an edit with one handle moved and turned.
@@ -57,11 +62,14 @@ def with_handle(
         number: of the handle.
         before: where it is shown.
         after: where it is to be.
+        state: the object.
+        index: of the edit.
         mirror: across which another one does the same, and how far from the image of its place
             that one may be, world units.
     """
     if raw["type"] in ONE:
-        return with_formula_handle(raw, before, after)
+        own = formula_handle(raw, arriving(state, index))
+        return with_formula_handle(raw, own, uncarried(own, before, after, state, index))
     if raw["type"] == "anchors":
         moved = moved_handle(raw, number, before, after)
         return moved if mirror is None else mirrored(moved, number, *mirror)

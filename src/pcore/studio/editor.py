@@ -111,7 +111,8 @@ class Editor(SelectionEditor):
         raw = self.raw(index)
         before = handles_of_edit(raw, self.session.state, index)[number]
         mirror = None if self._mirror is None else (self._mirror, self._beside)
-        moved = with_handle(raw, number, before, self._locked(before, pose), mirror)
+        wanted = self._locked(before, pose)
+        moved = with_handle(raw, number, before, wanted, self.session.state, index, mirror)
         state = self.session.preview(moved, at=index, frames="quick")
         self._dragged, self._held_raw = state, moved
         if not len(state.folds):
@@ -151,13 +152,14 @@ class Editor(SelectionEditor):
         Where that folds space it goes to the last place that did not.
         """
         dragged, kept = self._dragged, self._kept
+        folded = self._held_raw
         self.cancel()
         if dragged is None:
             return True
         index, _ = self._held()
         if kept is not None and kept != self.raw(index):
             self._keep(index, kept)
-        return not len(dragged.folds)
+        return not self._refuses(dragged, index, folded)
 
     def add_cage(self, file: Path, *, cells: int) -> None:
         """Add a box around the selected points, or the object, that changes nothing yet.

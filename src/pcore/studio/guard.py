@@ -112,7 +112,10 @@ class Guard:
         return self.host in _ANYWHERE and _is_address(name)
 
 
-WELCOME = b"<!DOCTYPE html><meta http-equiv=refresh content='0;url=/'><title>pcore</title>"
+WELCOME = (
+    b"<!DOCTYPE html><meta http-equiv=refresh content='0;url=/'>"
+    b"<link rel=icon href=data:,><title>pcore</title>"
+)
 """Answer to the token: the page asks for itself, so that the cookie counts as of the same site."""
 
 HEADERS = (

@@ -18,6 +18,7 @@ from pcore.editing.selection import Rim
 from pcore.errors import PcoreError
 from pcore.geometry.extent import size_of
 from pcore.studio.cage_handles import KINDS, cage_shapes
+from pcore.studio.carrying import carried_places
 from pcore.studio.edit_forms import AXES
 from pcore.studio.editor import Editor
 from pcore.studio.formula_handles import CENTRED
@@ -101,7 +102,10 @@ def _shape(editor: Editor, raw: dict[str, Any]) -> list[tuple[Tensor, tuple[int,
         return [] if shapes is None else [(_edges(*shapes), _CAGE)]
     if raw["type"] in CENTRED and "axis" in raw:
         points = arriving(editor.session.state, editor.shown.selected or 0).points
-        return _axis(raw, points)
+        index = editor.shown.selected or 0
+        return [
+            (carried_places(one, editor.session.state, index), c) for one, c in _axis(raw, points)
+        ]
     return []
 
 
@@ -145,8 +149,10 @@ def _axis(raw: dict[str, Any], points: Tensor) -> list[tuple[Tensor, tuple[int, 
     along = axis_vector(raw["axis"])
     ends = (low, high) if not bend else (-radius, radius)
     more = _BEYOND * (ends[1] - ends[0])
-    line = torch.stack([origin + (ends[0] - more) * along, origin + (ends[1] + more) * along])
-    return [(torch.cat([line.unsqueeze(0), *lines]), _LINE)]
+    # In parts, since later edits may bend it.
+    steps = torch.linspace(ends[0] - more, ends[1] + more, _CIRCLE + 1, dtype=torch.float64)
+    line = origin + steps.unsqueeze(1) * along
+    return [(torch.cat([torch.stack([line[:-1], line[1:]], dim=1), *lines]), _LINE)]
 
 
 def _lock(editor: Editor) -> list[tuple[Tensor, tuple[int, int, int]]]:

@@ -8,15 +8,15 @@ HELP = """
 | **Pin** | Alt-click: stays where it was before the edit |
 | **Drag** | the ball, or arrows and rings; Escape puts back |
 | **One axis** | X, Y, Z, also in a drag; again: free |
-| **Reach** | PageUp, PageDown: to the dots |
-| **Take away** | Delete, for the selected handle |
+| **Reach** | Shift and the wheel; PageUp, PageDown |
+| **Remove** | Delete, for the selected handle |
 | **Select** | Shift-drag; Ctrl-Shift adds, Alt-Shift removes |
 | **Tools** | R box, B brush, L lasso, G ball |
 | **Freeze** | H; Shift-H lets everything go |
 | **Undo** | Ctrl-Z; Ctrl-Shift-Z does it again |
 | **Save** | Ctrl-S |
 | **Time** | I keys, space plays |
-| **View** | M mirror, O overlay, K this help |
+| **View** | M mirror, O overlay, T dark, K this help |
 
 Grey balls hold their place. Red dots: space folds there; let go, and the handle returns to the last
 good place.
@@ -47,5 +47,6 @@ OVERLAY_NAMES = {
     "frozen": "frozen",
 }
 """What the page calls overlays."""
+WIDEN = "Allow it with wider soft edges"
 WORKING = "*Working&hellip;* The first time on a machine takes longer."
 LOADING = "*Loading&hellip;* The first picture takes a moment."

@@ -23,6 +23,7 @@ HOTKEYS: tuple[tuple[Any, ...], ...] = (
     ("Reach less far", "pagedown", None, "reach", 1 / _FARTHER),
     ("Key selected edit", "I", None, "key"),
     ("Play or pause", "space", None, "play"),
+    ("Dark or light panel", "T", None, "dark"),
     ("Next overlay", "O", None, "overlay"),
     ("Whole object", "F", None, "home"),
     ("Put a drag back", "escape", None, "cancel"),

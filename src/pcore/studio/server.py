@@ -12,6 +12,7 @@ import threading
 from collections.abc import Generator
 from http import HTTPStatus
 from importlib import import_module
+from importlib.resources import files
 from importlib.util import find_spec
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -58,6 +59,21 @@ def open_server(guard: Guard, *, label: str) -> viser.ViserServer:
     return server
 
 
+def paint(gui: Any, *, dark: bool) -> None:
+    """Choose the colours of the panel, of a server or of one tab."""
+    gui.configure_theme(
+        show_share_button=False, show_logo=False, control_width="medium", dark_mode=dark
+    )
+
+
+def run_script(server: Any) -> None:
+    """Let every tab run the page's script, which viser has no public way for."""
+    from viser import _messages
+
+    source = files("pcore.studio").joinpath("page/hands.js").read_text()
+    server._websock_server.queue_message(_messages.RunJavascriptMessage(source))
+
+
 def sweep(server: viser.ViserServer) -> None:
     """Forget messages of widgets that are gone; viser itself does that when tabs join alone."""
     server._run_garbage_collector()  # pyright: ignore[reportPrivateUsage]
@@ -78,11 +94,7 @@ def _silence(server: Any) -> None:
     for kind in list(sockets._incoming_handlers):
         if kind.__name__ in _UNWANTED:
             del sockets._incoming_handlers[kind]
-    server.gui.configure_theme(
-        show_share_button=False,
-        show_logo=False,
-        control_width="medium",
-    )
+    paint(server.gui, dark=False)
     server.gui.main_panel.dock_right()
 
 

@@ -36,7 +36,7 @@ class Showing:
         for viewport in viewports:
             camera = viewport.camera(most=side * side) if side else None
             if camera is None:
-                viewport.show_splats(self._drawer.splats(state, viewport.eye))
+                self._shapes(viewport)
                 viewport.moving()
                 continue
             picture = self._drawer.quick_picture(state, camera, still=self.editor.shown.still)
@@ -49,6 +49,11 @@ class Showing:
         editor.refine()
         self._dots(viewports)
         yield
+        if not editor.shown.rest:
+            for viewport in viewports:
+                self._shapes(viewport)
+                viewport.moving(stays=True)
+            return
         first = self._drawer.first(editor.state, still=editor.shown.still)
         if first is not None:  # Nobody waits for the light, and it may not be wanted any more.
             for viewport in viewports:
@@ -58,10 +63,18 @@ class Showing:
         yield
         for viewport in viewports:
             # The colours that this place sees, in the light of now.
-            viewport.show_splats(self._drawer.splats(editor.state, viewport.eye))
+            self._shapes(viewport)
             yield
             for part in (_COARSE, 1.0):
                 yield from self._pictures(viewport, part, posed, cancelled)
+
+    def _shapes(self, viewport: Viewport) -> None:
+        """Show splats, or points where those are wished."""
+        splats = self._drawer.splats(self.editor.state, viewport.eye)
+        if self.editor.shown.moving == "points":
+            viewport.show_points(splats, self.editor.spacing)
+        else:
+            viewport.show_splats(splats)
 
     def _pictures(
         self, viewport: Viewport, part: float, posed: Posed, cancelled: Callable[[], bool]

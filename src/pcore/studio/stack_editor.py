@@ -14,6 +14,7 @@ from pcore.editing.session import EditSession
 from pcore.editing.stack import raw_edit
 from pcore.editing.state import EditState
 from pcore.editing.tracks import put_at, set_value
+from pcore.editing.widening import widened
 from pcore.errors import EditError, PcoreError
 from pcore.geometry.surfels import spacing_of
 from pcore.studio.edit_forms import new_edit
@@ -21,8 +22,10 @@ from pcore.studio.edit_handles import ONE, handles_or_error
 
 CLICKS = ("nothing", "handle", "pin")
 TOOLS = ("box", "brush", "lasso", "ball")
-MOVING = {"splats": 0, "pictures, 100 pixels": 100, "pictures, 200 pixels": 200}
-"""What is shown while things move: splats, or exact pictures of so many pixels squared."""
+MOVING = {"splats": 0, "points": 0, "pictures, 100 pixels": 100, "pictures, 200 pixels": 200}
+"""What is shown while things move, and the pixels along a side where it is an exact picture."""
+MANY = 100_000
+"""Points from which on a page begins with points: a splat takes 32 bytes per event, a point 15."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +43,8 @@ class Shown:
         lock: "off", or the axis along which alone handles move: "x", "y" or "z".
         click: what a click without a key puts: "nothing", "handle" or "pin".
         tool: what a drag with Shift selects with, one of `TOOLS`.
-        exact: pixels, along a square's side, of exact pictures while things move; 0: splats.
+        moving: what is shown while things move, one of `MOVING`.
+        rest: an exact picture takes the place of that when things rest.
         brush: radius of the brush, and of the ball of a click, in shares of the object's size.
     """
 
@@ -55,7 +59,13 @@ class Shown:
     click: str = "nothing"
     tool: str = "box"
     brush: float = 0.05
-    exact: int = 0
+    moving: str = "splats"
+    rest: bool = True
+
+    @property
+    def exact(self) -> int:
+        """Pixels, along a square's side, of exact pictures while things move; 0: none."""
+        return MOVING[self.moving]
 
 
 class StackEditor:
@@ -69,7 +79,7 @@ class StackEditor:
         """
         self.asset = asset
         self.session = asset.session(edit or EditScript(edits=()))
-        self.shown = Shown()
+        self.shown = Shown(moving="splats" if len(asset.points) < MANY else "points")
         self.spacing = max(spacing_of(asset.points), 1e-9)
         self.selector = Selector(rest=asset.points)
         self._dragged: EditState | None = None
@@ -79,6 +89,7 @@ class StackEditor:
         self._sliding: tuple[int, str] | None = None
         self._good: Any = None
         self._gesture = 0
+        self._folded: tuple[int, int, dict[str, Any]] | None = None
         self._check_selected()
 
     def resume(self, session: EditSession) -> None:
@@ -148,14 +159,49 @@ class StackEditor:
 
     def settle(self) -> bool:
         """Keep the value that `slide` shows, as one step; whether it stays, as `drop`."""
-        sliding, good, shown = self._sliding, self._good, self._dragged
+        sliding, good, shown, folded = self._sliding, self._good, self._dragged, self._held_raw
         if sliding is None or shown is None:
             return True
         self.cancel()
         self.begin()
         if good is not None:
             self.set(*sliding, good)
-        return not len(shown.folds)
+        return not self._refuses(shown, sliding[0], folded)
+
+    def _refuses(self, shown: EditState, index: int, raw: dict[str, Any] | None) -> bool:
+        """Whether a state folds; `widen` can then do what led to it."""
+        if not len(shown.folds):
+            return False
+        if raw is not None and not self.session.tracks(index):
+            self._folded = self.session.history.present.number, index, raw
+        return True
+
+    @property
+    def widens(self) -> bool:
+        """Whether the last thing done folded space and there are seams to widen against it."""
+        folded = self._folded
+        if folded is None or folded[0] != self.session.history.present.number:
+            return False
+        raw = folded[2]
+        own = raw["type"] == "anchors" or raw.get("region") or raw.get("freeze")
+        return bool(own or self.session.stack.freeze)
+
+    def widen(self) -> float:
+        """Do what folded last with seams that are wide enough, as one step.
+
+        Returns:
+            Their falloff, world units.
+
+        Raises:
+            EditError: nothing folded, or no width helps.
+        """
+        if self._folded is None or not self.widens:
+            raise EditError("falloff: expected a drag that folds, got none since the last step")
+        _, index, raw = self._folded
+        self._folded = None
+        found = widened(self.session, raw, index)
+        self.session.replace(index, found.edit, freeze=found.freeze)
+        return found.falloff
 
     @property
     def sliding(self) -> bool:

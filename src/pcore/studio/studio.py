@@ -20,7 +20,7 @@ from pcore.studio.hotkeys import HOTKEYS
 from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import SIZE, PageFrame
 from pcore.studio.select_actions import SELECT_COMMANDS, SelectActions
-from pcore.studio.server import open_server, sweep
+from pcore.studio.server import open_server, paint, run_script, sweep
 from pcore.studio.showing import Showing
 from pcore.studio.status_line import StatusLine
 from pcore.studio.stroke_nodes import HELD, StrokeNodes
@@ -122,6 +122,7 @@ class Studio(Gestures):
             scene.on_click(modifier=keys)(self._clicked)
         for label, key, modifier, wish, *values in HOTKEYS:
             self._command(label, key, modifier, wish, values)
+        run_script(server)
 
     @property
     def _eye(self) -> tuple[float, float, float]:
@@ -185,6 +186,7 @@ class Studio(Gestures):
             "top": self._top,
             "home": self._home,
             "help": self._help,
+            "dark": self._dark,
             "stop_film": self._stop_film,
             "take_over": self._take_over,
         }
@@ -208,6 +210,11 @@ class Studio(Gestures):
     def _help(self, tab: int) -> None:
         if (viewport := self._viewports.get(tab)) is not None:
             show_help(viewport.client.gui)
+
+    def _dark(self, tab: int) -> None:
+        if (viewport := self._viewports.get(tab)) is not None:
+            viewport.dark = not viewport.dark
+            paint(viewport.client.gui, dark=viewport.dark)
 
     # Showing
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -13,6 +14,8 @@ from pcore.studio.guard import plain
 from pcore.studio.viewport import Viewport
 from pcore.studio.worker import Worker
 
+_FOLDS = re.compile(r"singular deformation: .*?; (.*); plain rays can draw it")
+"""What a message says of a fold beside what to do about it; pages draw folds in any case."""
 _SLOW = 0.5
 """Seconds after which a command is said to take its time."""
 
@@ -153,7 +156,8 @@ class Tabs(ABC):
         self.perform(take)
 
     def _complain(self, error: Exception) -> None:
-        self._said = f"⚠ {plain(str(error))}"
+        said = _FOLDS.sub(r"space would fold; \1", plain(str(error)))
+        self._said = f"⚠ {said}"
 
     def _failed(self, error: Exception) -> None:
         """What should not happen is said without its trace; the last good picture stays."""

@@ -29,6 +29,8 @@ _LOWER = 0.25
 _OVERLAP = 0.12
 """Seconds that a picture stays behind splats that become visible."""
 _QUALITY = 92
+_POINT = 0.6
+"""Size of a point in spacings: marks of points are seen beside it."""
 
 
 class Viewport:
@@ -48,9 +50,10 @@ class Viewport:
         self._empty = np.array([[paint] * 2] * 2, dtype=np.uint8)
         client.scene.set_background_image(self._empty, format="png")
         self._splats: Any = None
+        self._points: Any = None
         self._dots: Any = None
         self._ink: Any = None
-        self.drawn, self._resting = False, False
+        self.drawn, self.dark, self._resting = False, False, False
         self._since: float | None = None
 
     @property
@@ -96,23 +99,28 @@ class Viewport:
             down = _LOWER * away * SIZE
             camera.position, camera.look_at = (x, y, z - down), (0.0, 0.0, -down)
 
-    def moving(self) -> None:
-        """Show the splats that there are, at once.
+    def moving(self, *, stays: bool = False) -> None:
+        """Show the splats or points that there are, at once.
 
         The picture before them stays for a moment: browsers sort splats that become visible first,
         and would show nothing meanwhile.
+
+        Args:
+            stays: no picture follows, and the one before goes at once.
         """
         now = time.monotonic()
+        self.drawn = self.drawn or stays
         if self._resting:
             self._resting, self._since = False, now
-            if self._splats is not None:
-                self._splats.visible = True
-        elif self._since is not None and now > self._since + _OVERLAP:
+            if self._shapes is not None:
+                self._shapes.visible = True
+        if self._since is not None and (stays or now > self._since + _OVERLAP):
             self._since = None
             self.client.scene.set_background_image(self._empty, format="png")
 
     def show_splats(self, splats: Splats) -> None:
-        """Show other splats."""
+        """Show other splats, in the place of points."""
+        self._points = _gone(self._points)
         if self._splats is None:
             self._splats = self.client.scene.add_gaussian_splats(
                 "/object",
@@ -124,6 +132,30 @@ class Viewport:
         else:
             self._splats.buffer = self._frame.buffer(splats)
 
+    def show_points(self, splats: Splats, spacing: float) -> None:
+        """Show the centres of splats as points, in the place of splats.
+
+        Args:
+            splats: of which centres and colours count.
+            spacing: of neighbours, world units; points are a share of it.
+        """
+        self._splats = _gone(self._splats)
+        places = self._frame.to_page(splats.centers)
+        colors = to_bytes(torch.from_numpy(splats.rgb)).numpy()
+        if self._points is None:
+            self._points = self.client.scene.add_point_cloud(
+                "/points",
+                points=places,
+                colors=colors,
+                point_size=_POINT * spacing * self._frame.scale,
+                point_shape="circle",
+                precision="float32",
+                visible=not self._resting,
+            )
+        else:
+            with self.client.atomic():
+                self._points.points, self._points.colors = places, colors
+
     def show_picture(self, pixels: NDArray[np.uint8], depth: NDArray[np.float32] | None) -> None:
         """Show a picture of ours in the place of the splats."""
         self.drawn, self._resting, self._since = True, True, None
@@ -131,8 +163,13 @@ class Viewport:
             self.client.scene.set_background_image(
                 pixels, format="jpeg", jpeg_quality=_QUALITY, depth=depth
             )
-            if self._splats is not None:
-                self._splats.visible = False
+            if self._shapes is not None:
+                self._shapes.visible = False
+
+    @property
+    def _shapes(self) -> Any:
+        """The node that shows the object while it moves."""
+        return self._splats or self._points
 
     def show_dots(self, points: Tensor, colors: Tensor) -> None:
         """Show coloured dots over the object; (0, 3) points for none."""
@@ -160,6 +197,11 @@ class Viewport:
             self._ink = self.client.scene.add_line_segments(
                 "/ink", segments, color, thickness=2.0, thickness_units="screen"
             )
+
+
+def _gone(node: Any) -> None:
+    if node is not None:
+        node.remove()
 
 
 def pixels_of(image: Image) -> NDArray[np.uint8]:

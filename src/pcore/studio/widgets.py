@@ -8,7 +8,7 @@ from typing import Any
 
 from pcore.studio.edit_panel import EditPanel
 from pcore.studio.editor import Editor
-from pcore.studio.help_text import LOADING, OVERLAY_NAMES
+from pcore.studio.help_text import LOADING, OVERLAY_NAMES, WIDEN
 from pcore.studio.panel import Panel, Wish
 from pcore.studio.select_panel import SelectPanel
 from pcore.studio.stack_editor import MOVING
@@ -22,14 +22,18 @@ class Widgets:
     """Handles of viser that change with the state."""
 
     status: Any
+    widen: Any
     time: Any
     keys: Any
     play: Any
     overlay: Any
     compare: Any
     still: Any
+    moving: Any
+    rest: Any
     name: Any
     progress: Any
+    stop: Any
     line: Any
     owner: Any
 
@@ -49,6 +53,8 @@ class Panels(Panel):
         super().__init__(server.gui, wishes)
         gui = self._gui
         status = gui.add_markdown(LOADING)
+        widen = gui.add_button(WIDEN, icon="arrows-maximize", visible=False, color="orange")
+        self._on_click(widen, "widen")
         owner = gui.add_button("Edit in this tab", visible=False, color="orange")
         self._on_click(owner, "take_over")
         history = gui.add_button_group("Session", ("Undo", "Redo", "Save", "Help"))
@@ -61,11 +67,11 @@ class Panels(Panel):
         with tabs.add_tab("Time"):
             time, keys, play = self._time_tab()
         with tabs.add_tab("View"):
-            overlay, compare, still = self._view_tab(lit)
+            view = self._view_tab(lit)
         with tabs.add_tab("Files"):
-            name_, progress, line = self._files_tab(name)
-        shown = (status, time, keys, play, overlay, compare, still, name_, progress, line)
-        self._w = Widgets(*shown, owner)
+            files = self._files_tab(name)
+        shown = (status, widen, time, keys, play, *view, *files)
+        self._w = Widgets(*shown, owner=owner)
 
     # What stands in the panel
 
@@ -88,7 +94,7 @@ class Panels(Panel):
         keys = gui.add_markdown("No keys.")
         return time, keys, play
 
-    def _view_tab(self, lit: bool) -> tuple[Any, Any, Any]:
+    def _view_tab(self, lit: bool) -> tuple[Any, ...]:
         gui = self._gui
         overlay = gui.add_dropdown("Mark what is", tuple(_OVERLAYS), hint="Overlay (O)")
         self._on_update(overlay, "overlay", said=_OVERLAYS)
@@ -101,13 +107,17 @@ class Panels(Panel):
         )
         self._on_update(still, "still")
         moving = gui.add_dropdown(
-            "While moving", tuple(MOVING), hint="Exact pictures are slower, and of the real colours"
+            "While moving", tuple(MOVING), hint="Points are light; exact pictures are slower"
         )
-        self._on_update(moving, "exact", said=MOVING)
-        self._on_click(gui.add_button("Whole object (F)", icon="focus-2"), "home")
-        return overlay, compare, still
+        self._on_update(moving, "moving")
+        rest = gui.add_checkbox("Exact when it rests", True, hint="Off: what moves stays shown")
+        self._on_update(rest, "rest")
+        self._on_click(gui.add_button("Whole object (F)", icon="focus-2", color="gray"), "home")
+        dark = gui.add_button("Dark or light panel (T)", icon="moon", color="gray")
+        self._on_click(dark, "dark")
+        return overlay, compare, still, moving, rest
 
-    def _files_tab(self, name: str) -> tuple[Any, Any, Any]:
+    def _files_tab(self, name: str) -> tuple[Any, ...]:
         gui = self._gui
         named = gui.add_text("Edit file", name)
         for label, wish in (("Save as", "save"), ("Open", "open")):
@@ -132,9 +142,10 @@ class Panels(Panel):
             self._say("film", event, int(frames.value), int(width.value))
 
         progress = gui.add_progress_bar(0.0, visible=False)
-        self._on_click(gui.add_button("Stop", color="gray"), "stop_film")
+        stop = gui.add_button("Stop the film", color="gray", visible=False)
+        self._on_click(stop, "stop_film")
         line = gui.add_markdown("")
-        return named, progress, line
+        return named, progress, stop, line
 
     # What the state says
 
@@ -162,6 +173,8 @@ class Panels(Panel):
         self._w.line.content, self._w.play.value = line, playing
         self._w.overlay.value = OVERLAY_NAMES[editor.shown.overlay]
         self._w.compare.value = editor.shown.compare
+        self._w.moving.value, self._w.rest.value = editor.shown.moving, editor.shown.rest
+        self._w.widen.visible = editor.widens
         self._times(editor, camera_keys)
         self._edits.show(editor, names)
         self._selection.show(editor, names)
@@ -176,7 +189,7 @@ class Panels(Panel):
 
     def progress(self, share: float | None) -> None:
         """Show how far a film is; None where there is none."""
-        self._w.progress.visible = share is not None
+        self._w.progress.visible = self._w.stop.visible = share is not None
         self._w.progress.value = 100 * (share or 0.0)
 
     def named(self, name: str) -> None:
