@@ -143,8 +143,81 @@ def test_masks_that_are_missing(tmp_path: Path) -> None:
 def test_pages_that_were_saved_as_photos(tmp_path: Path) -> None:
     write_colmap(tmp_path)
     (tmp_path / "images" / "img_2.png").write_text("<!DOCTYPE html><html>404</html>")
-    assert "img_2.png: image" in reason(tmp_path)
-    assert "file of another kind" in reason(tmp_path)
+    assert reason(tmp_path).startswith("img_2.png: expected an image such as PNG, got a file of")
+
+
+@pytest.mark.parametrize("ending", ["jpg", "png", "webp", "tif", "avif"])
+def test_photos_that_were_cut_off(ending: str, tmp_path: Path) -> None:
+    photos = shots(names=f"img_{{}}.{ending}")
+    write_photos(tmp_path / "images", [shot.name for shot in photos], size=(96, 64))
+    write_model(tmp_path / "sparse" / "0", photos)
+    assert load_scene(tmp_path).skipped == ()
+    path = tmp_path / "images" / f"img_2.{ending}"
+    content = path.read_bytes()
+    path.write_bytes(content[: 2 * len(content) // 3])
+    assert reason(tmp_path).startswith(f"img_2.{ending}: ")
+    assert not reason(tmp_path).startswith(f"img_2.{ending}: image")
+
+
+def test_photos_that_something_was_appended_to(tmp_path: Path) -> None:
+    photos = shots(names="img_{}.jpg")
+    write_photos(tmp_path / "images", [shot.name for shot in photos])
+    write_model(tmp_path / "sparse" / "0", photos)
+    path = tmp_path / "images" / "img_2.jpg"
+    path.write_bytes(path.read_bytes() + b"a film of the moment" * 500)
+    assert load_scene(tmp_path).skipped == ()
+
+
+def test_pictures_with_wrong_checksums(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    path = tmp_path / "images" / "img_2.png"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 255
+    path.write_bytes(content)
+    assert "cut off or damaged" in reason(tmp_path)
+
+
+def test_lenses_of_nan(tmp_path: Path) -> None:
+    write_ngp(tmp_path)
+    path = tmp_path / "transforms.json"
+    content = json.loads(path.read_text())
+    content["frames"][2]["k1"] = float("nan")
+    path.write_text(json.dumps(content))
+    assert reason(tmp_path).endswith("a lens with NaN or infinity")
+    content["frames"][2] |= {"k1": 0.0, "fl_x": -30}
+    path.write_text(json.dumps(content))
+    with pytest.raises(SceneError, match=r"frame 2 .*: camera: expected positive focal lengths"):
+        load_scene(tmp_path)
+
+
+def test_lenses_that_show_nothing(tmp_path: Path) -> None:
+    write_ngp(tmp_path, k1=1e30)
+    with pytest.raises(SceneError, match=r"got 0.*its lens \(k1 1e\+30, .* another lens model"):
+        load_scene(tmp_path)
+
+
+def test_spheres_of_idr_without_size(tmp_path: Path) -> None:
+    write_idr(tmp_path)
+    path = tmp_path / "cameras_sphere.npz"
+    with np.load(path) as archive:
+        content = dict(archive)
+    np.savez(path, **{**content, "scale_mat_0": np.zeros((4, 4))})
+    with pytest.raises(SceneError, match=r"the unit sphere .* a radius of 0 around"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("layout", ["colmap", "nsvf", "cameras", "ngp"])
+def test_text_with_a_byte_order_mark(layout: str, tmp_path: Path) -> None:
+    if layout == "colmap":
+        write_colmap(tmp_path, text=True)
+    else:
+        {"nsvf": write_nsvf, "cameras": write_camera_list, "ngp": write_ngp}[layout](tmp_path)
+    before = load_scene(tmp_path)
+    for path in (*tmp_path.rglob("*.txt"), *tmp_path.rglob("*.json")):
+        path.write_text(path.read_text(), encoding="utf-8-sig")
+    after = load_scene(tmp_path)
+    assert after.layout == before.layout
+    assert len(after.split("train")) == len(before.split("train"))
 
 
 def test_picture_bombs(tmp_path: Path) -> None:
@@ -308,3 +381,13 @@ def test_files_that_choose_nothing(tmp_path: Path) -> None:
         (tmp_path / name).write_text("")
     with pytest.raises(SceneError, match="holds 2 videos; give the path of one"):
         load_scene(tmp_path)
+
+
+def test_pictures_of_nsvf_without_a_pose(tmp_path: Path) -> None:
+    write_nsvf(tmp_path)
+    (tmp_path / "pose" / "0_0001.txt").unlink()
+    write_photos(tmp_path / "rgb", ["0_0000.jpg"])
+    assert {(one.name, one.reason) for one in load_scene(tmp_path).skipped} == {
+        ("0_0001.png", "no pose of its own"),
+        ("0_0000.png", "no pose of its own"),
+    }

@@ -195,3 +195,68 @@ def test_twenty_real_photos(tmp_path: Path, shared_data: Path) -> None:
     assert scene.sparse is not None
     assert scene.sparse.errors is not None
     assert float(scene.sparse.errors.mean()) < 1.0
+
+
+def test_photos_in_sub_folders_keep_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake(monkeypatch)
+    rig = tmp_path / "rig"
+    names = [f"cam{camera}/{i}.jpg" for camera in (10, 2) for i in range(5)]
+    write_photos(rig, [*names, "masks/0.png"])
+    scene = load_scene(rig)
+    found = {view.name for views in scene.views.values() for view in views}
+    assert found == {f"cam{camera}_{i}" for camera in (2, 10) for i in range(5)}
+    assert scene.split("train")[0].name.startswith("cam2_")
+
+
+def test_a_photo_that_was_saved_twice_is_used_once(
+    photos: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake(monkeypatch)
+    write_photos(photos, ["IMG_3.png"])
+    scene = load_scene(photos)
+    assert sum(len(split) for split in scene.views.values()) == 10
+    assert [(one.name, one.reason) for one in scene.skipped] == [
+        ("IMG_3.png", "no pose in the model; IMG_3.jpg of the same name has one")
+    ]
+
+
+def test_a_rendered_scene_without_its_file_is_no_folder_of_photos(tmp_path: Path) -> None:
+    write_photos(tmp_path, ["train/r_0.png", "test/r_0.png"])
+    with pytest.raises(SceneError, match="unknown format"):
+        load_scene(tmp_path)
+
+
+def test_photos_that_colmap_does_not_read_are_handed_to_it_as_png(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake(monkeypatch)
+    folder = tmp_path / "web"
+    write_photos(folder, [*(f"a{i}.webp" for i in range(5)), *(f"b{i}.jpg" for i in range(5))])
+    (folder / "b4.jpg").write_text("<!DOCTYPE html>")
+    before = sorted(folder.rglob("*"))
+    scene = load_scene(folder)
+    files = {view.image.path.name for views in scene.views.values() for view in views}
+    assert files == {*(f"a{i}.webp" for i in range(5)), *(f"b{i}.jpg" for i in range(4))}
+    assert [one.name for one in scene.skipped] == ["b4.jpg"]
+    assert "a file of another kind" in scene.skipped[0].reason
+    assert sorted(folder.rglob("*")) == before
+    assert not list((tmp_path / "cache").rglob("*.png"))
+
+
+@pytest.mark.parametrize("link", ["IMG_3.jpg", "walk"])
+def test_links_that_lead_out_are_not_handed_to_colmap(
+    link: str, photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    child(monkeypatch, "raise SystemExit('COLMAP read them')")
+    if link == "walk":
+        photos = photos.rename(tmp_path / "elsewhere")
+        (tmp_path / "scene").mkdir()
+        (tmp_path / "scene" / link).symlink_to(photos)
+        photos = tmp_path / "scene"
+    else:
+        (photos / link).rename(tmp_path / "secret.jpg")
+        (photos / link).symlink_to(tmp_path / "secret.jpg")
+    with pytest.raises(SceneError, match="leads out of the scene's folder"):
+        load_scene(photos)

@@ -238,6 +238,13 @@ def test_poses_are_held_against_features(
     assert words in said
     assert "the dense part of the sparse points" in said
     assert "reprojection" not in said
+    fixed = tmp_path / "fixed"
+    words = ["--masks", "none", "--triangulate", "--fix", str(fixed)]
+    if median < 1:
+        assert main(["check", str(room), *words]) == 0
+        kept = load_scene(fixed).sparse
+        assert kept is not None
+        assert len(kept) == len(sparse_points())
 
 
 @pytest.mark.parametrize(

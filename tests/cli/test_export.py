@@ -168,6 +168,9 @@ def test_what_cannot_be_is_refused_before_any_work(folder: Path, monkeypatch: py
         json.dumps({"version": 2, "edits": [{**TWIST, "type": "bend", "angle_deg": 5000}]})
     )
     refuse("fold", "obj", "x.obj", EditError, edit=folder / "fold.json")
+    refuse("--faces: expected a whole number of at least 4, got 0", "obj", "x.obj", faces=0)
+    refuse("--texture: expected 16 to 8192 pixels, got 0", "obj", "x.obj", texture=0)
+    refuse("a finite time, got nan", "ply", "x.ply", EditError, edit=twist, time=float("nan"))
     for package, to, name in (
         ("skimage.measure", "obj", "x.obj"),
         ("pxr", "usd", "x.usd"),

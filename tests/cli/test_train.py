@@ -67,6 +67,17 @@ def test_training_makes_a_run(
     assert any((run / "tensorboard").iterdir())
 
 
+@pytest.mark.parametrize("model", ["papr", "gaussians"])
+@pytest.mark.parametrize("place", ["run", "train/deep/run"])
+def test_a_run_never_lies_in_the_scene(
+    model: str, place: str, scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(scene.rglob("*"))
+    assert call(scene, scene / place, "--model", model) == 2
+    assert "never written to" in " ".join(capsys.readouterr().err.split())
+    assert sorted(scene.rglob("*")) == before
+
+
 def test_options_change_the_preset(scene: Path, tmp_path: Path) -> None:
     start = torch.randn(9, 3) * 0.3
     save_points(tmp_path / "start.npy", start)

@@ -89,6 +89,12 @@ def test_what_is_given_can_be_changed_afterwards():
     assert made.at(1).edits[0].factor == 3
 
 
+@pytest.mark.parametrize("time", [math.nan, math.inf])
+def test_times_that_are_none(time: float):
+    with pytest.raises(EditError, match=f"expected a finite time, got {time}"):
+        parse_animation({"version": 2, "edits": []}).at(time)
+
+
 @pytest.mark.parametrize(
     ("value", "expected"),
     [

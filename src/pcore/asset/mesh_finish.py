@@ -42,6 +42,18 @@ def require_finish(*, texture: bool, faces: bool) -> tuple[Any, Any]:
     return unwrap, thin
 
 
+def check_finish(*, faces: int | None, texture: int | None) -> None:
+    """Refuse numbers that no mesh can be finished with, before any work.
+
+    Raises:
+        InputError: fewer than 4 triangles, or a texture of less than 16 or more than 8192 pixels.
+    """
+    if faces is not None:
+        check_count("--faces", faces, minimum=4)
+    if texture is not None and not 16 <= texture <= _LARGEST:
+        raise InputError(f"--texture: expected 16 to {_LARGEST} pixels, got {texture}")
+
+
 def finished(meshed: Meshed, *, faces: int | None, texture: int | None) -> SurfaceMesh:
     """Thin a mesh out and bake its colours into a picture.
 
@@ -51,16 +63,15 @@ def finished(meshed: Meshed, *, faces: int | None, texture: int | None) -> Surfa
         texture: pixels along a side of the picture; None leaves colours at vertices.
 
     Raises:
-        InputError: fewer than 4 triangles, or a texture of less than 16 or more than 8192 pixels.
+        InputError: as `check_finish`.
         DependencyError: a package is not installed.
     """
+    check_finish(faces=faces, texture=texture)
     unwrap, thin = require_finish(texture=texture is not None, faces=faces is not None)
     mesh = meshed.mesh
-    if texture is not None and not 16 <= texture <= _LARGEST:
-        raise InputError(f"--texture: expected 16 to {_LARGEST} pixels, got {texture}")
     if texture is not None and faces is None:
         faces = _MOST_UNWRAPPED
-    if faces is not None and check_count("--faces", faces, minimum=4) < len(mesh):
+    if faces is not None and faces < len(mesh):
         mesh = _thinned(mesh, faces, meshed, thin)
     return mesh if texture is None else _textured(mesh, texture, meshed, unwrap)
 

@@ -60,10 +60,15 @@ def read_idr(root: Path, path: Path, factor: int) -> Capture:
     region = None
     if "scale_mat_0" in content:
         scale = _matrix(content, "scale_mat_0", path)
-        region = Region(
-            center=torch.from_numpy(scale[:3, 3]).float(),
-            radius=float(abs(np.linalg.det(scale[:3, :3])) ** (1 / 3)),
-        )
+        finite = bool(np.isfinite(scale).all())
+        radius = float(abs(np.linalg.det(scale[:3, :3])) ** (1 / 3)) if finite else np.nan
+        if not radius > 0:
+            raise SceneError(
+                f"{path}: expected 'scale_mat_0' to scale and shift the unit sphere to the object, "
+                f"got a radius of {radius:g} around {scale[:3, 3].tolist()}; leave it out, then "
+                "masks or the viewing axes tell where the object is"
+            )
+        region = Region(center=torch.from_numpy(scale[:3, 3]).float(), radius=radius)
     return Capture(layout="IDR / NeuS", where=str(path), photos=photos, region=region, notes=notes)
 
 

@@ -14,12 +14,14 @@ from pcore.capture.colmap_model import image_count, kind_of, model_files, read_m
 from pcore.capture.colmap_records import Model, ModelImage
 from pcore.capture.photo_folders import find_photos
 from pcore.capture.photos import Capture, Photo, RawPoints, inside, pictures_in
+from pcore.data.cut_off import why_unreadable
 from pcore.data.scene import Skipped
 from pcore.errors import SceneError
 
 _PLACES = ("sparse", "colmap_sparse", "colmap/sparse", "distorted/sparse", ".")
 """Where models lie, the first that has one is taken; of several in one place the largest."""
 _LISTS = {"train": "train_list.txt", "val": "validation_list.txt", "test": "test_list.txt"}
+_NO_POSE = "no pose in the model"
 _FARTHEST = 1e15
 """No point of a model is farther from its origin; its square is no float32 any more."""
 _OPENGL = np.diag([1.0, -1.0, -1.0])
@@ -113,8 +115,14 @@ def _without_pose(root: Path, paths: Sequence[Path | None]) -> list[Skipped]:
     """Pictures beside those of the model that it has no pose for."""
     used = {path for path in paths if path is not None}
     beside = {one for folder in {path.parent for path in used} for one in pictures_in(folder)}
-    names = sorted(one.relative_to(root.resolve()).as_posix() for one in beside - used)
-    return [Skipped(name=name, reason="no pose in the model") for name in names]
+    twins = {path.with_suffix(""): path.name for path in used}
+    left: list[Skipped] = []
+    for path in sorted(beside - used):
+        twin = twins.get(path.with_suffix(""))
+        why = f"{_NO_POSE}; {twin} of the same name has one" if twin else None
+        why = why or why_unreadable(path) or _NO_POSE
+        left.append(Skipped(name=path.relative_to(root.resolve()).as_posix(), reason=why))
+    return left
 
 
 def _photo(model: Model, image: ModelImage, path: Path | None) -> Photo:
@@ -167,7 +175,7 @@ def _listed(root: Path, images: Sequence[ModelImage]) -> Mapping[str, Sequence[s
         return None
     known = {image.name for image in images}
     lists = {
-        split: [line.strip() for line in path.read_text(errors="replace").splitlines()]
+        split: [line.strip() for line in path.read_text("utf-8-sig", errors="replace").splitlines()]
         for split, path in paths.items()
     }
     found = {split: [name for name in names if name in known] for split, names in lists.items()}

@@ -22,7 +22,7 @@ _MOST = 2.0**62
 
 def _lines(path: Path) -> Iterator[str]:
     """Lines that are no comment; empty ones are kept."""
-    text = path.read_bytes().decode(errors="surrogateescape")
+    text = path.read_bytes().decode("utf-8-sig", errors="surrogateescape")
     return (line for line in text.splitlines() if not line.startswith("#"))
 
 

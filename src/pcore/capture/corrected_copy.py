@@ -103,11 +103,12 @@ def check_outside(scene: Scene, folder: Path) -> None:
     """Raise InputError where a place to write to lies in one of the scene's own folders.
 
     These are what was given, or the folder of a file that was; that which the images lie in; and
-    those of the photos.
+    those of the training photos.
     """
     given = (scene.folder or scene.root).resolve()
     homes = {given if given.is_dir() else given.parent, scene.root.resolve()}
-    homes |= {view.image.path.resolve().parent for views in scene.views.values() for view in views}
+    # Not of all splits: a test image that is missing keeps nobody from training.
+    homes |= {view.image.path.resolve().parent for view in scene.views.get("train", ())}
     home = next((home for home in homes if folder.resolve().is_relative_to(home)), None)
     if home is not None:
         raise InputError(

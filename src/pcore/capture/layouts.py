@@ -16,7 +16,7 @@ from pcore.capture.phone_folders import (
     read_record3d,
     record3d_metadata,
 )
-from pcore.capture.photos import VIDEOS, Capture, inside, pictures_in
+from pcore.capture.photos import VIDEOS, Capture, inside, photos_below, pictures_in
 from pcore.capture.pose_files import is_camera_list, read_camera_list, read_nsvf
 from pcore.capture.transforms_capture import read_transforms_capture
 from pcore.data.blender import transforms_path
@@ -166,12 +166,14 @@ def _without_poses(root: Path) -> Sequence[Layout]:
     """Photos alone, or one video."""
     for name in _PHOTO_FOLDERS:
         folder = root / name
-        photos = pictures_in(folder)
-        if photos:
+        if pictures_in(folder):
             return (Layout(name=PHOTOS, root=root, path=folder),)
     videos = _videos(root)
     if len(videos) == 1:
         return (Layout(name=VIDEO, root=root, path=videos[0]),)
+    for name in () if videos else _PHOTO_FOLDERS:  # One sub-folder for each camera or walk.
+        if photos_below(root / name):
+            return (Layout(name=PHOTOS, root=root, path=root / name),)
     return ()
 
 

@@ -17,7 +17,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from pcore.capture.photos import READ, natural_key
+from pcore.capture.photos import natural_key
+from pcore.data.image_paths import ENDINGS
 from pcore.data.images import AlphaOfSplit
 from pcore.data.pictures import write_mask
 from pcore.data.scene import Scene, Split, SplitsOnDemand, View
@@ -160,7 +161,7 @@ def _images(folder: Path) -> list[Path]:
 
 def _is_image(path: Path) -> bool:
     # Some systems put a hidden file of their own beside every picture.
-    return path.suffix.lower() in READ and not path.name.startswith(".") and path.is_file()
+    return path.suffix.lower() in ENDINGS and not path.name.startswith(".") and path.is_file()
 
 
 def _by_name(path: Path) -> tuple[tuple[int, int | str], ...]:

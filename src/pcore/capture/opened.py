@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import astuple, dataclass, replace
 
 import torch
 from torch import Tensor
 
 from pcore.capture.photos import Photo
+from pcore.data.cut_off import why_unreadable
 from pcore.data.image_files import ImageHeader, read_header
 from pcore.data.images import Crop, ImageCache, ImageSource
 from pcore.data.scene import View
-from pcore.errors import InputError, SceneError
+from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.lens_distortion import LensDistortion
 
+_GRID, _SEEN = 32, 0.1
+"""Pixels a side at which lenses are looked at, and the least share of them that must be seen."""
 _RIGID, _MENDED = 1e-3, 2e-2
 """Rotations off by less are taken as they are; off by less than the second, the nearest one is."""
 
@@ -41,10 +45,10 @@ def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache) -> Opened
     if photo.size is not None and min(photo.size) < 1:
         raise UnusableError(f"a camera for {photo.size[0]} x {photo.size[1]} pixels")
     pose, notes = _rigid(photo.world_from_camera)
-    try:
-        header = read_header(photo.path)
-    except SceneError as problem:
-        raise UnusableError(str(problem)) from problem
+    unreadable = why_unreadable(photo.path)
+    if unreadable is not None:
+        raise UnusableError(unreadable)
+    header = read_header(photo.path)
     upright = _is_upright(photo, header)
     full = header.upright_size if upright else (header.width, header.height)
     if header.orientation != 1:
@@ -52,6 +56,7 @@ def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache) -> Opened
         notes += (f"with an EXIF orientation {how} their cameras ask",)
     said = photo.size or full
     lens = photo.lens.scaled(full[0] / said[0], full[1] / said[1])
+    _check_lens(lens, full)
     crop = _whole_blocks(full, factor)
     try:
         camera = Camera(
@@ -83,6 +88,22 @@ def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache) -> Opened
         lens=lens,
         notes=notes,
     )
+
+
+def _check_lens(lens: LensDistortion, size: tuple[int, int]) -> None:
+    """Refuse numbers that no lens has: hardly a pixel of the straight picture would be seen."""
+    if lens.is_straight:
+        return
+    if not all(map(math.isfinite, astuple(lens))):
+        raise UnusableError("a lens with NaN or infinity")
+    small = lens.scaled(_GRID / size[0], _GRID / size[1])
+    seen = float(small.sources(_GRID, _GRID)[1].float().mean())
+    if seen < _SEEN:
+        numbers = ", ".join(f"{k} {getattr(lens, k):g}" for k in ("k1", "k2", "k3", "p1", "p2"))
+        raise UnusableError(
+            f"its lens ({numbers}) bends {100 * (1 - seen):.0f} % of the straight picture out of "
+            "sight; are these numbers of another lens model?"
+        )
 
 
 def _rigid(pose: Tensor) -> tuple[Tensor, tuple[str, ...]]:

@@ -133,7 +133,7 @@ def _photo(
 
 def _read(path: Path, read: Callable[[Any], _Content], expected: str) -> _Content:
     try:
-        return read(json.loads(path.read_text(encoding="utf-8", errors="replace")))
+        return read(json.loads(path.read_text(encoding="utf-8-sig", errors="replace")))
     except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError) as problem:
         raise SceneError(
             f"{path}: expected {expected}, got something else ({problem!r:.80}); export it again"

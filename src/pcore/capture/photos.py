@@ -16,8 +16,6 @@ from pcore.geometry.lens_distortion import LensDistortion
 from pcore.geometry.object_region import Region
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm")
-READ = (*ENDINGS, ".heic", ".heif", ".avif")
-"""Endings of pictures that are looked for in a folder, in lower case."""
 HELD_OUT = 8
 """Every so many views, by name, are for tests where a layout has no splits (Mip-NeRF 360)."""
 
@@ -104,9 +102,33 @@ def pictures_in(folder: Path) -> list[Path]:
     found = [
         path
         for path in folder.iterdir()
-        if path.suffix.lower() in READ and not path.name.startswith(".") and path.is_file()
+        if path.suffix.lower() in ENDINGS and not path.name.startswith(".") and path.is_file()
     ]
     return sorted(found, key=lambda path: natural_key(path.name))
+
+
+def photos_below(folder: Path) -> list[Path]:
+    """Pictures right in a folder; where there are none, those in its sub-folders, folder by folder.
+
+    Folders of masks and depth are none of photos. Two pictures of one name but for the ending are
+    one photo that was saved twice, or its mask: the first is taken.
+    """
+    found = pictures_in(folder)
+    if not found and folder.is_dir():
+        below = sorted(
+            (one for one in folder.iterdir() if one.is_dir() and not _is_other(one.name)),
+            key=lambda one: natural_key(one.name),
+        )
+        found = [picture for one in below for picture in pictures_in(one)]
+    first: dict[Path, Path] = {}
+    for path in found:
+        first.setdefault(path.with_suffix(""), path)
+    return list(first.values())
+
+
+def _is_other(name: str) -> bool:
+    """Whether a sub-folder is hidden, of what is no photo, or of a scene whose poses are lost."""
+    return name.startswith((".", "mask", "depth", "normal")) or name in ("train", "val", "test")
 
 
 def inside(root: Path, path: Path) -> Path:

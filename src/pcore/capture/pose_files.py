@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pcore.capture.colmap import opengl_pose
 from pcore.capture.photo_folders import find_photos
 from pcore.capture.photos import Capture, Photo, inside, natural_key, pictures_in
+from pcore.data.scene import Skipped
 from pcore.errors import InputError, SceneError
 from pcore.geometry.lens_distortion import LensDistortion
 from pcore.geometry.object_region import Region, region_of_box
@@ -32,7 +33,8 @@ def read_nsvf(root: Path, path: Path, factor: int) -> Capture:
     lens, size = _nsvf_lens(path)
     photos: list[Photo] = []
     poses = {one.stem: one for one in sorted((root / "pose").glob("*.txt"))}
-    images = {one.stem: one for one in pictures_in(root / "rgb")}
+    pictures = pictures_in(root / "rgb")
+    images = {one.stem: one for one in reversed(pictures)}  # The first of two of one name.
     for stem in sorted(poses, key=natural_key):
         pose = _numbers(inside(root, poses[stem]), 16).reshape(4, 4)
         turned = torch.from_numpy(pose * np.array([1.0, -1.0, -1.0, 1.0]))
@@ -55,6 +57,11 @@ def read_nsvf(root: Path, path: Path, factor: int) -> Capture:
         photos=photos,
         region=_nsvf_box(root, "bbox.txt"),
         splits=_prefixes(names),
+        skipped=[
+            Skipped(name=one.name, reason="no pose of its own")
+            for one in pictures
+            if one.stem not in poses or images[one.stem] != one
+        ],
     )
 
 
@@ -65,7 +72,7 @@ def read_camera_list(root: Path, path: Path, factor: int) -> Capture:
         SceneError: other content, or no photo of its names.
     """
     try:
-        entries = json.loads(path.read_text(encoding="utf-8", errors="replace"))
+        entries = json.loads(path.read_text(encoding="utf-8-sig", errors="replace"))
         cameras = [_listed_camera(entry) for entry in entries]
         if not cameras:
             raise ValueError("there is no camera in it")
@@ -98,7 +105,7 @@ def read_camera_list(root: Path, path: Path, factor: int) -> Capture:
 def is_camera_list(path: Path) -> bool:
     """Whether a `cameras.json` is that of 3D Gaussian splatting; other programs have one too."""
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
             head = file.read(4000)
     except OSError:
         return False
@@ -122,7 +129,11 @@ def _listed_camera(entry: Mapping[str, Any]) -> Photo:
 
 def _nsvf_lens(path: Path) -> tuple[LensDistortion, tuple[int, int] | None]:
     """Intrinsics: a 4 x 4 matrix, or "f cx cy 0" on the first line and the size on the last."""
-    lines = [line.split() for line in path.read_text(errors="replace").splitlines() if line.strip()]
+    lines = [
+        line.split()
+        for line in path.read_text("utf-8-sig", errors="replace").splitlines()
+        if line.strip()
+    ]
     try:
         rows = [[float(one) for one in line] for line in lines]
         if _is_matrix(rows):
@@ -162,7 +173,9 @@ def _nsvf_box(root: Path, name: str) -> Region | None:
 def _numbers(path: Path, count: int) -> NDArray[np.float64]:
     """The first numbers of a text file."""
     try:
-        found = [float(one) for one in path.read_text(errors="replace").split()[:count]]
+        found = [
+            float(one) for one in path.read_text("utf-8-sig", errors="replace").split()[:count]
+        ]
     except ValueError as problem:
         raise SceneError(f"{path}: expected {count} numbers, got text ({problem})") from problem
     if len(found) != count:

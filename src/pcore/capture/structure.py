@@ -16,15 +16,20 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from PIL import Image
+
 from pcore.capture.colmap import find_model
 from pcore.capture.colmap_child import Patience, Tell, run_child
 from pcore.capture.layouts import PHOTOS, Layout
-from pcore.capture.photos import pictures_in
+from pcore.capture.photos import inside, photos_below
 from pcore.capture.video_frames import choose_frames
+from pcore.data.cut_off import why_unreadable
 from pcore.errors import DependencyError, SceneError
 
 CHILD = (sys.executable, "-m", "pcore.capture.structure_child")
 _LEAST = 3
+_NOT_COLMAP = (".webp", ".avif", ".heic", ".heif")
+"""Pictures that Pillow reads, with its plug-in, and COLMAP does not."""
 
 
 def with_poses(layout: Layout, tell: Tell, patience: Patience | None = None) -> Layout:
@@ -34,11 +39,14 @@ def with_poses(layout: Layout, tell: Tell, patience: Patience | None = None) -> 
         The layout of the model in the cache, with the photos where they are.
 
     Raises:
-        SceneError: too few photos, no common structure, or a child that hung or crashed.
+        SceneError: too few photos, a link that leads out of the folder, no common structure, or a
+            child that hung or crashed.
         DependencyError: pycolmap (extra `colmap`) is not installed.
     """
     video = layout.name != PHOTOS
-    sources = [layout.path] if video else pictures_in(layout.path)
+    sources = [layout.path] if video else photos_below(layout.path)
+    for path in sources:
+        inside(layout.root, path)  # Before COLMAP reads what links lead to.
     place = cache_folder() / files_key(sources)
     if not place.is_dir():
         if importlib.util.find_spec("pycolmap") is None:
@@ -84,7 +92,7 @@ def _reconstruct(layout: Layout, place: Path, tell: Tell, patience: Patience) ->
         if layout.name != PHOTOS:
             images = work / "images"
             choose_frames(layout.path, images, tell)
-        names = [path.name for path in pictures_in(images)]
+        images, names = _readable(images, work / "converted")
         wish = {
             "images": str(images.resolve()),
             "names": names,
@@ -94,6 +102,7 @@ def _reconstruct(layout: Layout, place: Path, tell: Tell, patience: Patience) ->
         }
         run_child([*CHILD, json.dumps(wish)], tell, patience, str(layout.path), "poses")
         (work / "database.db").unlink(missing_ok=True)
+        shutil.rmtree(work / "converted", ignore_errors=True)
         model = find_model(work)
         if model is None:
             raise SceneError(
@@ -101,3 +110,25 @@ def _reconstruct(layout: Layout, place: Path, tell: Tell, patience: Patience) ->
                 "take them closer together, sharp, with texture around the object"
             )
         shutil.copytree(work, place)
+
+
+def _readable(images: Path, converted: Path) -> tuple[Path, list[str]]:
+    """Folder and names of photos as COLMAP reads them; pictures that are cut off or none are left.
+
+    Where it does not read a format, all are copied: those as PNG, the others as they are.
+    """
+    whole = [path for path in photos_below(images) if why_unreadable(path) is None]
+    if not any(path.suffix.lower() in _NOT_COLMAP for path in whole):
+        return images, [path.relative_to(images).as_posix() for path in whole]
+    names: list[str] = []
+    for path in whole:
+        copy = converted / path.relative_to(images)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix.lower() in _NOT_COLMAP:
+            copy = copy.with_suffix(".png")
+            with Image.open(path) as image:
+                image.convert("RGB").save(copy)
+        else:
+            shutil.copyfile(path, copy)
+        names.append(copy.relative_to(converted).as_posix())
+    return converted, names

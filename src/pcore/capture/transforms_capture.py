@@ -105,7 +105,10 @@ def _size_of(path: Path | None) -> tuple[int, int]:
 
 
 def _lens(frame: PosedFrame, full: tuple[int, int]) -> LensDistortion:
-    camera = frame.lens.camera(torch.eye(4), full, full, frame.where)
+    try:
+        camera = frame.lens.camera(torch.eye(4), full, full, frame.where)
+    except InputError as problem:
+        raise SceneError(f"{frame.where}: {problem}") from problem
     return LensDistortion(
         fx=camera.focal[0],
         fy=camera.focal[1],

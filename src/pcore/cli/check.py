@@ -180,7 +180,7 @@ def _show(found: SceneCheck, console: Console) -> None:
             console.print(Text(f"   {one.action}", "dim"), soft_wrap=True)
     for row in map(forecast_row, found.forecasts):
         if row[1] != "-":
-            line = f"{row[0]}: {row[1]}, {row[2]}; elsewhere {row[3]} ({row[4]})"
+            line = f"{row[0]}: {row[1]}, {row[2]}; quality {row[3]} ({row[4]})"
             console.print(Text(line), soft_wrap=True)
 
 
@@ -218,6 +218,8 @@ def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> 
     scene = _opened(command, command.factor or 1, console)[0]
     if command.box:
         scene = replace(scene, region=found.region)
+    if scene.sparse is None:  # Those that were triangulated now.
+        scene = replace(scene, sparse=found.scene.sparse)
     masks = None
     if found.masks is not None and found.masks.automatic:
         masks = dict(zip(keys, found.masks.masks, strict=True))

@@ -51,8 +51,9 @@ def check(command: ExportCommand) -> None:
     if kind in _ENDINGS["usd"]:
         require_usd()
     if command.texture is not None or command.faces is not None:
-        from pcore.asset.mesh_finish import require_finish
+        from pcore.asset.mesh_finish import check_finish, require_finish
 
+        check_finish(faces=command.faces, texture=command.texture)
         require_finish(texture=command.texture is not None, faces=command.faces is not None)
 
 

@@ -85,12 +85,12 @@ class _Planner:
 
 def _planner(scene: Scene, base: GaussianConfig | PretrainConfig, device: str) -> _Planner:
     from pcore.training.config import PretrainConfig
-    from pcore.training.measured_speed import measured_speed, papr_step_seconds, photos_of
+    from pcore.training.measured_speed import measured_speed, papr_step, photos_of
     from pcore.training.time_plan import plan_gaussians, plan_papr
 
     photos = photos_of(scene)
     if isinstance(base, PretrainConfig):
-        step = papr_step_seconds(scene, base, device)
+        step = papr_step(scene, base, device).seconds
         return _Planner(
             plan=lambda seconds, factor: plan_papr(photos, step, seconds, base, factor=factor),
             after=lambda plan: after_papr(photos.pixels(plan.factor), photos.count, base, step),
@@ -183,14 +183,14 @@ def say_duration(
     """Say how long a training without a promise will take on this machine."""
     from pcore.cli.console import clock
     from pcore.training.config import PretrainConfig
-    from pcore.training.measured_speed import measured_speed, papr_step_seconds
+    from pcore.training.measured_speed import measured_speed, papr_step
 
     if config.steps < _WORTH_MEASURING:
         return
     views = scene.split("train")
     pixels = max(view.camera.width * view.camera.height for view in views)
     if isinstance(config, PretrainConfig):
-        step = papr_step_seconds(scene, config, device)
+        step = papr_step(scene, config, device).seconds
         seconds = config.steps * step + after_papr(pixels, len(views), config, step)
     else:
         speed = measured_speed(scene, config, device)

@@ -37,16 +37,17 @@ def located_scene(
         masks: "auto" (cut, or by a short training where that fails), "trained", "none", a folder,
             or None: those that the scene brings.
         box: six numbers of a lower and an upper corner, or none.
-        made: folder that automatic masks are written to; those that lie there already are taken.
+        made: folder in the run that automatic masks are written to; those that lie there are taken.
         console: told of what is done.
         points: triangulate points where the scene has none (extra `colmap`).
 
     Raises:
         SceneError: the scene or a mask cannot be read.
-        InputError: a bad box, or masks that cannot be found.
+        InputError: a bad box, masks that cannot be found, or a run inside the scene's folder.
         DependencyError: automatic masks without OpenCV.
         OSError: a mask cannot be written.
     """
+    from pcore.capture.corrected_copy import check_outside
     from pcore.capture.load import load_scene
     from pcore.capture.triangulation import triangulated
     from pcore.training.locate import locate
@@ -55,6 +56,7 @@ def located_scene(
 
     def loaded(source: Path | Literal["none"] | None) -> Located:
         scene = load_scene(path, factor=factor, masks=source, tell=console.print)
+        check_outside(scene, made.parent)
         if points and scene.sparse is None:
             scene = triangulated(scene, console.print).scene
         return locate(scene, corners)

@@ -22,7 +22,8 @@ _EIGHT_BIT_MODES = {"1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "Y
 _SIXTEEN_BIT_MODES = {"I;16", "I;16B", "I;16L", "I;16N", "I"}
 """Grey of 16 bits; Pillow gives that of some formats as numbers of 32 bits."""
 _WHITE = 65535
-_HEIC = (".heic", ".heif")
+_HEIC = (b"ftypheic", b"ftypheix", b"ftyphevc", b"ftypheim", b"ftypheis", b"ftypmif1")
+"""How files of HEIC begin after four bytes; endings may say anything."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +51,7 @@ class ImageHeader:
 
 def read_header(path: Path) -> ImageHeader:
     """Size and channels of an image file without decoding it; SceneError when it has none."""
-    if path.suffix.lower() in _HEIC:
+    if _is_heic(path):
         _register_heic()
     try:
         with Image.open(path) as image:
@@ -66,7 +67,7 @@ def read_header(path: Path) -> ImageHeader:
             f"image {path}: no such file; put it there or remove its frame from the scene file"
         ) from None
     except UnidentifiedImageError:
-        if path.suffix.lower() in _HEIC:
+        if _is_heic(path):
             raise SceneError(
                 f"image {path}: HEIC is read with Pillow's plug-in, which is not installed: "
                 "`pip install pillow-heif`, or export the photos as JPEG"
@@ -171,6 +172,14 @@ def _is_scaled(size: tuple[int, int], other: tuple[int, int]) -> bool:
     if (width < w) != (height < h) or (width > w) != (height > h):
         return False
     return abs(width * h - height * w) <= max(*size, *other)
+
+
+def _is_heic(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(12)[4:] in _HEIC
+    except OSError:
+        return False  # It is told what is wrong with it when it is opened.
 
 
 @cache

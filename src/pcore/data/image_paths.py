@@ -17,7 +17,11 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from pcore.errors import SceneError
 
-ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+ENDINGS = (
+    *(".png", ".jpg", ".jpeg", ".jfif", ".webp", ".bmp", ".tif", ".tiff"),
+    *(".heic", ".heif", ".avif"),
+)
+"""Of pictures, in lower case: what names may end in, and what is looked for in a folder."""
 _Listing = dict[str, list[Path]]
 _NAMED = 20
 """Missing files that a message names; it says the number of all."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import math
 from pathlib import Path
 from typing import Any, cast
 
@@ -45,8 +46,10 @@ class Animation:
         """The edits at a time; before the first and after the last key they stay as they are.
 
         Raises:
-            EditError: a value between two keys is not valid.
+            EditError: a value between two keys is not valid, or the time is NaN or infinity.
         """
+        if not math.isfinite(time):
+            raise EditError(f"{self.source}: expected a finite time, got {time}")
         still = at_time(self._data, time)
         when = f" at time {time:g}" if self.key_times else ""
         return parse_edit(still, source=f"{self.source}{when}", folder=self._folder)

@@ -106,9 +106,19 @@ def facts(check: SceneCheck) -> tuple[tuple[str, str], ...]:
 
 def forecast_row(one: Forecast) -> tuple[str, str, str, str, str]:
     """Kind and preset, time, memory, quality and how it is known, for people."""
-    took = "-" if one.seconds is None else f"{one.seconds / 60:.0f} min of one core"
+    took = "-"
+    if one.seconds is not None:
+        took = f"{_duration(one.seconds)} of one core, within a factor of {one.within:g}"
     memory = "-" if one.memory is None else f"{one.memory / 1e9:.1f} GB"
     return f"{one.model}, {one.preset}", took, memory, one.quality or "-", one.how
+
+
+def _duration(seconds: float) -> str:
+    """Whole minutes, hours or days, whichever is read best."""
+    if seconds < 90 * 60:
+        return f"{max(1, round(seconds / 60))} min"
+    hours = seconds / 3600
+    return f"{hours:.2g} h" if hours < 72 else f"{hours / 24:,.0f} days"
 
 
 def _page(check: SceneCheck, commands: Sequence[str]) -> CheckPage:

@@ -2,29 +2,83 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from pcore.data.images import DEFAULT_MEMORY_BUDGET
 from pcore.data.scene import Scene
 from pcore.errors import InputError, TrainingError
+from pcore.geometry.camera import Camera
 from pcore.training.config import PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig
-from pcore.training.measured_speed import measured_speed, papr_step_seconds
-from pcore.training.presets import gaussian_preset, preset
+from pcore.training.measured_speed import measured_speed, papr_step
+from pcore.training.presets import PretrainName, gaussian_preset, preset
 
-_BASE_MEMORY, _PIXEL = 0.7e9, 16.0
-"""Bytes of a training of 10,000 Gaussians without photos, and of a pixel of a photo."""
+_BASE_MEMORY, _PIXEL, _GAUSSIAN = 0.6e9, 16.0, 3.4e3
+"""Bytes of a training without photos, of a pixel of a photo, and of a Gaussian with its gradient,
+its moments and its part of the lists of tiles (resident bytes of 4,000 and of 300,000)."""
+_PASSING = 1.25
+"""Memory of a step over what its gradients keep (resident bytes at four sizes of PAPR)."""
 _MORE = 1.15
 """A whole training over its steps: validation, saving and the light."""
-_QUALITY = {
-    ("gaussians", True): "29 to 37 dB of the object on rendered scenes of 100 x 100, 27 on photos",
-    ("gaussians", False): "not recorded; the background counts too",
-    ("papr", True): "23 to 32 dB of the object on rendered scenes of 100 x 100",
-    ("papr", False): "17 to 20 dB after short trainings: prefer Gaussians",
-}
-"""By kind of object and whether there are masks: docs/research/quality.md, and own captures."""
+_SMALL, _PROBE = 100, 32
+"""Sides of the largest patch that is timed as it is, and of one that stands for larger ones."""
+_TIMED, _SCALED, _SPREADING = 1.3, 2.0, 3.0
+"""Within which factor a forecast holds: of steps as they will be, of scaled ones, and of points
+that start on a grid and spread, by which more rays meet some (a phone's photos: 2.2 times)."""
+_LARGER = 1.5
+"""Photos as much longer than recorded ones are another task."""
+
+Model = Literal["gaussians", "papr"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Record:
+    """What trainings gave: docs/research/quality.md and docs/guide/training-time.md."""
+
+    model: Model
+    masked: bool
+    side: int
+    said: str
+
+
+_RECORDS = (
+    _Record(
+        model="gaussians",
+        masked=True,
+        side=100,
+        said="29 to 37 dB of the object, as five rendered scenes of 100 x 100 pixels had",
+    ),
+    _Record(
+        model="gaussians",
+        masked=True,
+        side=200,
+        said="27 dB of the object, as photos of a house of 200 x 150 pixels had",
+    ),
+    _Record(
+        model="gaussians",
+        masked=False,
+        side=160,
+        said="30 dB with the background, as a phone's photos of 90 x 160 pixels had",
+    ),
+    _Record(
+        model="papr",
+        masked=True,
+        side=100,
+        said="23 to 32 dB of the object, as five rendered scenes of 100 x 100 pixels had",
+    ),
+    _Record(
+        model="papr",
+        masked=False,
+        side=160,
+        said="17 to 20 dB with the background, as short trainings on 90 x 160 pixels had: prefer "
+        "Gaussians",
+    ),
+)
+"""All with the preset `tiny`; nobody trained the others to their ends here."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,15 +88,17 @@ class Forecast:
     Attributes:
         model: "gaussians" or "papr".
         preset: its settings.
-        seconds: of one processor core; None where nothing is known.
-        memory: bytes at the most; None where nothing is known.
-        quality: what such trainings gave elsewhere, for people.
+        seconds: of one processor core; None where a training could not begin.
+        within: the factor by which the seconds may be off.
+        memory: bytes at the most; None where a training could not begin.
+        quality: what to expect by what such trainings gave elsewhere, for people.
         how: how the time was predicted, for people.
     """
 
-    model: str
-    preset: str
+    model: Model
+    preset: PretrainName
     seconds: float | None
+    within: float
     memory: float | None
     quality: str
     how: str
@@ -54,55 +110,110 @@ def forecasts(scene: Scene) -> tuple[Forecast, ...]:
     Args:
         scene: with its region; steps on a few of its training views are timed and thrown away.
     """
-    views = scene.split("train")
-    masked = all(view.has_alpha for view in views)
-    photos = sum(view.camera.width * view.camera.height for view in views) * _PIXEL
-    memory = _BASE_MEMORY + min(photos, DEFAULT_MEMORY_BUDGET)
-    camera = max((v.camera for v in views), key=lambda one: one.width * one.height)
-    size = f"{camera.width} x {camera.height} pixels"
-    timed = f"a few steps on photos of {size} timed now, in processor seconds"
-    unknown = "for a GPU; nothing was measured on one"
-    return (
-        Forecast(
-            model="gaussians",
-            preset="tiny",
-            seconds=_seconds(lambda: _gaussian_seconds(scene, gaussian_preset("tiny"))),
-            memory=memory,
-            quality=_QUALITY["gaussians", masked],
-            how=timed,
-        ),
-        Forecast(
-            model="papr",
-            preset="tiny",
-            seconds=_seconds(lambda: _papr_seconds(scene, preset("tiny"), masked=masked)),
-            memory=memory,
-            quality=_QUALITY["papr", masked],
-            how=timed,
-        ),
-        Forecast(
-            model="gaussians", preset="fast", seconds=None, memory=None, quality="", how=unknown
-        ),
-        Forecast(
-            model="papr", preset="fast, paper", seconds=None, memory=None, quality="", how=unknown
-        ),
+    masked = all(view.has_alpha for view in scene.split("train"))
+    named: tuple[tuple[Model, PretrainName], ...] = (
+        ("gaussians", "tiny"),
+        ("gaussians", "fast"),
+        ("papr", "tiny"),
+        ("papr", "fast"),
+        ("papr", "paper"),
+    )
+    found: list[Forecast] = []
+    for model, name in named:
+        quality = _quality(model, scene, masked=masked) if name == "tiny" else ""
+        try:
+            if model == "gaussians":
+                one = gaussian_forecast(scene, gaussian_preset(name))
+            else:
+                config = preset(name)
+                one = papr_forecast(scene, config if masked else replace(config, start="grid"))
+        except (InputError, TrainingError) as error:  # Masks are blamed for it elsewhere.
+            one = Forecast(
+                model=model,
+                preset=name,
+                seconds=None,
+                within=1.0,
+                memory=None,
+                quality="",
+                how=f"cannot begin: {error}",
+            )
+        found.append(replace(one, preset=name, quality=quality or "not recorded"))
+    return tuple(found)
+
+
+def gaussian_forecast(
+    scene: Scene, config: GaussianConfig, clock: Callable[[], float] = time.process_time
+) -> Forecast:
+    """Predict a training of Gaussians; all its steps are taken to be with the largest number.
+
+    Raises:
+        InputError: as `start_gaussians`.
+    """
+    camera = _largest(scene)
+    speed = measured_speed(scene, config, clock=clock)
+    seconds = speed.seconds(camera.width * camera.height, config.density.limit)
+    return Forecast(
+        model="gaussians",
+        preset="tiny",
+        seconds=_MORE * config.steps * seconds,
+        within=_TIMED if config.density.limit <= gaussian_preset("tiny").density.limit else _SCALED,
+        memory=_photo_memory(scene) + _GAUSSIAN * config.density.limit,
+        quality="",
+        how="a few steps at four sizes timed now",
     )
 
 
-def _seconds(measure: Callable[[], float]) -> float | None:
-    """What is measured; None where a training could not even begin, which masks are blamed for."""
-    try:
-        return measure()
-    except (InputError, TrainingError):
-        return None
+def papr_forecast(
+    scene: Scene, config: PretrainConfig, clock: Callable[[], float] = time.process_time
+) -> Forecast:
+    """Predict a training of PAPR, with the most points that it will have.
+
+    A step of large patches is scaled from one of small patches: networks see every ray alone.
+
+    Raises:
+        InputError: the scene has no silhouettes for a visual hull.
+    """
+    camera, side = _largest(scene), config.patch.side
+    scaled = side > _SMALL
+    probed = _PROBE if scaled else side
+    points = config.points if config.grow is None else config.grow.limit
+    probe = replace(config, patch=replace(config.patch, side=probed, views=1), points=points)
+    times = config.patch.views * _area(camera, side) / _area(camera, probed)
+    spreads = config.start == "grid" and config.model.cutoff is not None
+    cost = papr_step(scene, probe, clock=clock)
+    return Forecast(
+        model="papr",
+        preset="tiny",
+        seconds=_MORE * config.steps * times * cost.seconds,
+        within=_SPREADING if spreads else _SCALED if scaled else _TIMED,
+        memory=_photo_memory(scene) + _PASSING * times * cost.memory,
+        quality="",
+        how="a few steps of a smaller patch timed now" if scaled else "a few steps timed now",
+    )
 
 
-def _gaussian_seconds(scene: Scene, config: GaussianConfig) -> float:
-    """Processor seconds; a third of the steps is done with fewer Gaussians than in the end."""
-    pixels = max(view.camera.width * view.camera.height for view in scene.split("train"))
-    speed = measured_speed(scene, config, clock=time.process_time)
-    return _MORE * config.steps * speed.seconds(pixels, config.density.limit)
+def _quality(model: Model, scene: Scene, *, masked: bool) -> str:
+    """What trainings of the most similar photos gave, and how that size is had."""
+    camera = _largest(scene)
+    side = max(camera.width, camera.height)
+    fitting = [one for one in _RECORDS if (one.model, one.masked) == (model, masked)]
+    near = min(fitting, key=lambda one: abs(math.log(side / one.side)))
+    if side < _LARGER * near.side:
+        return near.said
+    factor = scene.factor * round(side / near.side)
+    return f"less than {near.said}; --factor {factor} is about that size"
 
 
-def _papr_seconds(scene: Scene, config: PretrainConfig, *, masked: bool) -> float:
-    started = config if masked else replace(config, start="grid")
-    return _MORE * config.steps * papr_step_seconds(scene, started, clock=time.process_time)
+def _largest(scene: Scene) -> Camera:
+    cameras = (view.camera for view in scene.split("train"))
+    return max(cameras, key=lambda one: one.width * one.height)
+
+
+def _area(camera: Camera, side: int) -> int:
+    """Pixels of a patch; photos that are smaller than it are taken whole."""
+    return min(side, camera.width) * min(side, camera.height)
+
+
+def _photo_memory(scene: Scene) -> float:
+    pixels = sum(view.camera.width * view.camera.height for view in scene.split("train"))
+    return _BASE_MEMORY + min(_PIXEL * pixels, DEFAULT_MEMORY_BUDGET)

@@ -5,12 +5,16 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
+from torch.autograd.graph import saved_tensors_hooks
 
 from pcore.data.scene import Scene, View
 from pcore.gaussians.render import PosedGaussians, render_views, view_matrices
+from pcore.metrics.trunks import TRUNKS
 from pcore.training.config import PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.gaussian_fit import picture_losses
@@ -33,6 +37,8 @@ _OPACITY = 0.5
 _RENDERED = "NeRF-Synthetic"
 """The layout whose photos are only divided by what divides their sides."""
 _TURNS = 3
+_PATCHES = 10
+"""Steps of PAPR with a cut-off: patches that hold no point cost next to nothing."""
 _SOLID = 0.5
 
 
@@ -81,10 +87,25 @@ def measured_speed(
     return speed_from(samples)
 
 
-def papr_step_seconds(
+@dataclass(frozen=True, kw_only=True)
+class StepCost:
+    """What a training step takes.
+
+    Attributes:
+        seconds: of the clock that was read.
+        memory: bytes that its gradients keep.
+    """
+
+    seconds: float
+    memory: float
+
+
+def papr_step(
     scene: Scene, config: PretrainConfig, device: str = "cpu", clock: Clock = time.perf_counter
-) -> float:
-    """Seconds of a step of PAPR, from a few that are thrown away; LPIPS is not counted.
+) -> StepCost:
+    """Cost of a step of PAPR, from a few that are thrown away.
+
+    LPIPS is timed on a trunk of random weights, which costs what one of trained weights does.
 
     Args:
         scene: its training views; a few are decoded.
@@ -93,17 +114,52 @@ def papr_step_seconds(
         clock: tells the time.
     """
     views = _some(scene.split("train"))
-    work = begin(scene, views, config, torch.device(device))
+    where = torch.device(device)
+    work = begin(scene, views, config, where)
     took: list[float] = []
-    for _ in range(_TURNS + 1):
+    kept: dict[int, int] = {}
+    turns = _TURNS if config.model.cutoff is None else _PATCHES
+    for turn in range(turns + 1):
         began = clock()
-        patch_losses(work, views, config).total.backward()
+        # The first step does not count in time; so its gradients can be looked at.
+        with _kept_for_gradients(kept) if turn == 0 else nullcontext():
+            loss = patch_losses(work, views, config).total
+        loss.backward()
         for group in work.optimizer.param_groups:
             group["lr"] = 0.0
         work.optimizer.step()
         work.optimizer.zero_grad(set_to_none=True)
         took.append(clock() - began)
-    return statistics.median(took[1:])
+    seconds = statistics.mean(took[1:])
+    if config.lpips_weight > 0:
+        seconds += _lpips_seconds(config, where, clock)
+    return StepCost(seconds=seconds, memory=float(sum(kept.values())))
+
+
+def _kept_for_gradients(kept: dict[int, int]) -> AbstractContextManager[None]:
+    """Write the bytes of every storage that a forward pass saves into `kept`, by its address."""
+
+    def note(tensor: Tensor) -> Tensor:
+        storage = tensor.untyped_storage()
+        kept[storage.data_ptr()] = storage.nbytes()
+        return tensor
+
+    return saved_tensors_hooks(note, lambda tensor: tensor)
+
+
+def _lpips_seconds(config: PretrainConfig, device: torch.device, clock: Clock) -> float:
+    """Of the loss on the patches of a step: two pictures through the trunk, one of them back."""
+    with torch.random.fork_rng(devices=[]):
+        trunk = TRUNKS[config.lpips_trunk].build().to(device).requires_grad_(requires_grad=False)
+    side = max(config.patch.side, TRUNKS[config.lpips_trunk].smallest)
+    took: list[float] = []
+    for _ in range(2):
+        began = clock()
+        shown = torch.full((1, 3, side, side), 0.5, device=device, requires_grad=True)
+        trunk(shown.detach())
+        trunk(shown).square().mean().backward()
+        took.append(clock() - began)
+    return config.patch.views * took[-1]
 
 
 def _some(views: Sequence[View]) -> Sequence[View]:

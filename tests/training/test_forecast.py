@@ -1,0 +1,101 @@
+"""What `pcore check` says a training will take, against what it takes."""
+
+import time
+from dataclasses import replace
+
+import pytest
+
+from pcore.data.scene import Scene
+from pcore.training import forecast
+from pcore.training.config import GrowConfig, PatchConfig
+from pcore.training.forecast import forecasts, gaussian_forecast, papr_forecast
+from pcore.training.gaussian_config import DensityConfig, GaussianConfig
+from pcore.training.gaussian_fit import fit_gaussians
+from pcore.training.measured_speed import papr_step
+from pcore.training.pretrain import pretrain
+from small_training import pretrain_config
+from tiny_scene import CONFIG
+
+
+def test_gaussians_take_what_was_said(box: Scene) -> None:
+    config = GaussianConfig(
+        steps=80,
+        points=1500,
+        density=DensityConfig(limit=1500),
+        validate_every=80,
+        save_every=80,
+    )
+    said = gaussian_forecast(box, config).seconds
+    began = time.process_time()
+    fit_gaussians(box, config)
+    assert said is not None
+    assert said / 2 < time.process_time() - began < 2 * said
+
+
+@pytest.mark.parametrize("largest", [24, 16])
+def test_papr_takes_what_was_said(
+    largest: int, box: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pcore.training.forecast._SMALL", largest)
+    monkeypatch.setattr("pcore.training.forecast._PROBE", 16)
+    config = pretrain_config(
+        model=replace(CONFIG, samples=4),
+        steps=40,
+        patch=PatchConfig(side=24, samples=2),
+        points=600,
+        validate_every=40,
+        save_every=40,
+    )
+    said = papr_forecast(box, config)
+    began = time.process_time()
+    pretrain(box, config)
+    assert said.seconds is not None
+    assert said.within == (1.3 if largest == 24 else 2.0)
+    assert said.seconds / 2 < time.process_time() - began < 2 * said.seconds
+
+
+def test_what_gradients_keep_grows_with_the_rays(box: Scene) -> None:
+    small, large = (
+        papr_step(box, pretrain_config(patch=PatchConfig(side=side))).memory for side in (8, 16)
+    )
+    assert 2 < large / small < 5
+
+
+def test_lpips_and_the_points_to_come_are_counted(box: Scene) -> None:
+    plain = pretrain_config()
+    with_lpips = papr_forecast(box, replace(plain, lpips_weight=0.01))
+    more_points = papr_forecast(box, replace(plain, grow=GrowConfig(limit=4000)))
+    bare = papr_forecast(box, plain)
+    assert bare.seconds is not None
+    assert with_lpips.seconds is not None
+    assert more_points.memory is not None
+    assert bare.memory is not None
+    assert with_lpips.seconds > 2 * bare.seconds
+    assert more_points.memory > bare.memory
+
+
+def test_every_preset_has_a_forecast(box: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pcore.training.forecast._PROBE", 8)
+    found = {(one.model, one.preset): one for one in forecasts(box)}
+    assert set(found) == {
+        ("gaussians", "tiny"),
+        ("gaussians", "fast"),
+        ("papr", "tiny"),
+        ("papr", "fast"),
+        ("papr", "paper"),
+    }
+    days = [found["papr", name].seconds or 0 for name in ("tiny", "fast", "paper")]
+    assert 0 < days[0] < days[1] < days[2]
+    assert all(one.memory is not None and one.memory > 0.5e9 for one in found.values())
+    assert found["papr", "tiny"].quality.startswith("23 to 32 dB of the object")
+    assert found["papr", "paper"].quality == "not recorded"
+
+
+def test_larger_photos_are_told_which_factor_has_the_recorded_size(
+    box: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = replace(forecast._RECORDS[0], side=12)
+    monkeypatch.setattr("pcore.training.forecast._RECORDS", (small,))
+    said = forecast._quality("gaussians", replace(box, factor=3), masked=True)
+    assert said.startswith("less than 29 to 37 dB")
+    assert said.endswith("--factor 6 is about that size")
