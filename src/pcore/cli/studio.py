@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import sys
 import tempfile
 import threading
 import traceback
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from pcore.studio.studio import Studio
 
 _FOLDER = "studio"
+_LONGEST = 15.0
+"""Seconds that closing a page may take: longer than all that it waits for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,9 +57,14 @@ class StudioCommand:
     """Threads of the CPU; default: all cores."""
 
     def run(self) -> None:
-        """Do it; raises PcoreError subclasses for what the user can mend."""
+        """Do it, and end the process; raises PcoreError subclasses for what the user can mend."""
         with ExitStack() as stack:
             studio(self, Console(), stack)
+        # All is written. A thread that compiles a kernel cannot be stopped, and the interpreter
+        # takes seconds to clear its modules on a busy machine: nobody waits for either.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
 
 
 def studio(command: StudioCommand, console: Console, stack: ExitStack) -> None:
@@ -75,7 +83,7 @@ def studio(command: StudioCommand, console: Console, stack: ExitStack) -> None:
     require_viser()
     ended = threading.Event()
     signal.signal(signal.SIGTERM, lambda number, frame: ended.set())
-    last = threading.Timer(10.0, os._exit, (0,))
+    last = threading.Timer(_LONGEST, os._exit, (0,))
     last.daemon = True
     stack.callback(last.cancel)
     page = stack.enter_context(closing(_opened(command, stack)))

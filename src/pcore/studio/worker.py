@@ -12,6 +12,9 @@ Drawing = Callable[[Callable[[], bool]], Iterator[None]]
 """Draws in steps; it is given what says that its result is not wanted any more."""
 REST = 0.15
 """Seconds without a new wish after which things rest."""
+_STOP = 5.0
+"""Seconds that stopping waits: autosave and server still have to be closed before the program
+is ended by force (`pcore.cli.studio`)."""
 
 
 class Worker:
@@ -44,13 +47,17 @@ class Worker:
         self._thread.start()
 
     def stop(self) -> None:
-        """Finish the commands there are, and end."""
+        """Finish the commands there are, and end.
+
+        What takes longer than a few seconds goes on behind; a kernel that is compiled for the
+        first time cannot be stopped.
+        """
         with self._changed:
             self._ended = True
             self._serial += 1
             self._changed.notify_all()
         if threading.current_thread() is not self._thread:
-            self._thread.join(timeout=10)
+            self._thread.join(timeout=_STOP)
 
     def do(self, command: Command) -> None:
         """Do this after the commands before it; none is left out."""
