@@ -12,8 +12,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.asset.meshing import Meshed
-from pcore.errors import DependencyError, InputError
+from pcore.errors import InputError
 from pcore.geometry.surface_mesh import SurfaceMesh, Texture
+from pcore.packages import package
 from pcore.render.mesh_colors import surface_colors
 from pcore.validation import check_count
 
@@ -28,17 +29,9 @@ def require_finish(*, texture: bool, faces: bool) -> tuple[Any, Any]:
     Raises:
         DependencyError: one is not installed; call this before long work whose end needs it.
     """
-    unwrap, thin = None, None
-    try:
-        if texture:
-            import xatlas as unwrap
-        if texture or faces:
-            import fast_simplification as thin
-    except ImportError as error:
-        raise DependencyError(
-            f"meshes with a texture or fewer triangles need the package {error.name}, which is not "
-            "installed: `pip install 'pcore-edit[mesh]'`"
-        ) from error
+    need = "meshes with a texture or fewer triangles need"
+    unwrap = package("xatlas", extra="mesh", need=need) if texture else None
+    thin = package("fast_simplification", extra="mesh", need=need) if texture or faces else None
     return unwrap, thin
 
 

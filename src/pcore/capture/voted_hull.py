@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pcore.errors import DependencyError
 from pcore.geometry.camera import Camera
 from pcore.geometry.object_region import Region
+from pcore.packages import package
 
 Bits = NDArray[np.uint8]
 
@@ -58,14 +58,9 @@ def require_opencv() -> Any:
     Raises:
         DependencyError: it is not installed.
     """
-    try:
-        import cv2
-    except ImportError as error:
-        raise DependencyError(
-            "automatic masks need OpenCV, which is not installed: "
-            "`pip install 'pcore-edit[capture]'`"
-        ) from error
-    return cv2
+    return package(
+        "cv2", extra="capture", need="automatic masks need", named="opencv-python-headless"
+    )
 
 
 def _grid(region: Region, count: int) -> tuple[Tensor, float]:

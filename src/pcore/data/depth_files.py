@@ -13,7 +13,8 @@ from PIL import Image
 from torch import Tensor
 
 from pcore.data.whole_file import replacing, write_whole
-from pcore.errors import DependencyError, InputError
+from pcore.errors import InputError
+from pcore.packages import package
 
 _MOST = 65535
 
@@ -52,14 +53,8 @@ def require_exr() -> Any:
     Raises:
         DependencyError: it is not installed; call this before long work whose end is such a file.
     """
-    try:
-        import OpenEXR
-    except ImportError as error:
-        raise DependencyError(
-            "writing EXR needs the package OpenEXR, which is not installed: "
-            "`pip install 'pcore-edit[mesh]'`, or leave the files out with --no-exr"
-        ) from error
-    return OpenEXR
+    instead = "or leave the files out with --no-exr"
+    return package("OpenEXR", extra="mesh", need="writing EXR needs", instead=instead)
 
 
 def save_exr(path: Path, **channels: Tensor) -> None:

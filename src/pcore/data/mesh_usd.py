@@ -11,8 +11,8 @@ import numpy as np
 from torch import Tensor
 
 from pcore.data.pictures import linear_colors
-from pcore.errors import DependencyError
 from pcore.geometry.surface_mesh import SurfaceMesh
+from pcore.packages import package
 
 
 def require_usd() -> None:
@@ -21,13 +21,8 @@ def require_usd() -> None:
     Raises:
         DependencyError: it is not installed; call this before long work whose end is such a file.
     """
-    try:
-        import_module("pxr")
-    except ImportError as error:
-        raise DependencyError(
-            "writing USD needs the package usd-core, which is not installed: "
-            "`pip install 'pcore-edit[mesh]'`, or write .glb instead"
-        ) from error
+    instead = "or write .glb instead"
+    package("pxr", extra="mesh", need="writing USD needs", named="usd-core", instead=instead)
 
 
 def write_usd(

@@ -13,7 +13,8 @@ from torch import Tensor, nn
 
 from pcore.data.pictures import to_bytes
 from pcore.data.whole_file import replacing
-from pcore.errors import DependencyError, InputError
+from pcore.errors import InputError
+from pcore.packages import package
 from pcore.validation import check_count
 
 _QUALITY = "17"
@@ -26,14 +27,8 @@ def require_video() -> Any:
     Raises:
         DependencyError: it is not installed; call this before long work whose end is a video.
     """
-    try:
-        import av
-    except ImportError as error:
-        raise DependencyError(
-            "writing videos needs the package av, which is not installed: "
-            "`pip install 'pcore-edit[video]'`, or write PNG files instead"
-        ) from error
-    return av
+    instead = "or write PNG files instead"
+    return package("av", extra="video", need="videos need", instead=instead)
 
 
 class VideoWriter:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
-from pcore.errors import DependencyError, InputError
+from pcore.errors import InputError
 from pcore.evaluation.summary import Gain, StateMean
 from pcore.evaluation.tables import shown
+from pcore.packages import package
 
 _TEMPLATE = "templates/report.html.j2"
 
@@ -133,14 +134,7 @@ def require_jinja() -> Any:
     Raises:
         DependencyError: it is not installed.
     """
-    try:
-        import jinja2
-    except ImportError as error:
-        raise DependencyError(
-            "the HTML report needs jinja2, which is not installed: "
-            "`pip install 'pcore-edit[report]'`"
-        ) from error
-    return jinja2
+    return package("jinja2", extra="report", need="the HTML report needs")
 
 
 def comparison_table(

@@ -15,8 +15,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pcore.errors import DependencyError, InputError
+from pcore.errors import InputError
 from pcore.metrics.perceptual import Lpips
+from pcore.packages import package
 
 Array = Tensor | NDArray[Any]
 FloatArray = NDArray[np.float64]
@@ -187,18 +188,8 @@ def _ssim_map(prediction: Array, target: Array, **options: object) -> FloatArray
             f"SSIM: expected images of at least {_WINDOW} x {_WINDOW} pixels, "
             f"got {first.shape[1]} x {first.shape[0]}"
         )
-    full: FloatArray = _structural_similarity()(
+    skimage = package("skimage.metrics", extra="metrics", need="SSIM needs", named="scikit-image")
+    full: FloatArray = skimage.structural_similarity(
         first, second, win_size=_WINDOW, data_range=1.0, channel_axis=2, full=True, **options
     )[1]
     return full.mean(axis=2)
-
-
-def _structural_similarity() -> Callable[..., Any]:
-    try:
-        from skimage.metrics import structural_similarity
-    except ImportError as error:
-        raise DependencyError(
-            "SSIM needs scikit-image, which is not installed; "
-            "install it with: pip install 'pcore-edit[metrics]'"
-        ) from error
-    return structural_similarity

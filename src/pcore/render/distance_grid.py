@@ -10,7 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pcore.errors import DependencyError, InputError
+from pcore.errors import InputError
+from pcore.packages import package
 
 BoolArray = NDArray[np.bool_]
 
@@ -63,14 +64,10 @@ def require_marching_cubes() -> Any:
     Raises:
         DependencyError: it is not installed; call this before long work whose end is a mesh.
     """
-    try:
-        from skimage.measure import marching_cubes
-    except ImportError as error:
-        raise DependencyError(
-            "making meshes needs the package scikit-image, which is not installed: "
-            "`pip install 'pcore-edit[mesh]'`"
-        ) from error
-    return marching_cubes
+    skimage = package(
+        "skimage.measure", extra="mesh", need="making meshes needs", named="scikit-image"
+    )
+    return skimage.marching_cubes
 
 
 def _on_seen(vertices: NDArray[np.float64], seen: BoolArray) -> BoolArray:

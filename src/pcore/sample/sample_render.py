@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from pcore.errors import DependencyError
+from pcore.packages import package
 
 Array = NDArray[Any]
 
@@ -19,14 +19,10 @@ _SUBSAMPLES = 4  # rays along each side of a pixel
 
 def ray_caster_class() -> Any:
     """Import trimesh's Embree ray caster; DependencyError naming the extra when it is missing."""
-    try:
-        from trimesh.ray.ray_pyembree import RayMeshIntersector
-    except ImportError as problem:
-        raise DependencyError(
-            "meshes are ray cast with embreex, which is not installed; "
-            'install it with: pip install "pcore-edit[sample]"'
-        ) from problem
-    return RayMeshIntersector
+    caster = package(
+        "trimesh.ray.ray_pyembree", extra="sample", need="casting rays needs", named="embreex"
+    )
+    return caster.RayMeshIntersector
 
 
 class MeshCaster:

@@ -13,11 +13,10 @@ from collections.abc import Generator
 from http import HTTPStatus
 from importlib import import_module
 from importlib.resources import files
-from importlib.util import find_spec
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from pcore.errors import DependencyError
+from pcore.packages import package
 from pcore.studio.guard import HEADERS, LARGEST_MESSAGE, REFUSED, WELCOME, Guard
 from pcore.studio.ports import SERVER, check_port
 
@@ -81,11 +80,7 @@ def sweep(server: viser.ViserServer) -> None:
 
 def require_viser() -> None:
     """Raise DependencyError where viser is not installed."""
-    if find_spec("viser") is None:
-        raise DependencyError(
-            "studio: expected the package viser, found none; install it with "
-            '`pip install "pcore-edit[studio]"`'
-        )
+    package("viser", extra="studio", need="the studio needs")
 
 
 def _silence(server: Any) -> None:

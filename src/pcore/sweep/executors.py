@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from pcore.errors import DependencyError, InputError
+from pcore.errors import InputError
+from pcore.packages import package
 from pcore.sweep.sweep_plan import TrialResources
 from pcore.sweep.sweep_trial import Runner, Trial, TrialResult, attempt
 
@@ -176,14 +177,12 @@ def _ray() -> Any:
     os.environ.setdefault("RAY_task_oom_retries", str(RETRIES))
     # Workers without a GPU keep their view of the machine: pcore is told where to compute.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    try:
-        import ray  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise DependencyError(
-            "sweeps on several workers need the package ray, which is missing: install "
-            '"pcore-edit[cluster]", or leave out --workers and --address to run trials in turn'
-        ) from error
-    return ray
+    return package(
+        "ray",
+        extra="cluster",
+        need="sweeps on several workers need",
+        instead="or leave out --workers and --address to run trials in turn",
+    )
 
 
 def _start(

@@ -13,9 +13,9 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from pcore.errors import DependencyError
 from pcore.files.closing import Closing
 from pcore.files.run_folder import write_guard
+from pcore.packages import package
 
 
 def _no_figures() -> dict[str, float]:
@@ -203,16 +203,16 @@ class TensorBoardLog(Closing):
             DependencyError: `tensorboard` is not installed.
             TrainingError: the folder cannot be written.
         """
-        try:
-            from torch.utils.tensorboard.writer import SummaryWriter
-        except ImportError as error:
-            raise DependencyError(
-                "the TensorBoard log needs the package tensorboard, which is not installed: "
-                "`pip install 'pcore-edit[log]'`, or train without it (log.jsonl is always written)"
-            ) from error
+        writer = package(
+            "torch.utils.tensorboard.writer",
+            extra="log",
+            need="the TensorBoard log needs",
+            named="tensorboard",
+            instead="or train without it (log.jsonl is always written)",
+        )
         self._folder = folder
         with write_guard(folder):
-            self._writer: Any = SummaryWriter(
+            self._writer: Any = writer.SummaryWriter(
                 str(folder), purge_step=None if resumed is None else resumed[1] + 1
             )
 
