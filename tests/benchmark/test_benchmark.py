@@ -502,3 +502,50 @@ def test_a_recipe_makes_all_its_models(tmp_path: Path, capsys: pytest.CaptureFix
         assert message in capsys.readouterr().err
     assert main([*words, "--size", "9"]) == 2
     assert "expected no models or options besides -o, got size" in capsys.readouterr().err
+
+
+def test_a_vertex_of_no_triangle_widens_nothing(tmp_path: Path) -> None:
+    place, _, faces = bar()
+    found = []
+    for name, places in (("clean", place), ("stray", np.vstack([place, [[50.0, 0.0, 0.0]]]))):
+        path = tmp_path / f"{name}.ply"
+        names = "".join(f"property float {axis}\n" for axis in "xyz")
+        path.write_text(
+            f"ply\nformat ascii 1.0\nelement vertex {len(places)}\n{names}element face "
+            f"{len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+            + "".join("{:g} {:g} {:g}\n".format(*p) for p in places)
+            + "".join("3 {} {} {}\n".format(*f) for f in faces)
+        )
+        found.append(read_model(path).vertices)
+    clean, stray = found
+    assert np.abs(stray[: len(clean)] - clean).max() == 0
+    assert np.ptp(stray, axis=0).tolist() == np.ptp(clean, axis=0).tolist()
+
+
+def test_a_picture_in_bands_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("embreex", reason="pictures are ray cast with embreex")
+    place, _, faces = bar()
+    look = Look(materials=(Material(),), material_of_face=np.zeros(len(faces), dtype=np.int64))
+    shape = Shape.of(z_up(place), faces, look)
+    pose = camera_poses(1, radius=4, highest=0.9, phase=0)[0]
+
+    def taken() -> Any:
+        return take(shape, look, shape, pose, angle_x=0.9, resolution=24)
+
+    whole = taken()
+    monkeypatch.setattr("pcore.benchmark.true_picture._MOST_RAYS", 100)
+    bands = taken()
+    assert whole.rgba[..., 3].max() == 255
+    assert (bands.rgba[..., 3] == whole.rgba[..., 3]).all()
+    assert (bands.depth == whole.depth).all()
+    assert (bands.normal == whole.normal).all()
+    # The lamps' places are drawn for every band anew.
+    assert np.abs(bands.rgba.astype(float) - whole.rgba).max() < 40
+
+
+def test_a_quaternion_of_zeros_is_named(tmp_path: Path) -> None:
+    made = figure()
+    zero = made.array(np.zeros((2, 4)))
+    made.tree["animations"][0]["samplers"][0]["output"] = zero
+    with pytest.raises(InputError, match="got a quaternion of zeros"):
+        read_model(save(made, tmp_path))

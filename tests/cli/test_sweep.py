@@ -177,7 +177,7 @@ def test_failures_are_listed_and_cost_nobody_else(
     ("change", "said"),
     [
         (("ball: ball", "ball: nowhere"), "nowhere"),
-        (("points: 60", "pionts: 60"), "setting 'papr', train: "),
+        (("points: 60", "pionts: 60"), "setting 'papr', train: Unrecognized options: --pionts=60;"),
         (("steps: 3", "steps: many"), "setting 'papr', train: "),
         (("points: 60", "seed: 60"), "one that the sweep gives to each"),
         (("points: 60", "-o: x"), "one that the sweep gives to each"),
@@ -304,3 +304,10 @@ def test_a_storage_that_fails_later_is_one_message(
     told = capsys.readouterr().err
     assert told.startswith(f"Error: storage {url}")
     assert "No space left on device; what is complete there is undamaged" in told
+
+
+def test_no_workers_at_all_are_refused(plan: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ([], ["--dry-run"]):
+        assert sweep(plan, "--workers", "0", *words) == 2
+        assert "--workers: expected a whole number of at least 1, got 0" in capsys.readouterr().err
+    assert not (plan.parent / "out").exists()

@@ -67,7 +67,7 @@ class Model:
         """Vertices (V, 3) at a time of a clip, seconds."""
         assert self.glb is not None
         vertices, _ = read_shape(at_time(self.glb, clip, time))
-        return _z_up(vertices, self.up)
+        return _z_up(on_shape(vertices, self.faces), self.up)
 
 
 def read_model(path: Path, *, up: Up | None = None) -> Model:
@@ -95,16 +95,24 @@ def read_model(path: Path, *, up: Up | None = None) -> Model:
         if suffix == ".glb"
         else read_gltf(content, str(path), path.parent)
     )
-    vertices = shape.vertices.numpy()
+    faces = shape.faces.numpy()
+    vertices = on_shape(shape.vertices.numpy(), faces)
     return Model(
         name=path.stem,
         vertices=_z_up(vertices, axis),
-        faces=shape.faces.numpy(),
+        faces=faces,
         look=read_look(glb, vertices),
         clips=read_clips(glb),
         glb=glb,
         up=axis,
     )
+
+
+def on_shape(vertices: FloatArray, faces: NDArray[np.int64]) -> FloatArray:
+    """Vertices (V, 3) with those of no triangle put on one, where they widen nothing."""
+    unused = np.ones(len(vertices), dtype=bool)
+    unused[faces] = False
+    return np.where(unused[:, None], vertices[faces[0, 0]], vertices)
 
 
 def _z_up(vertices: FloatArray, up: Up) -> FloatArray:
@@ -156,6 +164,7 @@ def _static(
     up: Up,
     normals: FloatArray | None,
 ) -> Model:
+    vertices = on_shape(vertices, faces)
     return Model(
         name=path.stem,
         vertices=_z_up(vertices, up),

@@ -8,6 +8,7 @@ or on the canonical shape, so that brightness sticks to the surface (`baked`).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,8 @@ LAMPS = (
 )
 """Direction, brightness and radius of the lamps, each as seen from the object."""
 _FAR = 50.0
+_MOST_RAYS = 2**20
+"""That are cast at a time: all of a large picture would take gigabytes in every thread."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,13 +93,14 @@ def take(
         resolution: pixels along each side.
     """
     fine = resolution * _SUBSAMPLES
-    ray, directions = _rays(shape, pose, angle_x, fine)
-    hit, face, weights, paint = _cast(shape, look, pose[:3, 3], directions)
-    light = light_on(lit, face, weights, facing=_facing(shape, face, directions[hit]))
-    color = display(paint[:, :3] * light[:, None])
-    pixel = (ray[hit] // fine // _SUBSAMPLES) * resolution + (ray[hit] % fine) // _SUBSAMPLES
-    count = np.bincount(pixel, minlength=resolution**2)
-    total = [np.bincount(pixel, color[:, k], minlength=resolution**2) for k in range(3)]
+    count, total = np.zeros(resolution**2), np.zeros((3, resolution**2))
+    for ray, directions in _rays(shape, pose, angle_x, fine):
+        hit, face, weights, paint = _cast(shape, look, pose[:3, 3], directions)
+        light = light_on(lit, face, weights, facing=_facing(shape, face, directions[hit]))
+        color = display(paint[:, :3] * light[:, None])
+        pixel = (ray[hit] // fine // _SUBSAMPLES) * resolution + (ray[hit] % fine) // _SUBSAMPLES
+        count += np.bincount(pixel, minlength=resolution**2)
+        total += [np.bincount(pixel, color[:, k], minlength=resolution**2) for k in range(3)]
     rgba = np.stack([*(one / count.clip(1) for one in total), count / _SUBSAMPLES**2], axis=1)
     depth, normal = geometry_of(shape, look, pose, angle_x, resolution)
     return Shot(
@@ -108,8 +112,11 @@ def take(
 
 def _rays(
     shape: Shape, pose: FloatArray, angle_x: float, size: int
-) -> tuple[NDArray[np.int64], FloatArray]:
-    """Numbers (R,) of the pixels of a square that may show the mesh, and their rays (R, 3)."""
+) -> Iterator[tuple[NDArray[np.int64], FloatArray]]:
+    """Numbers (R,) of the pixels of a square that may show the mesh, and their rays (R, 3).
+
+    They come in bands of whole rows, `_MOST_RAYS` at a time.
+    """
     step = 2.0 * math.tan(0.5 * angle_x) / size
     local = (shape.caster.vertices - pose[:3, 3]) @ pose[:3, :3]
     before = local[local[:, 2] < -1e-6]
@@ -118,11 +125,14 @@ def _rays(
     else:
         across, down = local[:, 0] / -local[:, 2], local[:, 1] / local[:, 2]
         columns, rows = _span(across, step, size), _span(down, step, size)
-    row, column = np.mgrid[rows[0] : rows[1], columns[0] : columns[1]].reshape(2, -1)
-    x = (column + 0.5 - 0.5 * size) * step
-    y = -(row + 0.5 - 0.5 * size) * step
-    in_camera = np.stack([x, y, np.full_like(x, -1.0)], axis=1)
-    return row * size + column, in_camera @ pose[:3, :3].T
+    height = max(1, _MOST_RAYS // max(1, columns[1] - columns[0]))
+    for top in range(*rows, height):
+        band = slice(top, min(top + height, rows[1]))
+        row, column = np.mgrid[band, columns[0] : columns[1]].reshape(2, -1)
+        x = (column + 0.5 - 0.5 * size) * step
+        y = -(row + 0.5 - 0.5 * size) * step
+        in_camera = np.stack([x, y, np.full_like(x, -1.0)], axis=1)
+        yield row * size + column, in_camera @ pose[:3, :3].T
 
 
 def _span(places: FloatArray, step: float, size: int) -> tuple[int, int]:
@@ -194,12 +204,12 @@ def geometry_of(
     shape: Shape, look: Look, pose: FloatArray, angle_x: float, resolution: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Depth (H, W) and normals (H, W, 3) of a `Shot`; arguments are those of `take`."""
-    ray, directions = _rays(shape, pose, angle_x, resolution)
-    hit, face, weights, _ = _cast(shape, look, pose[:3, 3], directions)
     depth = np.full(resolution**2, np.inf, dtype=np.float32)
     normal = np.zeros((resolution**2, 3), dtype=np.float32)
-    places = _places(shape, face, weights) - pose[:3, 3]
-    depth[ray[hit]] = -(places @ pose[:3, 2])
-    facing = _facing(shape, face, directions[hit])[:, None]
-    normal[ray[hit]] = shape.normals_at(face, weights) * facing
+    for ray, directions in _rays(shape, pose, angle_x, resolution):
+        hit, face, weights, _ = _cast(shape, look, pose[:3, 3], directions)
+        places = _places(shape, face, weights) - pose[:3, 3]
+        depth[ray[hit]] = -(places @ pose[:3, 2])
+        facing = _facing(shape, face, directions[hit])[:, None]
+        normal[ray[hit]] = shape.normals_at(face, weights) * facing
     return depth.reshape(resolution, resolution), normal.reshape(resolution, resolution, 3)

@@ -15,6 +15,7 @@ from tyro.conf import Positional, arg
 
 from pcore.cli.options import Count, optional
 from pcore.errors import InputError, TrainingError
+from pcore.validation import check_count
 
 if TYPE_CHECKING:
     from pcore.sweep.executors import Execute, Machine
@@ -140,6 +141,8 @@ def _at_once(command: SweepCommand, plan: SweepPlan) -> int:
 
 
 def _check_options(command: SweepCommand) -> None:
+    if command.workers is not None:
+        check_count("--workers", command.workers)
     if command.workers is not None and command.address is not None:
         raise InputError(
             f"--workers {command.workers}: expected no number with --address, whose cluster has "

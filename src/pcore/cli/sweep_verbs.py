@@ -55,7 +55,9 @@ def parsed(trial: Trial, verb: str) -> Command:
         with redirect_stderr(told), redirect_stdout(told):
             return command_of(known[verb], words)
     except SystemExit as error:
-        reason = " ".join(re.sub(r"[^\x20-\x7e]", " ", told.getvalue()).split())
+        # Without title and frame of what a terminal shows, and its hint, which follows here anyway.
+        text = re.sub(r"[^\x20-\x7e]|-{3,}", " ", told.getvalue().strip().partition("\n")[2])
+        reason = " ".join(text.partition("For full helptext")[0].split())
         raise InputError(f"{where}: {reason}; `pcore {verb} --help` has all options") from error
 
 

@@ -215,6 +215,12 @@ def _track(glb: Glb, channel: _Channel, samplers: Sequence[_Sampler]) -> Track:
             f"{glb.where}: expected finite keys at rising times for the {path} of node {node}; the "
             "file is damaged: export it again"
         )
+    keys = values.reshape(shape)[:, 1] if spline else values.reshape(shape)
+    if path == "rotation" and not np.linalg.norm(keys, axis=-1).all():
+        raise InputError(
+            f"{glb.where}: expected turns as keys of node {node}, got a quaternion of zeros; the "
+            "file is damaged: export it again"
+        )
     return Track(
         node=node,
         path=path,
