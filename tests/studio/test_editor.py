@@ -194,6 +194,8 @@ def test_a_selection_is_frozen_and_let_go(editor: Editor) -> None:
     moved = (editor.state.points - editor.asset.points).norm(dim=1)
     assert float(moved[low].max()) < 1e-6
     assert float(moved[~low].max()) > 0.015
+    with pytest.raises(EditError, match="frozen"):
+        editor.place_handle(int(low.nonzero()[0]))
     editor.thaw()
     assert float((editor.state.points - editor.asset.points).norm(dim=1)[low].min()) > 0.015
 

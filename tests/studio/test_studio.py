@@ -70,6 +70,17 @@ def test_a_slider_is_drawn_at_once_and_kept_as_one_step_when_it_rests(page: Stud
     assert history.history.now == depth + 1
 
 
+def test_a_page_that_no_tab_has_joined_is_loading(page: Studio) -> None:
+    assert "Loading" in page._status()
+
+
+def test_an_overlay_says_what_its_colours_mean_or_why_there_are_none(page: Studio) -> None:
+    wish(page, "overlay", "strain")
+    assert "stretched" in page._said
+    wish(page, "overlay", "exposed")
+    assert "photos" in page._said
+
+
 def test_what_waits_for_a_pause_is_done_once_after_it() -> None:
     done = list[float]()
     pause = Pause(0.5, lambda: done.append(time.monotonic()))

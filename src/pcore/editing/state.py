@@ -16,6 +16,8 @@ from pcore.editing.script import EditScript
 from pcore.editing.stack import Stack
 from pcore.errors import EditError, InputError
 
+_HELD = 0.5
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EditState:
@@ -42,6 +44,14 @@ class EditState:
     def folds(self) -> Tensor:
         """(M,) numbers of the points where space folds; only plain rays draw a state with some."""
         return self.bound.folded.nonzero().squeeze(-1)
+
+    @property
+    def frozen(self) -> Tensor:
+        """(N,) bool, which points are held more than they follow."""
+        hold, rest = self.bound.hold, self.bound.setting.rest
+        if hold is None:
+            return torch.zeros(len(self.points), dtype=torch.bool)
+        return hold.weight(rest) > _HELD
 
     @property
     def rays(self) -> Literal["aware", "plain"]:

@@ -14,6 +14,7 @@ from pcore.studio.drawing import OVERLAYS
 from pcore.studio.edit_forms import AXES, CAGES
 from pcore.studio.editor import Editor
 from pcore.studio.handle_pose import HandlePose
+from pcore.studio.help_text import NO_PHOTOS, OVERLAY_LEGENDS
 from pcore.studio.viewport import Viewport
 
 if TYPE_CHECKING:
@@ -146,7 +147,10 @@ class Actions:
         """Show an overlay; None is the next one."""
         names: list[str] = list(OVERLAYS)
         now = names.index(self._editor.shown.overlay)
-        self._shown(overlay=name or names[(now + 1) % len(names)])
+        name = name or names[(now + 1) % len(names)]
+        self._shown(overlay=name)
+        blind = name == "exposed" and not self._studio.drawer.has_photos
+        self._studio.say(NO_PHOTOS if blind else OVERLAY_LEGENDS[name])
 
     def compare(self, share: float) -> None:
         """Show how the object was before, in a share of the picture."""

@@ -26,7 +26,6 @@ FOLDED = torch.tensor([220, 30, 30], dtype=torch.uint8)
 CHOSEN = torch.tensor([214, 0, 160], dtype=torch.uint8)
 _FROZEN = torch.tensor([40, 110, 200], dtype=torch.uint8)
 _EXPOSED = torch.tensor([250, 190, 5], dtype=torch.uint8)
-_SOLID = 0.5
 _CAMERAS = 20
 """Training views that say what was never seen; each takes milliseconds."""
 _SHADE = 40
@@ -54,6 +53,11 @@ class Drawer:
         self._still: Posed | None = None
         self._live = LiveDiagnosis(rest=asset.points, cameras=_training_cameras(asset))
         self._exposed: Tensor | None = None
+
+    @property
+    def has_photos(self) -> bool:
+        """Whether the views are here that it was trained on."""
+        return bool(self._live.cameras)
 
     def splats(self, state: EditState, eye: Tensor) -> Splats:
         """What a browser draws; the light is the one of the last picture at rest."""
@@ -152,9 +156,8 @@ class Drawer:
         marks = [(torch.tensor(sorted(chosen)).long(), CHOSEN), (state.folds, FOLDED)]
         if overlay == "exposed" and self._live.cameras:
             marks.insert(0, (self._came_to_light(state, moving), _EXPOSED))
-        if overlay == "frozen" and state.bound.hold is not None:
-            held = state.bound.hold.weight(state.bound.setting.rest) > _SOLID
-            marks.insert(0, (held.nonzero().flatten(), _FROZEN))
+        if overlay == "frozen":
+            marks.insert(0, (state.frozen.nonzero().flatten(), _FROZEN))
         for numbers, paint in marks:
             away[numbers], colors[numbers] = True, paint
         return Dots(points=state.points.detach().cpu().float()[away], colors=colors[away])

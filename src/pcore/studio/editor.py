@@ -76,7 +76,7 @@ class Editor(SelectionEditor):
         before, after = arriving(state, index).points, arriving(state, index + 1).points
         fresh = index == len(self.session.stack.edits)
         raw = {"type": "anchors", "handles": []} if fresh else self._whole(index)
-        self._refuse_second(raw, point, index)
+        self._refuse_useless(raw, point, index)
         number = len(raw["handles"])
         to = before if pin else after
         entries = [
@@ -262,7 +262,9 @@ class Editor(SelectionEditor):
         other = int(away.argmin())
         return [point, other] if float(away[other]) <= self._beside else [point]
 
-    def _refuse_second(self, raw: dict[str, Any], point: int, index: int) -> None:
+    def _refuse_useless(self, raw: dict[str, Any], point: int, index: int) -> None:
+        if bool(self.session.state.frozen[point]):
+            raise EditError("handle: this place is frozen; take another, or unfreeze everything")
         if point in handle_points(raw, arriving(self.session.state, index).points):
             raise EditError("handle: there is one at this very place already")
 

@@ -47,6 +47,16 @@ OVERLAY_NAMES = {
     "frozen": "frozen",
 }
 """What the page calls overlays."""
+OVERLAY_LEGENDS = {
+    "none": "",
+    "strain": "Red: stretched to twice or more; blue: squeezed to half or less.",
+    "holes": "Orange: torn open, paler where it only begins.",
+    "handles": "Teal: moves with no handle near; brown: handles disagree.",
+    "exposed": "Yellow: came to light, seen in no photo.",
+    "frozen": "Blue: frozen.",
+}
+"""What their colours mean."""
+NO_PHOTOS = "⚠ The photos of this object are not here: what they did not see is not known."
 WIDEN = "Allow it with wider soft edges"
 WORKING = "*Working&hellip;* The first time on a machine takes longer."
 LOADING = "*Loading&hellip;* The first picture takes a moment."

@@ -53,6 +53,7 @@ class Showing:
             for viewport in viewports:
                 self._shapes(viewport)
                 viewport.moving(stays=True)
+            yield  # Who asks between steps sees that every tab shows something.
             return
         first = self._drawer.first(editor.state, still=editor.shown.still)
         if first is not None:  # Nobody waits for the light, and it may not be wanted any more.

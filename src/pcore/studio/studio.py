@@ -277,6 +277,8 @@ class Studio(Gestures):
                 self.panels.say(before := text)
 
     def _status(self) -> str:
-        drawn = all(viewport.drawn for viewport in self._viewports.values())
+        # Who opens the page sees the last text before the worker takes the new tab in.
+        tabs = self._viewports.values()
+        drawn = bool(tabs) and all(viewport.drawn for viewport in tabs)
         saved, said = self.files.saved, self._said
         return self._line.text(self.editor, saved=saved, said=said, drawn=drawn)

@@ -24,7 +24,7 @@ _FAR = 160.0
 """Depth on the page of what is not there; viser's code for depths ends at 167."""
 _SLACK = 0.3
 """Depth on the page that handles may lie below the surface and still be seen."""
-_LOWER = 0.25
+_LOWER = 0.35
 """How far below the object high windows look, in sizes of it."""
 _OVERLAP = 0.12
 """Seconds that a picture stays behind splats that become visible."""
@@ -177,9 +177,14 @@ class Viewport:
             self._dots.remove()
             self._dots = None
         if len(points):  # In the place of those before, by their name: without a gap.
+            places = self._frame.to_page(points.numpy())
+            if self._points is not None:  # Its points are as large, and would cover the dots.
+                away = np.asarray(self.client.camera.position, dtype=np.float32) - places
+                away /= np.linalg.norm(away, axis=1, keepdims=True)
+                places = places + self._points.point_size * away
             self._dots = self.client.scene.add_point_cloud(
                 "/dots",
-                points=self._frame.to_page(points.numpy()),
+                points=places,
                 colors=colors.numpy().astype(np.uint8),
                 point_size=0.09,
                 point_shape="circle",

@@ -1,5 +1,6 @@
 // What viser's page does not tell its server: the wheel with Shift held, and whether the browser
-// prefers a dark page. Both are told as keys, which have commands.
+// prefers a dark page. Both are told as keys, which have commands. Keys are heard again once a list
+// or a box has been used, and fields of three numbers show all their decimals.
 const press = (key, code) =>
   document.documentElement.dispatchEvent(
     new KeyboardEvent("keydown", { key, code, bubbles: true }),
@@ -21,6 +22,21 @@ if (!window.pcoreHands) {
     if (flat && Number.isNaN(flat.radius)) flat.radius = Infinity;
     else error(...said);
   };
+
+  // What was chosen or ticked keeps the keyboard; keys of commands would go into it.
+  window.addEventListener("click", (event) => {
+    if (!event.target.closest?.('[role="option"], input[type="checkbox"]')) return;
+    setTimeout(() => document.activeElement?.blur(), 0);
+  });
+
+  // Steppers of three numbers in a row cover the last decimals.
+  const style = document.createElement("style");
+  style.textContent = `
+    .mantine-Flex-root > .mantine-NumberInput-root:nth-of-type(n):not(:only-child) {
+      .mantine-NumberInput-section { display: none; }
+      .mantine-NumberInput-input { padding-inline: 0.3em !important; }
+    }`;
+  document.head.append(style);
 
   let last = 0;
   window.addEventListener(
