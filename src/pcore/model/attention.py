@@ -123,12 +123,7 @@ class ProximityAttention(nn.Module):
         )
         if self.config.point_colors:
             features = _with_colors(features, posed.cloud.features, weights, neighbours)
-        positions = posed.positions.index_select(0, neighbours.flatten()).unflatten(
-            0, weights.shape
-        )
-        along = (positions.detach() * rays.directions.detach().unsqueeze(1)).sum(dim=-1)
-        first = along.masked_fill(~answering, math.inf).amin(dim=-1, keepdim=True)
-        past_first = torch.where(answering, along - first, 0.0)
+        positions, past_first = _along(posed.positions, rays, neighbours, answering)
         return Hits(
             neighbours=neighbours,
             weights=weights,
@@ -162,6 +157,17 @@ class ProximityAttention(nn.Module):
         folded = query @ self.w_key.weight
         constants = query @ self.w_key.bias + folded @ outside.offset
         return folded * (outside.gain * outside.unbias), constants
+
+
+def _along(
+    points: Tensor, rays: RayBundle, neighbours: Tensor, answering: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Positions (R, k, 3) of neighbours, and how far (R, k) past the first that answers."""
+    positions = points.index_select(0, neighbours.flatten()).unflatten(0, neighbours.shape)
+    along = (positions.detach() * rays.directions.detach().unsqueeze(1)).sum(dim=-1)
+    first = along.masked_fill(~answering, math.inf).amin(dim=-1, keepdim=True)
+    past_first = torch.where(answering, along - first, 0.0)
+    return positions, past_first
 
 
 def _with_colors(features: Tensor, mu: Tensor, weights: Tensor, neighbours: Tensor) -> Tensor:
