@@ -11,10 +11,16 @@ from pcore.training.config import GrowConfig, PatchConfig
 from pcore.training.forecast import forecasts, gaussian_forecast, papr_forecast
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from pcore.training.gaussian_fit import fit_gaussians
-from pcore.training.measured_speed import papr_step
+from pcore.training.measured_speed import measured_speed, papr_step
+from pcore.training.presets import gaussian_preset
 from pcore.training.pretrain import pretrain
+from pcore.training.speed import Speed
 from small_training import pretrain_config
 from tiny_scene import CONFIG
+
+SAID = forecast.Forecast(
+    model="papr", preset="tiny", seconds=1.0, within=1.0, memory=1.0, quality="", how=""
+)
 
 
 def test_gaussians_take_what_was_said(box: Scene) -> None:
@@ -25,7 +31,8 @@ def test_gaussians_take_what_was_said(box: Scene) -> None:
         validate_every=80,
         save_every=80,
     )
-    said = gaussian_forecast(box, config).seconds
+    speed = measured_speed(box, config, clock=time.process_time)
+    said = gaussian_forecast(box, config, speed).seconds
     began = time.process_time()
     fit_gaussians(box, config)
     assert said is not None
@@ -89,6 +96,28 @@ def test_every_preset_has_a_forecast(box: Scene, monkeypatch: pytest.MonkeyPatch
     assert all(one.memory is not None and one.memory > 0.5e9 for one in found.values())
     assert found["papr", "tiny"].quality.startswith("23 to 32 dB of the object")
     assert found["papr", "paper"].quality == "not recorded"
+
+
+def test_the_speed_of_gaussians_is_measured_once(
+    box: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Presets may differ in what `measured_speed` sets itself or does not read, in nothing else."""
+    tiny, fast = gaussian_preset("tiny"), gaussian_preset("fast")
+    alike = {
+        name: getattr(tiny, name)
+        for name in ("steps", "points", "rates", "density", "validate_every", "save_every")
+    }
+    assert replace(fast, **alike) == tiny
+    calls: list[Scene] = []
+
+    def measured(scene: Scene, *_: object, **__: object) -> Speed:
+        calls.append(scene)
+        return Speed()
+
+    monkeypatch.setattr(forecast, "measured_speed", measured)
+    monkeypatch.setattr(forecast, "papr_forecast", lambda scene, config: SAID)
+    assert len(forecasts(box)) == 5
+    assert calls == [box]
 
 
 def test_larger_photos_are_told_which_factor_has_the_recorded_size(

@@ -62,7 +62,6 @@ class Actions:
             studio: whose editor and files.
         """
         self._studio = studio
-        self._visible_only = True
         self.playing = False
         self.save, self.open = studio.files.save, studio.files.open
         self.camera_key = studio.files.camera_key

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from pcore.training.config import PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.measured_speed import measured_speed, papr_step
 from pcore.training.presets import PretrainName, gaussian_preset, preset
+from pcore.training.speed import Speed
 
 _BASE_MEMORY, _PIXEL, _GAUSSIAN = 0.6e9, 16.0, 3.4e3
 """Bytes of a training without photos, of a pixel of a photo, and of a Gaussian with its gradient,
@@ -118,12 +120,18 @@ def forecasts(scene: Scene) -> tuple[Forecast, ...]:
         ("papr", "fast"),
         ("papr", "paper"),
     )
+
+    @functools.cache
+    def speed() -> Speed:
+        # Presets differ in numbers of Gaussians and steps, and in rates: a step costs the same.
+        return measured_speed(scene, gaussian_preset("tiny"), clock=time.process_time)
+
     found: list[Forecast] = []
     for model, name in named:
         quality = _quality(model, scene, masked=masked) if name == "tiny" else ""
         try:
             if model == "gaussians":
-                one = gaussian_forecast(scene, gaussian_preset(name))
+                one = gaussian_forecast(scene, gaussian_preset(name), speed())
             else:
                 config = preset(name)
                 one = papr_forecast(scene, config if masked else replace(config, start="grid"))
@@ -141,16 +149,15 @@ def forecasts(scene: Scene) -> tuple[Forecast, ...]:
     return tuple(found)
 
 
-def gaussian_forecast(
-    scene: Scene, config: GaussianConfig, clock: Callable[[], float] = time.process_time
-) -> Forecast:
+def gaussian_forecast(scene: Scene, config: GaussianConfig, speed: Speed) -> Forecast:
     """Predict a training of Gaussians; all its steps are taken to be with the largest number.
 
-    Raises:
-        InputError: as `start_gaussians`.
+    Args:
+        scene: its training views.
+        config: its settings.
+        speed: measured for these photos, in seconds of the processor.
     """
     camera = _largest(scene)
-    speed = measured_speed(scene, config, clock=clock)
     seconds = speed.seconds(camera.width * camera.height, config.density.limit)
     return Forecast(
         model="gaussians",
