@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -83,6 +84,16 @@ class RayBundle:
     def to(self, device: torch.device | str) -> RayBundle:
         """Return the same rays on a device."""
         return self.each(lambda tensor: tensor.to(device))
+
+    def at(self, distances: Tensor) -> Tensor:
+        """Places (..., 3) at distances (...) along the rays, world units; NaN where those are NaN.
+
+        Rays whose distance is not known have no gradient, rather than one that is NaN.
+        """
+        known = distances.isfinite()
+        steps = distances.where(known, 0.0).unsqueeze(-1)
+        places = self.origins.to(steps) + steps * self.directions.to(steps)
+        return places.masked_fill(~known.unsqueeze(-1), math.nan)
 
     def crop(self, top: int, left: int, height: int, width: int) -> RayBundle:
         """Rectangle of an (H, W) bundle."""

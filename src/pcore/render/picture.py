@@ -170,7 +170,11 @@ def render_rays(
     if geometry or posed.gains is not None:
         places, gains = surface_of(posed, rays.flat(), hits, papr.config.cutoff)
         surface = middle_surface(places.reshape(*pixels.shape, 3), pixels.origins)
-    distance = (surface - pixels.origins.mean(dim=1)).norm(dim=-1)
+    offset = surface - pixels.origins.mean(dim=1)
+    # What hits nothing has no gradient, rather than one that is NaN.
+    unknown = offset.isnan().any(dim=-1)
+    distance = offset.masked_fill(unknown.unsqueeze(-1), 0.0).norm(dim=-1)
+    distance = distance.masked_fill(unknown, math.nan)
     features, alpha, gain = pixel_means(hits, gains, samples)
     alpha = alpha.reshape(shape)
     gain = None if gain is None else gain.reshape(shape)
