@@ -22,6 +22,7 @@ from pcore.asset.content import (
 from pcore.data.scene import View
 from pcore.deform.jacobian import analytic_maps
 from pcore.deform.pose import moved_points
+from pcore.errors import InputError
 from pcore.files.gaussian_file import (
     GAUSSIANS_FILE,
     SavedGaussians,
@@ -139,6 +140,12 @@ class GaussianContent:
             maps = analytic_maps(motion, places, followed=asked) if rays == "aware" else None
         device = self.gaussians.means.device
         positions = positions.to(self.gaussians.means)
+        bad = int((~positions.isfinite().all(dim=1)).sum())
+        if bad:
+            raise InputError(
+                f"pose: expected finite points, got NaN or infinity in {bad} of {len(positions)}; "
+                "lower the amount of the deformation, or check its file"
+            )
         if maps is None or rays == "plain":
             moved = replace(self.gaussians, means=positions)
             return MovedGaussians(drawn=PosedGaussians(gaussians=moved))
@@ -186,7 +193,7 @@ class GaussianContent:
         surface = rays.flat().at(depth)
 
         def pixels(values: Tensor) -> Tensor:
-            values = values.reshape(*rays.shape, *values.shape[1:])
+            values = values.reshape((*rays.shape, *values.shape[1:]))
             return values if rays.samples is None else values.nanmean(dim=len(rays.pixels))
 
         return Image(

@@ -13,6 +13,9 @@ from torch.nn import functional as F
 
 from pcore.errors import InputError
 
+_UNIT = 1e-3
+"""By so much the length of a direction may be off."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RayBundle:
@@ -57,6 +60,16 @@ class RayBundle:
         """Whether autograd follows the rays."""
         followed = self.origins.requires_grad or self.directions.requires_grad
         return torch.is_grad_enabled() and followed
+
+    def checked(self) -> RayBundle:
+        """Return the same rays; InputError where there are none, or not all of unit length."""
+        lengths = self.directions.detach().norm(dim=-1)
+        if not lengths.numel() or not bool(((lengths - 1).abs() < _UNIT).all()):
+            got = f"lengths up to {float(lengths.max()):g}" if lengths.numel() else "no rays"
+            raise InputError(
+                f"rays: expected directions of unit length, got {got}; divide them by their norm"
+            )
+        return self
 
     def __getitem__(self, index: Any) -> RayBundle:
         """Return the pixels that a tensor of indices, a mask or slices choose."""

@@ -161,8 +161,11 @@ def render_rays(
         InputError: rays that are no picture.
     """
     shape, samples = rays.pixels, rays.samples or 1
-    if len(shape) < 2:
-        raise InputError(f"render_rays: expected rays of pixels (..., H, W), got {shape}")
+    if len(shape) < 2 or min(shape[-2:]) < ALIGNMENT:
+        raise InputError(
+            f"render_rays: expected rays of pixels (..., H, W), at least {ALIGNMENT} x "
+            f"{ALIGNMENT} of them, got {shape}"
+        )
     hits = trace(papr, posed, rays, threshold=threshold, stop_encoding=stop_encoding)
     pixels = rays.by_pixel()
     surface = pixels.origins.new_full((), math.nan).expand(len(pixels.origins), 3)
