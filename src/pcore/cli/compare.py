@@ -153,9 +153,8 @@ def _compare(
     outcomes = contest.run(entries, teller(console, len(entries) * len(states)))
     if ranks.rank > 0:
         return
+    about, names = _about(command, places, states, output), [state.name for state in states]
     notes = [places.left_out] if places.left_out else []
-    about = _about(command, places, states, output)
-    names = [state.name for state in states]
     finish(console, output, outcomes, names, about=about, notes=notes)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from pcore.data.image_files import read_header
+from pcore.data.image_files import ImageHeader, read_header
 from pcore.errors import SceneError
 
 _TAIL = 4096
@@ -40,14 +40,20 @@ def check_whole(path: Path) -> None:
         ) from problem
 
 
-def why_unreadable(path: Path) -> str | None:
-    """Why a picture cannot be used, to be read after its name; None of a whole one."""
+def whole_header(path: Path) -> ImageHeader | str:
+    """Header of a picture that can be used; otherwise why not, to be read after its name."""
     try:
-        read_header(path)
+        header = read_header(path)
         check_whole(path)
     except SceneError as problem:
         return str(problem).removeprefix(f"image {path}: ")
-    return None
+    return header
+
+
+def why_unreadable(path: Path) -> str | None:
+    """Why a picture cannot be used, to be read after its name; None of a whole one."""
+    found = whole_header(path)
+    return found if isinstance(found, str) else None
 
 
 def _tail(path: Path) -> bytes:
