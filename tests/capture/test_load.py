@@ -112,7 +112,7 @@ def test_no_frames(scene: Path) -> None:
 
 def test_top_level_list(scene: Path) -> None:
     (scene / "transforms_train.json").write_text("[1, 2]")
-    with pytest.raises(SceneError, match=r"train\.json: 'top level': expected a JSON object"):
+    with pytest.raises(SceneError, match=r"train\.json: 'top level': expected keys with values"):
         load_scene(scene)
 
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from trimesh.resolvers import FilePathResolver
 
 from pcore.benchmark.gltf_look import read_look
 from pcore.benchmark.look import (
@@ -159,7 +160,7 @@ def _obj(path: Path, up: Up) -> Model:
     return _static(path, vertices, faces, _painted(mesh, len(faces)), up, normals)
 
 
-class _FilesBeside(trimesh.resolvers.FilePathResolver):
+class _FilesBeside(FilePathResolver):
     """Remembers what trimesh looks for in vain and paints over in grey."""
 
     def __init__(self, source: Path) -> None:
