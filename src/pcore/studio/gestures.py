@@ -96,6 +96,14 @@ class Gestures(Tabs):
         if self._may(tab):
             self.perform(lambda: self.editor.select_handle(number))
 
+    def _scaled(self, tab: int, phase: str, share: float) -> None:
+        if tab != self._owner:
+            return
+        if phase == "end":
+            self.perform(self.actions.settle)
+        else:
+            self.newest("scale", lambda: self.actions.scale(share), light=True)
+
     def _dragged(self, tab: int, phase: str, pose: HandlePose) -> None:
         if tab != self._owner:
             return

@@ -32,6 +32,12 @@ TOUR = (
 """Of the demo, one step after another."""
 NO_EDIT = "*No edits yet.* Ctrl-click the object to put a handle on it, or add an edit above."
 NOT_SELECTED = "*Nothing is selected.* Hold Shift and drag over the object."
+GIZMO_NAMES = {
+    "all": "moves and turns",
+    "move": "moves (1)",
+    "turn": "turns (2)",
+    "scale": "scales (3)",
+}
 TOOL_NAMES = {
     "box": "Box (R)",
     "brush": "Brush (B)",
@@ -58,5 +64,7 @@ OVERLAY_LEGENDS = {
 """What their colours mean."""
 NO_PHOTOS = "⚠ The photos of this object are not here: what they did not see is not known."
 WIDEN = "Allow it with wider soft edges"
+FOLDS = "⚠ Space folds at the red dots: go back by {}."
+NO_SCALE = "Nothing to scale: take an edit with a factor, handles, or one that acts in a ball."
 WORKING = "*Working&hellip;* The first time on a machine takes longer."
 LOADING = "*Loading&hellip;* The first picture takes a moment."

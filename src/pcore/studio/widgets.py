@@ -11,7 +11,7 @@ from pcore.studio.editor import Editor
 from pcore.studio.help_text import LOADING, OVERLAY_NAMES, WIDEN
 from pcore.studio.panel import Panel, Wish
 from pcore.studio.select_panel import SelectPanel
-from pcore.studio.stack_editor import MOVING
+from pcore.studio.shown import MOVING
 
 EASINGS = ("smooth", "linear", "in", "out", "step")
 _OVERLAYS = {label: name for name, label in OVERLAY_NAMES.items()}
@@ -182,6 +182,12 @@ class Panels(Panel):
     def say(self, status: str) -> None:
         """Show another text at the top, until the next state."""
         self._w.status.content = status
+
+    def dragged(self, editor: Editor, status: str) -> None:
+        """Show what changes while something is dragged: the text at the top, and the selection."""
+        if self._w.status.content != status:
+            self._w.status.content = status
+        self._selection.count(editor)
 
     def several(self, tabs: int) -> None:
         """Only one of several tabs edits; offer to go on in another."""
