@@ -44,7 +44,7 @@ class Gestures(Tabs):
         """As of tabs; what a slider shows is kept before anything but drags."""
 
         def then() -> None:
-            if self.editor.sliding and do != self.actions.settle:
+            if self.editor.sliding and do not in (self.actions.settle, self.actions.cancel):
                 self.editor.settle()
                 self._note()
             do()

@@ -28,7 +28,7 @@ _SMALL = 0.009 * SIZE
 """Radius of a ball where there are many, as of a cage."""
 _BALL, _PIN, _HELD, _WARNING = (0, 150, 136), (69, 90, 100), (255, 130, 0), (220, 30, 30)
 _BEFORE = 1.1 * _GIZMO
-"""How far before the selected ball another one, which nobody sees, takes the pointer."""
+"""How far before the selected ball another one is, which is seen and taken in its place."""
 
 
 @dataclass(frozen=True)
@@ -95,38 +95,42 @@ class HandleNodes:
             np.array([SIZE, -SIZE, SIZE]),
             Grab.of((0, 0, 0), (0, 0, 0), (1, 0, 0)),
         )
-        # Arrows begin within the ball and are before it from many sides: they would be taken.
-        self._front = scene.add_icosphere(
-            "/front",
-            radius=_RADIUS,
-            subdivisions=1,
-            opacity=0.0,
-            wireframe=True,  # What nobody sees hides splats behind it all the same.
-            cast_shadow=False,
-            receive_shadow=False,
-            visible=False,
-        )
-        self._wire(self._front, None)
+        self._client: Any = None
+        self._front: Any = None
 
     def release(self) -> None:
         """Hear no more of a drag that goes on: it was put back."""
         self._held = self._pulled = False
 
-    def face(self, eye: ArrayLike) -> None:
-        """The tab that edits looks from (3,) on the page."""
-        self._eye = np.asarray(eye, dtype=np.float64)
-        self._put_front()
+    def face(self, client: Any) -> None:
+        """Show the selected ball before all else in the tab that edits.
 
-    def _put_front(self) -> None:
-        """Put the ball that takes the pointer between the eye and the selected ball."""
-        ball = self._chosen
-        if ball is not None and not self._by_ball:
-            place = np.asarray(ball.position, dtype=np.float64)
-            way = self._eye - place
-            away = max(float(np.linalg.norm(way)), 1e-9)
-            self._front.position = place + min(_BEFORE, 0.5 * away) / away * way
-        if self._front.visible != (ball is not None):
-            self._front.visible = ball is not None
+        Its arrows begin within it and are before it from many sides: they would be taken in its
+        place. The surface may hide it as well.
+        """
+        if client is not self._client:
+            if self._front is not None:
+                self._front.remove()
+            self._client, self._front = client, None
+        self.turned()
+
+    def turned(self) -> None:
+        """Put the ball that is before all else between the selected one and the eye of now."""
+        ball, client = self._chosen, self._client
+        if self._front is not None and ball is None:
+            self._front.remove()
+            self._front = None
+        if ball is None or client is None:
+            return
+        place, self._eye = np.asarray(ball.position), np.asarray(client.camera.position)
+        way = self._eye - place
+        away = max(float(np.linalg.norm(way)), 1e-9)
+        nearer = min(_BEFORE / away, 0.5)
+        if self._front is None:
+            self._front = client.scene.add_icosphere("/front", cast_shadow=False)
+            self._wire(self._front, None)
+        self._front.position = place + nearer * way
+        self._front.radius, self._front.color = (1 - nearer) * ball.radius, ball.color
 
     @property
     def _chosen(self) -> Any:
@@ -164,7 +168,7 @@ class HandleNodes:
                 self._gizmo.position = self._frame.to_page(handles[selected].place)
                 self._gizmo.wxyz = self._turn if self._turning else STILL
         self._number = selected
-        self._put_front()
+        self.turned()
 
     def _rebuild(self, handles: Sequence[HandlePose], kind: str) -> None:
         """Make the balls anew where they are others; one that is held stays the same node."""

@@ -7,16 +7,19 @@ HELP = """
 | **Handle** | Ctrl-click; it holds the place until it is dragged |
 | **Pin** | Alt-click: stays where it was before the edit |
 | **Drag** | the ball, or arrows and rings; Escape puts back |
+| **Gizmo** | 1 moves, 2 turns, 3 scales; again: moves and turns |
 | **One axis** | X, Y, Z, also in a drag; again: free |
 | **Reach** | Shift and the wheel; PageUp, PageDown |
+| **Next edit** | Enter: the next handle begins another edit |
 | **Remove** | Delete, for the selected handle |
 | **Select** | Shift-drag; Ctrl-Shift adds, Alt-Shift removes |
 | **Tools** | R box, B brush, L lasso, G ball |
 | **Freeze** | H; Shift-H lets everything go |
 | **Undo** | Ctrl-Z; Ctrl-Shift-Z does it again |
 | **Save** | Ctrl-S |
-| **Time** | I keys, space plays |
-| **View** | M mirror, O overlay, T dark, K this help |
+| **Time** | I keys, space plays, Left and Right step |
+| | Shift-Left, Shift-Right: from key to key |
+| **View** | C before, P points, O overlay, M mirror, T dark, K this help |
 
 Grey balls hold their place. Red dots: space folds there; let go, and the handle returns to the last
 good place.

@@ -149,7 +149,7 @@ class Studio(Gestures):
         @client.camera.on_update
         async def _(_: Any) -> None:
             if viewport.number == self._owner:
-                self.nodes.face(client.camera.position)
+                self.nodes.turned()
             if self.editor.shown.exact:
                 self.worker.draw(self._move, self._rest)
                 return
@@ -242,12 +242,13 @@ class Studio(Gestures):
             camera_keys=len(self.files.cameras),
             playing=self.actions.playing,
         )
-        self.panels.several(len(self._viewports))
+        clients = {number: one.client for number, one in self._viewports.items()}
+        self.panels.roles(clients, self._owner)
         self.strokes.use(editor.shown.tool)
         self.strokes.hear(self._clicked, editor.shown.click != "nothing")
         for viewport in self._viewports.values():
             if viewport.number == self._owner:
-                self.nodes.face(viewport.client.camera.position)
+                self.nodes.face(viewport.client)
         self.nodes.show(editor, warn=False, moved=True)
         self.guides.show(self._guides.of(editor))
         self.worker.draw(self._move, self._rest)

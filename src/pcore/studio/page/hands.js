@@ -25,7 +25,8 @@ if (!window.pcoreHands) {
   };
 
   // What was pressed with the mouse keeps the keyboard; keys of commands would go into it.
-  const WIDGETS = 'button, [role="option"], [role="slider"], input[type="checkbox"]';
+  const WIDGETS =
+    'button, [role="tab"], [role="option"], [role="slider"], input[type="checkbox"]';
   window.addEventListener("click", (event) => {
     if (!event.target.closest?.(WIDGETS)) return;
     setTimeout(() => document.activeElement?.closest(WIDGETS)?.blur(), 0);
@@ -57,6 +58,20 @@ if (!window.pcoreHands) {
       .mantine-NumberInput-input { padding-inline: 0.3em !important; }
     }`;
   document.head.append(style);
+
+  // viser greys the panel when its server is gone, and says nothing.
+  const lost = document.createElement("div");
+  lost.textContent =
+    "The connection is lost. It comes back by itself, unless the server ended: then start it " +
+    "again and open the address that it prints. What is not saved is kept.";
+  lost.style.cssText =
+    "position:fixed;z-index:1000;left:1em;bottom:1em;max-width:26em;padding:0.8em 1em;" +
+    "color:#fff;background:#b71c1c;border-radius:4px;font:14px/1.4 sans-serif";
+  setInterval(() => {
+    const gone = document.querySelector(".mantine-Loader-root");
+    if (gone && !lost.isConnected) document.body.append(lost);
+    if (!gone && lost.isConnected) lost.remove();
+  }, 500);
 
   let last = 0;
   window.addEventListener(
