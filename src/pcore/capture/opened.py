@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from pcore.capture.photos import Photo
-from pcore.data.cut_off import why_unreadable
-from pcore.data.image_files import ImageHeader, read_header
+from pcore.data.cut_off import header_of_whole
+from pcore.data.image_files import ImageHeader
 from pcore.data.images import Crop, ImageCache, ImageSource
 from pcore.data.scene import View
 from pcore.errors import InputError
@@ -45,10 +45,9 @@ def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache) -> Opened
     if photo.size is not None and min(photo.size) < 1:
         raise UnusableError(f"a camera for {photo.size[0]} x {photo.size[1]} pixels")
     pose, notes = _rigid(photo.world_from_camera)
-    unreadable = why_unreadable(photo.path)
-    if unreadable is not None:
-        raise UnusableError(unreadable)
-    header = read_header(photo.path)
+    header = header_of_whole(photo.path)
+    if isinstance(header, str):
+        raise UnusableError(header)
     upright = _is_upright(photo, header)
     full = header.upright_size if upright else (header.width, header.height)
     if header.orientation != 1:

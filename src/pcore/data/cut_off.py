@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from pcore.data.image_files import read_header
+from pcore.data.image_files import ImageHeader, read_header
 from pcore.errors import SceneError
 
 _TAIL = 4096
@@ -42,12 +42,18 @@ def check_whole(path: Path) -> None:
 
 def why_unreadable(path: Path) -> str | None:
     """Why a picture cannot be used, to be read after its name; None of a whole one."""
+    found = header_of_whole(path)
+    return found if isinstance(found, str) else None
+
+
+def header_of_whole(path: Path) -> ImageHeader | str:
+    """The header of a whole picture; of another one why it cannot be used, as `why_unreadable`."""
     try:
-        read_header(path)
+        header = read_header(path)
         check_whole(path)
     except SceneError as problem:
         return str(problem).removeprefix(f"image {path}: ")
-    return None
+    return header
 
 
 def _tail(path: Path) -> bytes:
