@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -151,10 +152,16 @@ class CageDeform(Deformation):
     def displaced(self, points: Tensor) -> Tensor:
         """Do the same as a call for points (N, 3) without gradient."""
         if self.binding is not None and self.binding.is_of(points):
-            return self.binding.moved(self.vertices).to(points)
+            return self._moved.to(points)
         known = self._recall(points)
         way, _ = self.cage.carry(points, self._moves, slope=False) if known is None else known
         return (points.detach().double() + way.to(points.device)).to(points.dtype)
+
+    @cached_property
+    def _moved(self) -> Tensor:
+        """Where the points of the binding go; frames are asked for next, and take it from here."""
+        assert self.binding is not None
+        return self.binding.moved(self.vertices)
 
     def _recall(self, points: Tensor) -> tuple[Tensor, Tensor] | None:
         """What the last Jacobians were computed with, if these are the same points."""

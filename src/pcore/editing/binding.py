@@ -8,7 +8,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from pcore.deform.base import SINGULAR, Compose, Deformation, Identity, matrix_product, uprightness
+from pcore.deform.base import SINGULAR, Compose, Deformation, Identity, uprightness
 from pcore.deform.checks import check_finite, check_invertible
 from pcore.deform.region import Region
 from pcore.deform.weighted import Held, Weighted, blend
@@ -16,6 +16,7 @@ from pcore.editing.anchors import AnchorRig
 from pcore.editing.edits import Edit
 from pcore.editing.regions import RegionEntry, Setting, bind_region, bind_union
 from pcore.geometry.extent import size_of
+from pcore.geometry.matrix_tuples import products
 
 FAR = 2.0
 """How many times its own size an edit moves a point of the object, seldom by intent."""
@@ -102,7 +103,8 @@ class Bound:
         else:
             own = step.folded(place)
         if self.hold is None:
-            return matrix_product(jacobian, total), folded | own
+            both = (one.detach().contiguous().numpy() for one in (jacobian, total))
+            return torch.from_numpy(products(*both)), folded | own
         hold = Held((step,), self.hold)
         total = hold.further(step, jacobian, rest, place, total)
         own = own & (self._free == 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -61,6 +62,12 @@ class SplatsAtRest:
         points = plain.means if points is None else points.detach().cpu().float()
         return cls(gaussians=plain, points=points, covariances=shapes)
 
+    @cached_property
+    def _beside(self) -> Tensor | None:
+        """(N, 3) from the points to the means; None where the means are the points."""
+        beside = self.gaussians.means - self.points
+        return beside if bool(beside.any()) else None
+
     @torch.no_grad()
     def moved(
         self,
@@ -86,12 +93,13 @@ class SplatsAtRest:
                 f"splats: expected positions ({count}, 3) and an eye (3,), got "
                 f"{tuple(positions.shape)} and {tuple(eye.shape)}"
             )
-        centers, beside = positions.detach().cpu().float(), self.gaussians.means - self.points
+        centers, beside = positions.detach().cpu().float(), self._beside
         shapes, maps = self.covariances, local_maps
         if maps is not None:
             maps = maps.detach().cpu().double().contiguous()
+        if maps is not None and beside is not None:
             centers = centers + (maps @ beside.double().unsqueeze(-1)).squeeze(-1).float()
-        else:
+        elif beside is not None:
             centers = centers + beside
         seen = F.normalize(centers - eye, dim=1)
         if maps is not None:
