@@ -121,3 +121,17 @@ def products(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[n
                 total = left[n, i, 0] * right[n, 0, j] + left[n, i, 1] * right[n, 1, j]
                 found[n, i, j] = total + left[n, i, 2] * right[n, 2, j]
     return found
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def uprightnesses(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Determinants (N,) of matrices (N, 3, 3) over those of scalings of the same Frobenius norm."""
+    found = np.empty(len(matrices))
+    for n in range(len(matrices)):
+        a, b, c = matrices[n]
+        m = (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
+        other, size = cofactors(m), math.sqrt(inner(m, m) / 3.0)
+        determinant = m[0] * other[0] + m[1] * other[1] + m[2] * other[2]
+        scale = size * size * size
+        found[n] = determinant / scale if scale > _TINY else 0.0
+    return found
