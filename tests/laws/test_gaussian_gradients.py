@@ -16,13 +16,15 @@ from bent_arm import Arm
 from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
+from pcore.errors import EditError
 from pcore.gaussians.carry import polar
 from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.camera import Camera
+from pcore.render.image import Image
 
 STEP = 1e-6
 COUNT = 40
-PLANES = ("rgb", "alpha", "depth")
+PLANES = ("rgb", "alpha", "depth", "surface")
 
 
 def rod() -> Gaussians:
@@ -41,8 +43,15 @@ def rod() -> Gaussians:
     )
 
 
-def camera(focal: Tensor | float = 16.0, place: Tensor | None = None) -> Camera:
+def camera(
+    focal: Tensor | float = 16.0, place: Tensor | None = None, turn: Tensor | None = None
+) -> Camera:
     pose = torch.eye(4, dtype=torch.float64)
+    if turn is not None:
+        zero = torch.zeros_like(turn)
+        across = torch.stack([zero, turn, zero, -turn, zero, zero, zero, zero, zero])
+        rotation = torch.linalg.matrix_exp(across.reshape(3, 3))
+        pose = torch.cat([torch.cat([rotation, pose[:3, 3:]], dim=1), pose[3:]]).clone()
     pose[:3, 3] = torch.tensor([0.3, 0.1, 2.6])
     if place is not None:
         pose = torch.cat([pose[:, :3], torch.cat([pose[:3, 3] + place, pose[3:, 3]])[:, None]], 1)
@@ -59,12 +68,24 @@ def with_means(asset: Asset, means: Tensor) -> Asset:
 
 def loss_of(asset: Asset, posed: object, seen: Camera) -> Tensor:
     image = asset.render(posed, seen)  # pyright: ignore
+    return mixed(image)
+
+
+def traced(seen: Camera) -> Tensor:
+    """A picture by its rays, four of each pixel."""
+    places = torch.tensor([[x, y] for x in (0.25, 0.75) for y in (0.25, 0.75)])
+    return mixed(ASSET.trace(None, seen.rays(places=places)))
+
+
+def mixed(image: Image) -> Tensor:
+    """A number from all planes, where something is seen; at some pixels nothing is."""
+    assert bool(image.depth.isnan().any())
     weights = torch.Generator().manual_seed(1)
     total = image.rgb.new_zeros(())
     for name in PLANES:
         plane = getattr(image, name)
-        mixed = torch.rand(plane.shape, generator=weights, dtype=torch.float64)
-        total = total + (plane.nan_to_num(nan=0.0) * mixed).sum()
+        share = torch.rand(plane.shape, generator=weights, dtype=torch.float64)
+        total = total + (plane.nan_to_num(nan=0.0) * share).sum()
     return total
 
 
@@ -80,6 +101,14 @@ CASES: dict[str, tuple[Tensor, Callable[[Tensor], Tensor]]] = {
     "place of the camera": (
         torch.zeros(3, dtype=torch.float64),
         lambda place: loss_of(ASSET, None, camera(place=place)),
+    ),
+    "turn of the camera": (
+        torch.tensor(0.1, dtype=torch.float64),
+        lambda turn: loss_of(ASSET, None, camera(turn=turn)),
+    ),
+    "turn of the camera, by rays": (
+        torch.tensor(0.1, dtype=torch.float64),
+        lambda turn: traced(camera(turn=turn)),
     ),
     "means, posed": (
         rod().means,
@@ -106,6 +135,27 @@ def test_against_differences(name: str) -> None:
     expected = float(ends[0] - ends[1]) / (2 * STEP)
     assert abs(expected) > 1e-3
     assert float((gradient * direction).sum()) == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_deformation_that_loses_the_gradient_says_so() -> None:
+    class Cut(Arm):
+        def __call__(self, points: Tensor) -> Tensor:
+            return super().__call__(points.detach())
+
+    asset = with_means(ASSET, rod().means.requires_grad_())
+    with pytest.raises(EditError, match="a gradient to the canonical points is asked for"):
+        asset.pose(Cut(torch.tensor(0.9, dtype=torch.float64)))
+
+
+def test_gains_of_a_caller_are_followed() -> None:
+    posed = ASSET.pose(Arm(torch.tensor(0.9, dtype=torch.float64)))
+    gains = torch.ones(COUNT, dtype=torch.float64, requires_grad=True)
+    lit = ASSET.lit(posed, gains)
+    kept = ASSET.gains_of(lit)
+    assert kept is not None
+    assert kept.requires_grad
+    (gradient,) = torch.autograd.grad(ASSET.render(lit, camera()).rgb.sum(), gains)
+    assert float(gradient.abs().max()) > 0
 
 
 def test_turns_of_colours_have_a_gradient() -> None:

@@ -17,6 +17,8 @@ import torch
 from torch import Tensor
 
 from bent_arm import Arm
+from pcore.asset.content import RaysName
+from pcore.asset.saving import asset_of
 from pcore.deform.base import Affine, Compose, Deformation
 from pcore.deform.jacobian import estimated_maps
 from pcore.deform.pose import pose
@@ -116,7 +118,7 @@ def seen_by(values: dict[str, Tensor]) -> Camera:
     return replace(base, world_from_camera=matrix, fx=focal, fy=focal)
 
 
-def drawn(values: dict[str, Tensor], *, rays: str, surfels: bool, direct: bool) -> Image:
+def drawn(values: dict[str, Tensor], *, rays: RaysName, surfels: bool, direct: bool) -> Image:
     """The picture of all parameters; `direct` gives moved points and maps, not the deformation."""
     cloud = PointCloud(
         positions=values["points"], features=values["features"], influence=values["influence"]
@@ -136,7 +138,9 @@ def drawn(values: dict[str, Tensor], *, rays: str, surfels: bool, direct: bool) 
             surfels=None if over is None else over.moved(values["moved"], maps),
         )
     else:
-        posed = pose(cloud, Arm(values["angle"]), surfels=over, aware=rays == "aware")
+        asset = asset_of(network(), cloud, surfels=over)
+        moved = asset.pose(Arm(values["angle"]), rays=rays)
+        return asset.render(moved, seen_by(values), samples=_samples(surfels))
     return render(network(), posed, seen_by(values), samples=_samples(surfels))
 
 
@@ -190,7 +194,7 @@ CAMERA = ("camera place", "camera turn", "focal")
 
 @pytest.mark.parametrize("surfels", [False, True])
 @pytest.mark.parametrize("rays", ["plain", "aware"])
-def test_deformed_pictures_have_the_gradients_of_differences(rays: str, surfels: bool) -> None:
+def test_deformed_pictures_have_the_gradients_of_differences(rays: RaysName, surfels: bool) -> None:
     def draw(values: dict[str, Tensor]) -> Image:
         return drawn(values, rays=rays, surfels=surfels, direct=False)
 
@@ -210,7 +214,7 @@ def test_without_a_reference_rays_from_the_other_end_begin_where_the_points_say(
 
 @pytest.mark.parametrize("surfels", [False, True])
 @pytest.mark.parametrize("rays", ["plain", "aware"])
-def test_pictures_of_given_points_and_maps_have_them_too(rays: str, surfels: bool) -> None:
+def test_pictures_of_given_points_and_maps_have_them_too(rays: RaysName, surfels: bool) -> None:
     """Deformed points and local maps as they come, from a simulation say."""
 
     def draw(values: dict[str, Tensor]) -> Image:
@@ -253,6 +257,24 @@ def test_canonical_pictures_have_the_gradients_of_differences(surfels: bool) -> 
         return render(network(), PosedCloud.at_rest(cloud, over), seen_by(values), samples=samples)
 
     check(draw, (*CLOUD, *CAMERA))
+
+
+def test_traced_rays_have_them_where_some_hit_nothing() -> None:
+    def draw(values: dict[str, Tensor]) -> Image:
+        cloud = PointCloud(**{name: values[old] for name, old in _CLOUD.items()})
+        asset = asset_of(network(), cloud)
+        image = asset.trace(asset.pose(Arm(values["angle"])), seen_by(values).rays())
+        assert bool(image.depth.isnan().any())
+        return image
+
+    check(draw, ("points", "features", "angle", *CAMERA))
+
+
+def test_before_another_background_the_networks_are_followed_still() -> None:
+    papr = network().requires_grad_(True)
+    image = asset_of(papr, rod()[0]).over((0.0, 0.5, 1.0)).render(None, camera())
+    gradients = torch.autograd.grad(image.rgb.sum(), list(papr.unet.parameters()))
+    assert all(float(one.abs().max()) > 0 for one in gradients)
 
 
 _CLOUD = {"positions": "points", "features": "features", "influence": "influence"}
@@ -331,6 +353,25 @@ class Cut(ByNumpy):
 
 
 @dataclass(frozen=True)
+class Lost(Arm):
+    """A map that loses the gradient of its own parameter."""
+
+    def __call__(self, points: Tensor) -> Tensor:
+        return Arm(self.angle.detach())(points)
+
+
+class Frozen(Deformation):
+    """A network that is drawn without gradients."""
+
+    def __init__(self) -> None:
+        self.network = torch.nn.Linear(3, 3).double()
+
+    def __call__(self, points: Tensor) -> Tensor:
+        with torch.no_grad():
+            return points + 0.01 * self.network(points)
+
+
+@dataclass(frozen=True)
 class ByHand(Arm):
     """A map whose Jacobian is, though it is right, cut off from the graph."""
 
@@ -350,6 +391,18 @@ def test_a_deformation_without_a_gradient(kind: type[Deformation]) -> None:
         pose(following(cloud), kind())
     with torch.no_grad():
         assert pose(following(cloud), kind()).local_maps is not None
+
+
+def test_a_parameter_without_a_gradient() -> None:
+    cloud, _ = rod()
+    angle = torch.tensor(0.5, dtype=torch.float64)
+    assert pose(cloud, Lost(angle)).local_maps is not None
+    lost = Lost(angle.requires_grad_())
+    for deformation in (lost, Compose(lost, uniform_scale(2.0)), Frozen()):
+        with pytest.raises(EditError, match="is asked for, and this deformation has none"):
+            pose(cloud, deformation)
+    with torch.no_grad():
+        assert pose(cloud, lost).local_maps is not None
 
 
 def test_a_jacobian_without_a_gradient() -> None:

@@ -231,17 +231,18 @@ class Asset:
     def trace(
         self, posed: Posed | None, rays: RayBundle, background: Tensor | None = None
     ) -> Image:
-        """Render rays of pixels (..., H, W) in one piece, with what each of them hits.
-
-        Autograd follows the pose and the rays.
+        """Render rays of pixels (..., H, W) in one piece, with what each hits; autograd follows.
 
         Args:
             posed: from `pose`; None is the object as it was photographed.
             rays: world units, on the device of the networks.
             background: (3,) colour behind the object; None takes its own.
+
+        Raises:
+            InputError: no rays, or directions that are not of unit length.
         """
         posed = self.pose() if posed is None else posed
-        return self.content.trace(posed.content, rays, background)
+        return self.content.trace(posed.content, rays.checked(), background)
 
     def session(self, edit: EditLike | None = None, *, time: float | None = None) -> EditSession:
         """Begin to edit it step by step, with the weights it learned; see `EditSession`.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Protocol, TypeVar
+from typing import Literal, Protocol, TypeVar, get_args
 
 from torch import Tensor
 
@@ -184,9 +184,11 @@ def wanted_light(
         light: what is asked for; None: still where there is one and rays are aware.
 
     Raises:
-        InputError: a light that stands still is asked for, and there is none.
+        InputError: a name that is not known, or a light that stands still where there is none.
         CheckpointError: its file is damaged or belongs to other points.
     """
+    _check_name("rays", rays, get_args(RaysName))
+    _check_name("light", light, (*get_args(LightName), None))
     if light == "baked" or (light is None and rays == "plain"):
         return None
     if light == "still" and read is None:
@@ -195,3 +197,9 @@ def wanted_light(
             "with `pcore light RUN`, or let it be baked in (--light baked)"
         )
     return None if read is None else read()
+
+
+def _check_name(what: str, name: str | None, known: Sequence[str | None]) -> None:
+    """Refuse a name with a slip of the pen, which would be taken for the other one."""
+    if name not in known:
+        raise InputError(f"{what}: expected one of {', '.join(map(repr, known))}, got {name!r}")

@@ -21,6 +21,8 @@ from pcore.asset.content import (
 )
 from pcore.data.scene import View
 from pcore.deform.jacobian import analytic_maps
+from pcore.deform.pose import moved_points
+from pcore.errors import InputError
 from pcore.files.gaussian_file import (
     GAUSSIANS_FILE,
     SavedGaussians,
@@ -131,13 +133,19 @@ class GaussianContent:
             positions, maps = motion.positions, motion.local_maps
         else:
             rest = self.gaussians.means.cpu()
-            positions = motion(rest.double())
+            positions = moved_points(motion, rest.double())
             # Autograd follows the map where it asks for that, and the means.
             asked = positions.requires_grad
             places = rest if asked else rest.detach()
             maps = analytic_maps(motion, places, followed=asked) if rays == "aware" else None
         device = self.gaussians.means.device
         positions = positions.to(self.gaussians.means)
+        bad = int((~positions.isfinite().all(dim=1)).sum())
+        if bad:
+            raise InputError(
+                f"pose: expected finite points, got NaN or infinity in {bad} of {len(positions)}; "
+                "lower the amount of the deformation, or check its file"
+            )
         if maps is None or rays == "plain":
             moved = replace(self.gaussians, means=positions)
             return MovedGaussians(drawn=PosedGaussians(gaussians=moved))
@@ -174,7 +182,7 @@ class GaussianContent:
     def gains_of(self, posed: MovedGaussians) -> Tensor | None:
         """See `Content.gains_of`."""
         gains = posed.drawn.gains
-        return None if gains is None else gains.detach().cpu().squeeze(1)
+        return None if gains is None else gains.cpu().squeeze(1)
 
     def trace(self, posed: MovedGaussians, rays: RayBundle, background: Tensor | None) -> Image:
         """See `Content.trace`; rays are lines: the mean of many in a pixel is a picture's."""
@@ -182,10 +190,10 @@ class GaussianContent:
         color = means.new_tensor(self.background) if background is None else background
         found = trace(posed.drawn, rays.flat(), background=color, footprint=self.footprint)
         depth = torch.where(found.alpha > _TRACE, found.depth, torch.nan)
-        surface = rays.flat().origins + depth.unsqueeze(-1) * rays.flat().directions
+        surface = rays.flat().at(depth)
 
         def pixels(values: Tensor) -> Tensor:
-            values = values.reshape(*rays.shape, *values.shape[1:])
+            values = values.reshape((*rays.shape, *values.shape[1:]))
             return values if rays.samples is None else values.nanmean(dim=len(rays.pixels))
 
         return Image(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -21,7 +22,7 @@ from pcore.asset.content import (
 )
 from pcore.deform.pose import pose
 from pcore.errors import InputError
-from pcore.files.model_file import MODEL_FILE, load_model, networks, save_model
+from pcore.files.model_file import MODEL_FILE, load_model, save_model
 from pcore.files.provenance import Provenance
 from pcore.gaussians.splats import SplatsAtRest
 from pcore.geometry.camera import Camera
@@ -44,7 +45,7 @@ class NeuralPoints:
     """Networks and canonical points; posed, they are a `PosedCloud`.
 
     Attributes:
-        papr: the networks, without gradients, on the device that does the work.
+        papr: the networks, on the device that does the work.
         cloud: canonical points, on the CPU.
         surfels: the surface over them at rest; None where nobody has estimated it.
         read_light: gives the light of the photos; None where none was estimated.
@@ -67,7 +68,7 @@ class NeuralPoints:
     @property
     def points(self) -> Tensor:
         """See `Content.points`."""
-        return self.cloud.positions
+        return self.cloud.positions.detach()
 
     @property
     def samples(self) -> int:
@@ -154,9 +155,9 @@ class NeuralPoints:
 
     def over(self, background: Color) -> NeuralPoints:
         """See `Content.over`; the background only enters after the networks."""
-        papr = networks(replace(self.papr.config, background=background), self.papr.state_dict())
-        device = next(self.papr.parameters()).device
-        return replace(self, papr=papr.to(device))
+        papr = copy(self.papr)  # Of the same parameters.
+        papr.config = replace(papr.config, background=background)
+        return replace(self, papr=papr)
 
     def save(self, folder: Path, provenance: Provenance) -> None:
         """See `Content.save`."""

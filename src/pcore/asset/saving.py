@@ -82,7 +82,7 @@ def asset_of(
 
     Args:
         papr: the networks; used as they are.
-        cloud: canonical points, world units.
+        cloud: canonical points, world units; autograd follows it where it asks for that.
         scene: name of the scene.
         stage: what made the weights.
         step: steps of that stage.
@@ -90,7 +90,7 @@ def asset_of(
         light: of the photos.
         skinning: weights that were learned for edits by anchors.
     """
-    cloud = cloud.detached().to("cpu")
+    cloud = cloud.to("cpu")
     return Asset(
         content=NeuralPoints(
             papr=papr,

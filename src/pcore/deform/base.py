@@ -267,7 +267,7 @@ def frozen_tensor(name: str, value: Tensor, shape: tuple[int, ...]) -> Tensor:
         raise InputError(
             f"{name}: expected a fixed parameter, got one that asks for a gradient, which this "
             "deformation does not have; detach it, or write a Deformation of your own with the "
-            "parameter in it (docs/guide/deforming.md)"
+            "parameter in it (docs/tutorials/5-your-own-deformation.md)"
         )
     copy = value.detach().to(device="cpu", dtype=torch.float64, copy=True)
     if tuple(copy.shape) != shape:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from pcore.deform.base import Deformation, Identity
 from pcore.deform.jacobian import analytic_maps, unchecked_maps
@@ -41,7 +41,7 @@ def pose(
             a gradient is asked for that the deformation does not have.
     """
     exact = cloud.positions.cpu().double()
-    moved = _moved(deformation, exact)
+    moved = moved_points(deformation, exact)
     if not moved.requires_grad and _stays(deformation, exact):
         return PosedCloud.at_rest(cloud, surfels)
     posed = PosedCloud(cloud=cloud, positions=moved.to(cloud.positions))
@@ -58,24 +58,41 @@ def pose(
     )
 
 
-def _moved(deformation: Deformation, points: Tensor) -> Tensor:
-    """The points (N, 3) where a deformation takes them, with the gradient that is asked for."""
-    asked = torch.is_grad_enabled() and points.requires_grad
+def moved_points(deformation: Deformation, points: Tensor) -> Tensor:
+    """Where a deformation takes points (N, 3), with the gradient that is asked for.
+
+    Raises:
+        EditError: the points or a parameter ask for a gradient that the deformation does not have.
+    """
+    asking = [name for name, one in vars(deformation).items() if _asks(one)]
+    asking += ["the canonical points"] * points.requires_grad
+    asked = torch.is_grad_enabled() and bool(asking)
     try:
         moved = deformation(points)
     except RuntimeError as error:
         if not asked or "grad" not in str(error):
             raise
-        raise _without_gradient(deformation) from error
+        raise _without_gradient(deformation, asking) from error
     if asked and not moved.requires_grad:
-        raise _without_gradient(deformation)
+        raise _without_gradient(deformation, asking)
     return moved
 
 
-def _without_gradient(deformation: Deformation) -> EditError:
+def _asks(value: object) -> bool:
+    """Whether autograd follows a field of a deformation: a tensor, a network, another map."""
+    if isinstance(value, Tensor):
+        return value.requires_grad
+    if isinstance(value, nn.Module):
+        return any(_asks(one) for one in value.parameters())
+    if isinstance(value, Deformation):
+        return any(_asks(one) for one in vars(value).values())
+    return isinstance(value, tuple | list) and any(_asks(one) for one in value)  # pyright: ignore
+
+
+def _without_gradient(deformation: Deformation, asking: list[str]) -> EditError:
     return EditError(
-        f"{type(deformation).__name__}: a gradient to the canonical points is asked for, and this "
-        "deformation has none; use torch operations in it, or detach the points"
+        f"{type(deformation).__name__}: a gradient to {', '.join(asking)} is asked for, and this "
+        "deformation has none; use torch operations in it, or detach what asks"
     )
 
 

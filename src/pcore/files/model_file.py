@@ -104,7 +104,7 @@ def save_model(
         OSError: the file cannot be written; the old one is untouched.
     """
     tensors = {f"papr.{name}": value for name, value in papr_state.items()}
-    tensors |= {f"cloud.{name}": getattr(cloud, name) for name in _CLOUD}
+    tensors |= {f"cloud.{name}": getattr(cloud, name).detach() for name in _CLOUD}
     if surfels is not None:
         tensors |= {f"surfels.{name}": getattr(surfels, name) for name in _SURFELS}
     _check_tensors(path, {name: _form(value) for name, value in tensors.items()}, config)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -43,5 +44,7 @@ def surface_points(depth: Tensor, camera: Camera) -> Tensor:
     """World points (H, W, 3) at a camera z (H, W) along the rays through the pixels' centres."""
     rays = camera.rays()
     forward = -camera.world_from_camera[:3, 2]
-    steps = depth / (rays.directions @ forward).to(depth)
-    return rays.origins.to(depth) + rays.directions.to(depth) * steps.unsqueeze(-1)
+    # As in `RayBundle.at`: what is not known must not make gradients of the camera NaN.
+    unknown = depth.isnan()
+    steps = depth.masked_fill(unknown, 0.0) / (rays.directions @ forward).to(depth)
+    return rays.at(steps.masked_fill(unknown, math.nan))

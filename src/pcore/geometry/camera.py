@@ -46,6 +46,13 @@ class Camera:
     cy: Number
 
     def __post_init__(self) -> None:
+        batch = tuple(self.world_from_camera.shape[:-2])
+        for name, one in self._numbers.items():
+            if isinstance(one, Tensor) and tuple(one.shape) not in ((), batch):
+                raise InputError(
+                    f"camera: expected {name} as a number{' or one of each camera' * bool(batch)}, "
+                    f"got a tensor of shape {tuple(one.shape)}"
+                )
         if self.world_from_camera.ndim == 3 and len(self.world_from_camera):
             for one in self:  # Each is checked by itself.
                 _ = one
@@ -76,19 +83,11 @@ class Camera:
                 f"{listed or 'none'}; render those of each size by themselves"
             )
         poses = torch.stack([one.world_from_camera for one in cameras])
-
-        def stacked(numbers: Sequence[Number]) -> Tensor:
-            return torch.stack([torch.as_tensor(one).to(poses) for one in numbers])
-
-        return cls(
-            world_from_camera=poses,
-            width=cameras[0].width,
-            height=cameras[0].height,
-            fx=stacked([one.fx for one in cameras]),
-            fy=stacked([one.fy for one in cameras]),
-            cx=stacked([one.cx for one in cameras]),
-            cy=stacked([one.cy for one in cameras]),
-        )
+        numbers = {
+            name: torch.stack([torch.as_tensor(one._numbers[name]).to(poses) for one in cameras])
+            for name in cameras[0]._numbers
+        }
+        return replace(cameras[0], world_from_camera=poses, **numbers)
 
     @property
     def count(self) -> int | None:
@@ -221,10 +220,10 @@ class Camera:
         """
         if self.count is not None:
             each = [one.rays(top, left, height, width, places=places) for one in self]
-            return RayBundle(
+            return replace(
+                each[0],
                 origins=torch.stack([one.origins for one in each]),
                 directions=torch.stack([one.directions for one in each]),
-                samples=each[0].samples,
             )
         pose = self.world_from_camera
         last_column = left + width if width else self.width

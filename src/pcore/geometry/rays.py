@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,6 +12,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.errors import InputError
+
+_UNIT = 1e-3
+"""By so much the length of a direction may be off."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +61,16 @@ class RayBundle:
         followed = self.origins.requires_grad or self.directions.requires_grad
         return torch.is_grad_enabled() and followed
 
+    def checked(self) -> RayBundle:
+        """Return the same rays; InputError where there are none, or not all of unit length."""
+        lengths = self.directions.detach().norm(dim=-1)
+        if not lengths.numel() or not bool(((lengths - 1).abs() < _UNIT).all()):
+            got = f"lengths up to {float(lengths.max()):g}" if lengths.numel() else "no rays"
+            raise InputError(
+                f"rays: expected directions of unit length, got {got}; divide them by their norm"
+            )
+        return self
+
     def __getitem__(self, index: Any) -> RayBundle:
         """Return the pixels that a tensor of indices, a mask or slices choose."""
         return self.each(lambda tensor: tensor[index])
@@ -83,6 +97,16 @@ class RayBundle:
     def to(self, device: torch.device | str) -> RayBundle:
         """Return the same rays on a device."""
         return self.each(lambda tensor: tensor.to(device))
+
+    def at(self, distances: Tensor) -> Tensor:
+        """Places (..., 3) at distances (...) along the rays, world units; NaN where those are NaN.
+
+        Rays whose distance is not known have no gradient, rather than one that is NaN.
+        """
+        known = distances.isfinite()
+        steps = distances.where(known, 0.0).unsqueeze(-1)
+        places = self.origins.to(steps) + steps * self.directions.to(steps)
+        return places.masked_fill(~known.unsqueeze(-1), math.nan)
 
     def crop(self, top: int, left: int, height: int, width: int) -> RayBundle:
         """Rectangle of an (H, W) bundle."""

@@ -161,8 +161,11 @@ def render_rays(
         InputError: rays that are no picture.
     """
     shape, samples = rays.pixels, rays.samples or 1
-    if len(shape) < 2:
-        raise InputError(f"render_rays: expected rays of pixels (..., H, W), got {shape}")
+    if len(shape) < 2 or min(shape[-2:]) < ALIGNMENT:
+        raise InputError(
+            f"render_rays: expected rays of pixels (..., H, W), at least {ALIGNMENT} x "
+            f"{ALIGNMENT} of them, got {shape}"
+        )
     hits = trace(papr, posed, rays, threshold=threshold, stop_encoding=stop_encoding)
     pixels = rays.by_pixel()
     surface = pixels.origins.new_full((), math.nan).expand(len(pixels.origins), 3)
@@ -170,7 +173,11 @@ def render_rays(
     if geometry or posed.gains is not None:
         places, gains = surface_of(posed, rays.flat(), hits, papr.config.cutoff)
         surface = middle_surface(places.reshape(*pixels.shape, 3), pixels.origins)
-    distance = (surface - pixels.origins.mean(dim=1)).norm(dim=-1)
+    offset = surface - pixels.origins.mean(dim=1)
+    # What hits nothing has no gradient, rather than one that is NaN.
+    unknown = offset.isnan().any(dim=-1)
+    distance = offset.masked_fill(unknown.unsqueeze(-1), 0.0).norm(dim=-1)
+    distance = distance.masked_fill(unknown, math.nan)
     features, alpha, gain = pixel_means(hits, gains, samples)
     alpha = alpha.reshape(shape)
     gain = None if gain is None else gain.reshape(shape)
