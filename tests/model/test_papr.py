@@ -105,8 +105,8 @@ def test_colours_of_points_go_around_the_networks() -> None:
 def test_colours_depend_on_the_side_by_harmonics() -> None:
     """The plain colour is the constant part; the harmonics are those of Gaussians."""
     config = small_config(point_colors=True, color_degree=1, feature_size=12)
-    cloud, rays = colourful_cloud(), view()
-    out = picture_of(Papr(config), cloud, rays)
+    papr, cloud, rays = Papr(config), colourful_cloud(), view()
+    out = picture_of(papr, cloud, rays)
     features = cloud.features[out.neighbours]
     x, y, z = (rays.directions[..., None, None, axis] for axis in range(3))
     # The order and the signs of 3D Gaussian Splatting.
@@ -114,6 +114,12 @@ def test_colours_depend_on_the_side_by_harmonics() -> None:
     colors = features[..., :3] + math.sqrt(3 / (4 * math.pi)) * slopes
     blend = (out.weights.unsqueeze(-1) * colors).sum(dim=-2)
     assert torch.allclose(out.features[..., :3], blend, atol=1e-5)
+    learning = replace(cloud, features=cloud.features.clone().requires_grad_())
+    picture_of(papr, learning, rays).features[..., 0].sum().backward()
+    assert learning.features.grad is not None
+    upward = math.sqrt(3 / (4 * math.pi)) * rays.directions[..., 2:] * out.weights
+    expected = torch.zeros(40).index_add(0, out.neighbours.flatten(), upward.flatten())
+    assert torch.allclose(learning.features.grad[:, 6], expected, atol=1e-5)
 
 
 def test_sides_turn_with_the_object_under_aware_rays() -> None:
