@@ -126,7 +126,7 @@ def test_sides_turn_with_the_object_under_aware_rays() -> None:
     """Camera and object turned together show the same, by the ways back of the points alone."""
     papr = Papr(small_config(point_colors=True, color_degree=2, feature_size=27, cutoff=0.3))
     cloud, rays = colourful_cloud(27), view()
-    turn = torch.linalg.qr(torch.randn(3, 3)).Q
+    turn: Tensor = torch.linalg.qr(torch.randn(3, 3)).Q
     turn = turn * torch.linalg.det(turn)
     positions, back = cloud.positions @ turn.T, turn.T.expand(len(cloud), 3, 3).clone()
     # Not one map for all, so that every point sees a ray of its own.
