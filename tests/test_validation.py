@@ -87,7 +87,7 @@ class Sample(BaseModel):
         ({"flag": "perhaps"}, "'flag': expected true or false, got 'perhaps'"),
         ({"items": []}, r"'items': expected a list of at least 1, got \[\]"),
         ({"items": None}, r"'items': expected a list \[ ... \], got null"),
-        ([], r"'top level': expected a JSON object { ... }, got \[\]"),
+        ([], r"'top level': expected keys with values { ... }, got \[\]"),
     ],
 )
 def test_wrong_values_are_said_in_the_words_of_json(data: Any, message: str) -> None:

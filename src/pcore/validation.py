@@ -154,7 +154,8 @@ def describe_problem(problem: ValidationError) -> str:
         return f"'{field}' is not a known key{more}; remove it or mend its spelling"
     wanted = _KINDS.get(first["type"])
     if first["type"] == "too_short":
-        wanted = f"a list of at least {first.get('ctx', {}).get('min_length', 1)}"
+        kind = "keys" if isinstance(first["input"], dict) else "a list"
+        wanted = f"{kind} of at least {first.get('ctx', {}).get('min_length', 1)}"
     message = f"expected {wanted}" if wanted else first["msg"]
     got = _JSON_NAMES.get(repr(first["input"]), repr(first["input"]))
     short = got if len(got) <= 60 else got[:57] + "..."
@@ -163,8 +164,9 @@ def describe_problem(problem: ValidationError) -> str:
 
 # Where pydantic speaks of Python's types, which users of a JSON file need not know.
 _KINDS = {
-    "model_type": "a JSON object { ... }",
-    "model_attributes_type": "a JSON object { ... }",
+    "model_type": "keys with values { ... }",
+    "model_attributes_type": "keys with values { ... }",
+    "dict_type": "keys with values { ... }",
     "tuple_type": "a list [ ... ]",
     "list_type": "a list [ ... ]",
     "string_type": "text",

@@ -284,6 +284,17 @@ def in_files(made: Builder, folder: Path) -> Path:
     return path
 
 
+@pytest.mark.parametrize("gone", ["a.mtl", "green.png"])
+def test_paint_that_is_missing_is_no_grey(tmp_path: Path, gone: str) -> None:
+    if gone != "a.mtl":
+        (tmp_path / "a.mtl").write_text("newmtl m\nmap_Kd green.png\n")
+    (tmp_path / "a.obj").write_text(
+        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n"
+    )
+    with pytest.raises(InputError, match=rf"files of its paint beside it, missing: {gone}"):
+        read_model(tmp_path / "a.obj")
+
+
 def test_a_model_in_several_files_is_the_same(tmp_path: Path) -> None:
     one = read_model(save(figure(), tmp_path))
     path = in_files(figure(), tmp_path / "parts")
@@ -407,9 +418,44 @@ def flat_point(made: Builder) -> None:
     del made.tree["skins"]
 
 
+def thin_line(made: Builder) -> None:
+    place, *_ = bar()
+    made.primitive["attributes"]["POSITION"] = made.array(place * [0, 1, 0])
+
+
+def clear_glass(made: Builder) -> None:
+    pbr = {"baseColorFactor": [1, 1, 1, 0.1]}
+    made.tree["materials"] = [{"pbrMetallicRoughness": pbr, "alphaMode": "BLEND"}]
+
+
+def short_fan(made: Builder) -> None:
+    made.primitive["mode"] = 6
+    made.primitive["indices"] = made.array(np.array([0]), "u4")
+
+
+def joint_before_the_first(made: Builder) -> None:
+    count = len(bar()[0])
+    made.primitive["attributes"]["JOINTS_0"] = made.array(np.full((count, 4), -1), "i1")
+
+
+def shrinks_away(made: Builder) -> None:
+    """From nothing to nothing, so that no other time can be taken."""
+    keys = made.array(np.zeros((2, 3)))
+    made.tree["nodes"].append({"children": [0, 1]})
+    made.tree["scenes"] = [{"nodes": [3]}]
+    clip = made.tree["animations"][0]
+    clip["samplers"].append({"input": clip["samplers"][0]["input"], "output": keys})
+    clip["channels"].append({"sampler": 1, "target": {"node": 1, "path": "scale"}})
+
+
 @pytest.mark.parametrize(
     ("harm", "message"),
     [
+        (thin_line, "expected a surface, got triangles without any area"),
+        (clear_glass, "got empty pictures: all of it is cut out by its alpha"),
+        (short_fan, "expected a mesh with faces"),
+        (joint_before_the_first, "expected joints from 0 to 1, got -1"),
+        (shrinks_away, "state 'bow': expected a shape of some extent, got one that has vanished"),
         (no_keys, "expected 8 numbers for the rotation of node 2, got 12"),
         (falling_times, "finite keys at rising times for the rotation of node 2"),
         (no_material, "one of its 1 materials, got 7"),
@@ -438,7 +484,10 @@ def test_options_that_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[
     out = ["-o", tmp_path / "out"]
     for words, message in (
         (["--clips", "Jump"], "expected one of its clips ('Bow', 'Stay'), got 'Jump'"),
-        (["--clips", "Bow@soon"], "expected NAME@SECONDS, got 'soon'"),
+        (["--clips", "Bow@soon"], "expected one of its clips ('Bow', 'Stay'), got 'Bow@soon'"),
+        (["--clips", "Bow@99"], "expected a time of the clip 'Bow' from 0 to 2 seconds, got 99"),
+        (["--clips", "Bow@nan"], "from 0 to 2 seconds, got nan"),
+        (["--canonical", "Bow@-1"], "from 0 to 2 seconds, got -1"),
         (["--no-analytic", "--clips", "Stay"], "expected at least one state, got none"),
     ):
         assert make(path, *out, *words) == 2
@@ -449,6 +498,37 @@ def test_options_that_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "expected a new or empty folder, got one with files" in capsys.readouterr().err
     with pytest.raises(InputError, match="no such file"):
         read_model(tmp_path / "none.glb")
+
+
+def test_a_clip_with_an_at_in_its_name(tmp_path: Path) -> None:
+    made = figure()
+    made.tree["animations"][0]["name"] = "Rig@Bow"
+    words = ["--no-analytic", "--clips", "Rig@Bow", "Rig@Bow@1"]
+    assert make(save(made, tmp_path), "-o", tmp_path / "out", *words) == 0
+    states = json.loads((tmp_path / "out" / "scene.json").read_text())["states"]
+    assert [one["time"] for one in states.values()] == [2.0, 1.0]
+
+
+def test_what_is_not_visible_is_not_shown(tmp_path: Path) -> None:
+    made = figure()
+    whole = len(read_model(save(made, tmp_path)).faces)
+    hidden = {"KHR_node_visibility": {"visible": False}}
+    made.tree["nodes"] += [{"children": [4], "extensions": hidden}, {"mesh": 0, "skin": 0}]
+    made.tree["scenes"] = [{"nodes": [0, 1, 3]}]
+    assert len(read_model(save(made, tmp_path)).faces) == whole
+
+
+def test_a_time_is_taken_at_which_the_shape_is_there(tmp_path: Path) -> None:
+    """A clip at whose end the figure shrinks to nothing."""
+    made = figure()
+    shrinks_away(made)
+    keys = made.array(np.array([[1.0, 1, 1], [0, 0, 0]]))
+    made.tree["animations"][0]["samplers"][1]["output"] = keys
+    made.tree["nodes"][0].pop("skin")
+    made.tree["animations"][0]["channels"][1]["target"]["node"] = 3
+    assert make(save(made, tmp_path), "-o", tmp_path / "out", "--no-analytic") == 0
+    states = json.loads((tmp_path / "out" / "scene.json").read_text())["states"]
+    assert 1.5 < states["bow"]["time"] < 2.0
 
 
 def test_a_scaled_model_makes_the_same_benchmark(tmp_path: Path, made: Path) -> None:

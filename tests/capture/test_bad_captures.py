@@ -113,6 +113,21 @@ def test_empty_models(tmp_path: Path) -> None:
         load_scene(tmp_path)
 
 
+def test_models_without_cameras(tmp_path: Path) -> None:
+    write_colmap(tmp_path, text=True)
+    (tmp_path / "sparse" / "0" / "cameras.txt").write_text("# CAMERA_ID\n")
+    with pytest.raises(SceneError, match=r"cameras\.txt: expected cameras, got none"):
+        load_scene(tmp_path)
+
+
+def test_models_without_points(tmp_path: Path) -> None:
+    write_colmap(tmp_path)
+    (tmp_path / "sparse" / "0" / "points3D.bin").unlink()
+    scene = load_scene(tmp_path)
+    assert scene.sparse is None
+    assert any("0 is a model without points (points3D is missing or" in n for n in scene.notes)
+
+
 def test_poses_that_are_none(tmp_path: Path) -> None:
     write_colmap(tmp_path, text=True)
     path = tmp_path / "sparse" / "0" / "images.txt"

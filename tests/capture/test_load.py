@@ -112,7 +112,7 @@ def test_no_frames(scene: Path) -> None:
 
 def test_top_level_list(scene: Path) -> None:
     (scene / "transforms_train.json").write_text("[1, 2]")
-    with pytest.raises(SceneError, match=r"train\.json: 'top level': expected a JSON object"):
+    with pytest.raises(SceneError, match=r"train\.json: 'top level': expected keys with values"):
         load_scene(scene)
 
 
@@ -132,9 +132,16 @@ def test_matrix_of_another_shape(scene: Path) -> None:
 
 
 def test_matrix_with_text(scene: Path) -> None:
-    matrix = [*pose(0.0)[:3], [0, 0, 0, "1"]]
+    """Numbers as text are numbers, as elsewhere in the file; other text is none."""
+    before = load_scene(scene).split("train")[2].camera.world_from_camera
+    matrix = before.tolist()
+    matrix[3] = ["0", "0", 0, "1"]
+    matrix[0] = [str(x) for x in matrix[0]]
     change_frame(scene / "transforms_train.json", 2, transform_matrix=matrix)
-    with pytest.raises(SceneError, match=r"frame 2 .*transform_matrix.3.3.*a number, got '1'"):
+    assert torch.equal(load_scene(scene).split("train")[2].camera.world_from_camera, before)
+    matrix[3][3] = "one"
+    change_frame(scene / "transforms_train.json", 2, transform_matrix=matrix)
+    with pytest.raises(SceneError, match=r"frame 2 .*transform_matrix.3.3.*a number, got 'one'"):
         load_scene(scene)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image
 
 from capture_files import write_photos
 from pcore.capture import structure
@@ -25,8 +25,9 @@ from pathlib import Path
 from capture_files import shots, write_model
 wish = json.loads(sys.argv[1])
 print("pcore: looking for features", flush=True)
-all = shots(len(wish["names"]))
-for shot, name in zip(all, wish["names"]):
+names = sum(wish["cameras"], [])
+all = shots(len(names))
+for shot, name in zip(all, names):
     shot.name = name
 write_model(Path(wish["output"]) / "0", all[:2])
 write_model(Path(wish["output"]) / "1", all)
@@ -282,6 +283,31 @@ def test_a_rendered_scene_without_its_file_is_no_folder_of_photos(tmp_path: Path
     write_photos(tmp_path, ["train/r_0.png", "test/r_0.png"])
     with pytest.raises(SceneError, match="unknown format"):
         load_scene(tmp_path)
+
+
+def test_photos_of_one_size_and_device_share_a_lens(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = tmp_path / "asked.json"
+    child(monkeypatch, f"import sys\nopen({str(asked)!r}, 'w').write(sys.argv[1])")
+    folder = tmp_path / "walk"
+    write_photos(folder, ["plain0.jpg", "plain1.png"])
+    write_photos(folder, ["tall.jpg"], size=(16, 24))
+    for index, (maker, focal) in enumerate([("a", 4.2), ("b", 4.2), ("a", 4.2), ("a", 9.0)]):
+        exif = Image.Exif()
+        exif[ExifTags.Base.Make] = maker
+        exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] = focal
+        Image.new("RGB", (24, 16)).save(folder / f"phone{index}.jpg", exif=exif)
+    Image.new("RGB", (24, 16)).save(folder / "torn.jpg", exif=b"Exif\0\0II*\0\xff\xff")
+    with pytest.raises(SceneError, match="no common structure in 8 photos"):
+        load_scene(folder)
+    assert json.loads(asked.read_text())["cameras"] == [
+        ["phone0.jpg", "phone2.jpg"],
+        ["phone1.jpg"],
+        ["phone3.jpg"],
+        ["plain0.jpg", "plain1.png", "torn.jpg"],
+        ["tall.jpg"],
+    ]
 
 
 def test_photos_that_colmap_does_not_read_are_handed_to_it_as_png(

@@ -86,7 +86,7 @@ CASES = [
         lambda world: (world / "empty").mkdir(),
     ),
     Case(TRAIN, "transforms_train.json: expected JSON, got text that does not parse", cut(JSON)),
-    Case(TRAIN, "'top level': expected a JSON object { ... }, got []", text(JSON, "[]")),
+    Case(TRAIN, "'top level': expected keys with values { ... }, got []", text(JSON, "[]")),
     Case(
         TRAIN,
         "expected text in UTF-8, got bytes that are not UTF-16|save it as",

@@ -9,6 +9,7 @@ import pytest
 import torch
 import trimesh
 import tyro
+from PIL import Image
 from rich.console import Console
 from toys import toy_cameras, write_cameras, write_run, write_scene
 
@@ -17,7 +18,7 @@ from pcore.asset import meshing, splats_of_points
 from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.saving import load
 from pcore.capture.colmap_model import read_model
-from pcore.capture.load import load_scene, load_state
+from pcore.capture.load import load_cameras, load_scene, load_state
 from pcore.cli.export import ExportCommand, export
 from pcore.data.splat_formats import read_splats
 from pcore.errors import DependencyError, EditError, InputError
@@ -132,8 +133,15 @@ def test_pictures_train_again(folder: Path):
 
 def test_cameras_for_colmap(folder: Path):
     out = run(folder, "cameras", "cams", orbit=3)
-    assert len((out / "sparse/0/cameras.txt").read_text().splitlines()) == 1 + 3
-    assert (out / "transforms.json").exists()
+    assert len((out / "colmap/sparse/0/cameras.txt").read_text().splitlines()) == 1 + 3
+    for name, _ in load_cameras(out / "transforms.json"):
+        (out / "images").mkdir(exist_ok=True)
+        Image.new("RGB", (32, 32)).save(out / "images" / f"{name}.png")
+    scenes = [load_scene(out), load_scene(out / "colmap/sparse/0")]
+    assert [scene.layout for scene in scenes] == ["transforms.json", "COLMAP"]
+    for first, second in zip(*(scene.split("train") for scene in scenes), strict=True):
+        apart = first.camera.world_from_camera - second.camera.world_from_camera
+        assert float(apart.abs().max()) < 1e-5
 
 
 def test_frames_of_pictures_are_states_in_time(folder: Path):
@@ -155,7 +163,7 @@ def test_frames_of_cameras_have_the_points_of_their_time(folder: Path):
     options = {"orbit": 4, "edit": folder / "rise.json", "frames": 3}
     out = run(folder, "cameras", "cameras-of-frames", **options)
     for k, height in enumerate((0.0, 0.25, 0.5)):
-        points = read_model(out / f"frame_00{k}" / "sparse" / "0").points
+        points = read_model(out / f"frame_00{k}" / "colmap" / "sparse" / "0").points
         assert points is not None
         assert float(points.positions[:, 2].mean()) == pytest.approx(height, abs=0.01)
         frames = json.loads((out / f"frame_00{k}" / "transforms.json").read_text())["frames"]

@@ -378,7 +378,7 @@ def test_what_is_not_read_of_a_glb_is_named(tmp_path: Path, harm, said: str):
         (glb(b'{"asset": {"version": "1.0"}}'), "got version '1.0'"),
         (glb(b'{"asset"'), "damaged (its JSON does not parse)"),
         (glb(b"[" * 40000), "damaged (its JSON does not parse)"),
-        (glb(b"[]"), "'top level': expected a JSON object"),
+        (glb(b"[]"), "'top level': expected keys with values"),
         (glb(b"{}"), "'asset' is missing"),
         (cube().content()[:-20], "bytes are there): export or download it again"),
         (b"glTF" + bytes([2, 0, 0, 0, 12, 0, 0, 0]), "it has no JSON chunk"),

@@ -112,6 +112,18 @@ def test_a_bound_cage_moves_as_the_map_does():
         bound.moved(posed[:-1])
 
 
+def test_a_bound_cage_has_the_jacobians_of_the_map_to_the_last_bit(monkeypatch):
+    """Also where the map has a kink; and where its slopes would take too much memory."""
+    cage = ball()
+    points = torch.cat([cloud(), cage.vertices, cage.vertices[cage.faces].mean(dim=1)])
+    posed = waved(cage.vertices)
+    expected = CageDeform(cage, posed).jacobian(points)
+    assert torch.equal(CageDeform(cage, posed, cage.bind(points)).jacobian(points), expected)
+    monkeypatch.setattr("pcore.deform.cage._MOST_SLOPES", 0)
+    monkeypatch.setattr("pcore.deform.cage.slopes_at", None)
+    assert torch.equal(CageDeform(cage, posed, cage.bind(points)).jacobian(points), expected)
+
+
 def test_asked_again_for_the_same_points_it_remembers_and_for_others_it_does_not():
     cage, points = ball(), cloud()
     deform = CageDeform(cage, waved(cage.vertices))

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -80,6 +81,21 @@ def test_everything_comes_back_bitwise(saved: tuple[Path, Papr, PointCloud]) -> 
     assert came.background == (0.0, 0.5, 1.0)
     assert came.pcore == pcore_version()
     assert came.extent[1] == tuple(cloud.positions.amax(dim=0).tolist())
+
+
+def test_colours_that_depend_on_the_side_come_back(tmp_path: Path) -> None:
+    config = replace(CONFIG, feature_size=12, point_colors=True, color_degree=1)
+    papr, path = Papr(config), tmp_path / "model.safetensors"
+    cloud = replace(make_cloud(), features=torch.randn(5, 12))
+    provenance = provenance_of(cloud, config, scene="lego", stage="pretrain", step=70)
+    save_model(path, papr.state_dict(), cloud, config, provenance)
+    assert load_model(path).config == config
+    with safe_open(path, framework="pt") as file:
+        header = json.loads(file.metadata()["config"])
+    # Files of before say nothing of it.
+    del header["color_degree"]
+    rewrite(path, header={"config": json.dumps(header)})
+    assert load_model(path).config == replace(config, color_degree=0)
 
 
 def test_a_run_folder_stands_for_its_model(saved: tuple[Path, Papr, PointCloud]) -> None:

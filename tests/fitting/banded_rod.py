@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -13,10 +14,14 @@ from torch import Tensor
 
 from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset, Posed
+from pcore.asset.saving import asset_of
 from pcore.fitting.anchor_motion import rotation_matrices
 from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
+from pcore.geometry.point_cloud import PointCloud
+from pcore.model.papr import Papr
+from tiny_scene import CONFIG
 
 LENGTH = 1.6
 COUNT = 400
@@ -25,13 +30,33 @@ SIDE = 32
 
 def rod(*, bands: float = 9.0, radius: float = 0.15, scale: float = 1.0) -> Asset:
     """A rod along x of a radius, whose colours change along and around it."""
+    means, colors = _banded(bands, radius)
+    return _asset(scale * means, colors, 0.045 * scale)
+
+
+def neural_rod(*, bands: float = 9.0, radius: float = 0.15) -> Asset:
+    """The same of neural points: networks that never learned blend the points' colours."""
+    places, colors = _banded(bands, radius)
+    features = torch.zeros(COUNT, 4)
+    features[:, :3] = colors
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(1)
+        papr = Papr(replace(CONFIG, point_colors=True, cutoff=0.06, background_score=-30.0))
+    for parameter in papr.unet.outc.parameters():
+        torch.nn.init.zeros_(parameter)
+    cloud = PointCloud(positions=places, features=features, influence=torch.ones(COUNT))
+    return asset_of(papr.requires_grad_(False).eval(), cloud)
+
+
+def _banded(bands: float, radius: float) -> tuple[Tensor, Tensor]:
+    """Places and colours (COUNT, 3) on the surface of a rod along x."""
     draw = torch.Generator().manual_seed(1)
     along = LENGTH * (torch.rand(COUNT, generator=draw) - 0.5)
     angle = 2 * torch.pi * torch.rand(COUNT, generator=draw)
-    means = torch.stack([along, radius * angle.cos(), radius * angle.sin()], dim=1)
+    places = torch.stack([along, radius * angle.cos(), radius * angle.sin()], dim=1)
     phases = torch.tensor([0.0, 2.0, 4.0])
     colors = 0.5 + 0.4 * torch.sin(bands * along[:, None] + phases + 0.5 * angle.cos()[:, None])
-    return _asset(scale * means, colors, 0.045 * scale)
+    return places, colors
 
 
 def armed(angle: float) -> Asset:

@@ -267,8 +267,3 @@ def test_the_command(
     assert "foreground PSNR" in said.out
     assert len(load_edit(out).edits[0].handles) == 12
     assert main([str(w) for w in [*words[:4], bent, "-o", tmp_path / "edit.txt"]]) != 0
-
-
-def test_neural_points_are_refused(asset: Asset, bent: Path) -> None:
-    with pytest.raises(InputError, match="expected an object of Gaussians, got one of neural"):
-        fit_pose(replace(asset, content=object()), views_of(bent), QUICK)

@@ -19,8 +19,9 @@ from pcore.fitting.fit_photos import photos_of
 from pcore.fitting.fitted_edit import anchor_rig
 from pcore.fitting.fitter import Fitter
 from pcore.fitting.part_motion import PartSpace
-from pcore.fitting.pose_fit import gaussian_content, rigid_limbs
+from pcore.fitting.pose_fit import rigid_limbs
 from pcore.fitting.rigid_parts import rigid_parts
+from pcore.fitting.shown import Shown
 
 CONFIG = FitConfig(
     anchors=40,
@@ -99,7 +100,7 @@ def test_a_crumpled_arm_is_fitted_as_a_whole(tmp_path: Path, known: bool) -> Non
     asset, raised = armed(0.0), armed(0.8)
     photos = write_photos(tmp_path / "raised", raised, None, cameras(6))
     rig = anchor_rig(asset.points, None, CONFIG)
-    fitter = Fitter(gaussian_content(asset), rig)
+    fitter = Fitter(Shown.of(asset), rig)
     moved = raised.points[rig.indices].float()
     arm = (moved - fitter.space.rest).norm(dim=1) > 1e-4
     turn = rotation_matrices(torch.tensor([[0.0, -0.8, 0.0]]))[0]
@@ -123,7 +124,7 @@ def test_what_bends_everywhere_keeps_its_anchors(
     asset = rod()
     bend = {"version": 2, "edits": [{"type": "bend", "axis": "z", "angle_deg": 70}]}
     photos = write_photos(tmp_path / "bent", asset, asset.pose(bend), cameras(3))
-    fitter = Fitter(gaussian_content(asset), anchor_rig(asset.points, None, CONFIG))
+    fitter = Fitter(Shown.of(asset), anchor_rig(asset.points, None, CONFIG))
     true = pose_of(parse_edit(bend).bind(asset.points), fitter.rig.graph.rest)
     start = fitter.space.numbers(true)
     views = photos_of(load_scene(photos).split("train"), torch.device("cpu"))

@@ -12,7 +12,12 @@ import torch
 from torch import Tensor
 
 from pcore.errors import DependencyError, InputError
-from pcore.kernels import backends, gaussian_projection, reference_gaussians
+from pcore.kernels import (
+    backends,
+    gaussian_projection,
+    gaussian_rasterization,
+    reference_gaussians,
+)
 from pcore.kernels.gaussian_rasterization import rasterization
 from same_bits import assert_same_bits
 
@@ -126,6 +131,46 @@ def test_a_symmetric_covariance_has_a_symmetric_gradient() -> None:
 def test_one_thread_and_two_give_the_same_bits() -> None:
     inputs = some_gaussians(2000, 3, dtype=torch.float32)
     assert_same_bits(lambda: with_gradients(inputs))
+    assert_same_bits(lambda: with_gradients(inputs, render_mode="RGB+MD"))
+    assert_same_bits(lambda: {"depth": drawn(inputs, render_mode="RGB+MD")[0][..., -1]})
+
+
+@pytest.mark.parametrize(("dtype", "relative"), [(torch.float32, 1e-5), (torch.float64, 1e-12)])
+def test_the_median_depth_is_that_of_the_formulas(
+    dtype: torch.dtype, relative: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In values and gradients; but for it pictures are those without a depth, bit for bit."""
+    exact = {name: tensor.float().double() for name, tensor in some_gaussians().items()}
+    rounded = {name: tensor.to(dtype) for name, tensor in exact.items()}
+    found = with_gradients(rounded, render_mode="RGB+MD")
+    image, alpha = drawn(rounded, render_mode="RGB+MD")
+    bare, bare_alpha = drawn(rounded, render_mode="RGB")
+    assert torch.equal(bare, image[..., :-1])
+    assert torch.equal(bare_alpha, alpha)
+    monkeypatch.setenv("PCORE_KERNELS", "reference")
+    assert_near(found, with_gradients(exact, render_mode="RGB+MD"), relative)
+    depth, true_alpha = drawn(exact, render_mode="RGB+MD")
+    solid = true_alpha[..., 0] > 0.6
+    assert int(solid.sum()) > 100
+    torch.testing.assert_close(image[..., -1].double(), depth[..., -1], rtol=1e-6, atol=0)
+    expected = drawn(exact)[0][..., -1][solid]
+    assert float((depth[..., -1][solid] - expected).abs().max()) > 0.5
+
+
+def test_the_median_depth_of_an_edge_is_that_of_one_side() -> None:
+    """Half a pixel of a wall before another: the nearer one from over half of its opacity on."""
+    for opacity, depth in ((0.2, 4.0), (0.45, 4.0), (0.55, 2.0), (0.9, 2.0)):
+        inputs = {
+            "means": torch.tensor([[0.0, 0.0, 4.0], [0.0, 0.0, 2.0]]),
+            "quats": torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1),
+            "scales": torch.full((2, 3), 50.0),
+            "opacities": torch.tensor([0.999, opacity]),
+            "colors": torch.zeros(2, 3),
+            "viewmats": torch.eye(4)[None],
+            "Ks": torch.tensor([[[50.0, 0, WIDTH / 2], [0, 50.0, HEIGHT / 2], [0, 0, 1]]]),
+        }
+        image, _ = drawn(inputs, render_mode="RGB+MD")
+        torch.testing.assert_close(image[..., 3], torch.full((1, HEIGHT, WIDTH), depth))
 
 
 def test_cameras_of_a_batch_are_drawn_as_they_are_alone() -> None:
@@ -197,11 +242,12 @@ def test_what_cannot_be_drawn_is_left_out(kernels: str, monkeypatch: pytest.Monk
     image, alpha = drawn(inputs)
     assert float(image[..., :-1].abs().max()) == 0
     assert float(alpha.abs().max()) == 0
+    assert float(drawn(inputs, render_mode="RGB+MD")[0].abs().max()) == 0
     none = {
         name: t[:, :0] if name == "colors" else t if name in ("viewmats", "Ks") else t[:0]
         for name, t in inputs.items()
     }
-    image, alpha = drawn(none)
+    image, alpha = drawn(none, render_mode="RGB+MD")
     assert image.shape == (1, HEIGHT, WIDTH, 5)
     assert float(alpha.abs().max()) == 0
 
@@ -234,6 +280,12 @@ def test_a_gpu_without_gsplat_is_told_what_is_missing(monkeypatch: pytest.Monkey
         backends.of_gaussians(means)
     monkeypatch.setattr(backends, "has_gsplat", lambda: True)
     assert backends.of_gaussians(means) == "gsplat"
+
+
+def test_gsplat_is_not_asked_for_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gaussian_rasterization, "of_gaussians", lambda means: "gsplat")
+    with pytest.raises(InputError, match=r"got RGB\+MD, for which gsplat has no kernel"):
+        drawn(some_gaussians(5, 2), render_mode="RGB+MD")
 
 
 def test_projection_is_that_of_gsplat() -> None:

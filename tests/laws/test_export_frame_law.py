@@ -91,7 +91,7 @@ def test_points_splats_and_cameras(tmp_path: Path) -> None:
     for run, there in zip(runs, (False, True), strict=True):
         named = write_cameras(tmp_path / f"{there}.json", ring(there), w=24, h=24)
         out = made(run, "cameras", run.with_name(f"{run.name}-cameras"), cameras=named)
-        lines = (out / "sparse/0/images.txt").read_text().splitlines()
+        lines = (out / "colmap/sparse/0/images.txt").read_text().splitlines()
         rows = [line.split() for line in lines if line and not line.startswith("#")]
         poses = [[float(x) for x in row[1:8]] for row in rows if len(row) >= 9]
         centers.append(np.array([center(pose) for pose in poses]))

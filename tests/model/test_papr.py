@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -44,6 +45,10 @@ def small_cloud(count: int = 40, *, influence: float = 1.0) -> PointCloud:
         features=torch.randn(count, 6),
         influence=torch.full((count,), influence),
     )
+
+
+def colourful_cloud(features: int = 12) -> PointCloud:
+    return replace(small_cloud(), features=torch.randn(40, features))
 
 
 def view(width: int = 9, height: int = 6) -> RayBundle:
@@ -97,9 +102,54 @@ def test_colours_of_points_go_around_the_networks() -> None:
     assert torch.allclose(features.grad[:, 0], expected, atol=1e-5)
 
 
-def test_colours_need_room() -> None:
-    with pytest.raises(InputError, match="at least 3 numbers where points have colours, got 2"):
-        small_config(point_colors=True, feature_size=2)
+def test_colours_depend_on_the_side_by_harmonics() -> None:
+    """The plain colour is the constant part; the harmonics are those of Gaussians."""
+    config = small_config(point_colors=True, color_degree=1, feature_size=12)
+    papr, cloud, rays = Papr(config), colourful_cloud(), view()
+    out = picture_of(papr, cloud, rays)
+    features = cloud.features[out.neighbours]
+    x, y, z = (rays.directions[..., None, None, axis] for axis in range(3))
+    # The order and the signs of 3D Gaussian Splatting.
+    slopes = -y * features[..., 3:6] + z * features[..., 6:9] - x * features[..., 9:12]
+    colors = features[..., :3] + math.sqrt(3 / (4 * math.pi)) * slopes
+    blend = (out.weights.unsqueeze(-1) * colors).sum(dim=-2)
+    assert torch.allclose(out.features[..., :3], blend, atol=1e-5)
+    learning = replace(cloud, features=cloud.features.clone().requires_grad_())
+    picture_of(papr, learning, rays).features[..., 0].sum().backward()
+    assert learning.features.grad is not None
+    upward = math.sqrt(3 / (4 * math.pi)) * rays.directions[..., 2:] * out.weights
+    expected = torch.zeros(40).index_add(0, out.neighbours.flatten(), upward.flatten())
+    assert torch.allclose(learning.features.grad[:, 6], expected, atol=1e-5)
+
+
+def test_sides_turn_with_the_object_under_aware_rays() -> None:
+    """Camera and object turned together show the same, by the ways back of the points alone."""
+    papr = Papr(small_config(point_colors=True, color_degree=2, feature_size=27, cutoff=0.3))
+    cloud, rays = colourful_cloud(27), view()
+    turn: Tensor = torch.linalg.qr(torch.randn(3, 3)).Q
+    turn = turn * torch.linalg.det(turn)
+    positions, back = cloud.positions @ turn.T, turn.T.expand(len(cloud), 3, 3).clone()
+    # Not one map for all, so that every point sees a ray of its own.
+    back[0] *= 1.0 + 1e-5
+    around = rays.each(lambda one: one @ turn.T)
+    there = picture_of(papr, moved(cloud, positions, back), around)
+    assert torch.allclose(there.rgb, picture_of(papr, cloud, rays).rgb, atol=1e-4)
+    plain = picture_of(papr, moved(cloud, positions), around)
+    assert not torch.allclose(plain.rgb, there.rgb, atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"feature_size": 2}, r"at least 3 and values .* of degree 0, got 2 and 8"),
+        ({"color_degree": 1}, r"at least 12 and values .* of degree 1, got 6 and 8"),
+        ({"color_degree": 3}, "color_degree from 0 to 2, and 0 where points have no .* got 3"),
+        ({"color_degree": 1, "point_colors": False}, "where points have no colours, got 1"),
+    ],
+)
+def test_colours_need_room(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        small_config(**({"point_colors": True} | changes))
 
 
 def test_fewer_points_than_neighbours() -> None:

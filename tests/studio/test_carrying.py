@@ -1,13 +1,16 @@
 """Handles of earlier edits lie on the object that later edits make; folds have a way out."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+import torch
 from objects import demo
 
 from pcore.errors import EditError
 from pcore.geometry.extent import size_of
 from pcore.studio.editor import Editor
+from pcore.studio.guides import GuideMaker
 
 
 def test_a_later_edit_carries_the_handle_of_a_twist() -> None:
@@ -34,6 +37,33 @@ def test_a_later_edit_carries_the_handle_of_a_twist() -> None:
     assert moved == pytest.approx([0.1 * size, 0.0, 0.0], abs=1e-6 * size)
     assert editor.raw(0)["axis"] == "z"
     assert editor.handles[0].place == pytest.approx(wanted.place, abs=1e-6 * size)
+
+
+def test_a_later_edit_carries_the_vertices_of_a_cage(tmp_path: Path) -> None:
+    editor = Editor(demo())
+    size = size_of(editor.asset.points)
+    editor.add_cage(tmp_path / "cage.ply", cells=1)
+    own = [one.place for one in editor.handles]
+    lines = GuideMaker().of(editor).lines
+    editor.add("rigid")
+    editor.set(1, "angle_deg", 90.0)
+    center = editor.raw(1)["origin"]
+    editor.select(0)
+    for one, seen in zip(own, editor.handles, strict=True):
+        x, y, z = (a - b for a, b in zip(one, center, strict=True))
+        turned = (center[0] - y, center[1] + x, center[2] + z)
+        assert seen.place == pytest.approx(turned, abs=1e-6 * size)
+    assert not torch.allclose(GuideMaker().of(editor).lines, lines)
+
+    editor.select_handle(0)
+    x, y, z = editor.handles[0].place
+    wanted = (x + 0.1 * size, y, z)
+    editor.drag(replace(editor.handles[0], place=wanted))
+    assert editor.drop()
+    assert editor.handles[0].place == pytest.approx(wanted, abs=1e-3 * size)
+    moved = [a - b for a, b in zip(editor.raw(0)["after"][0], own[0], strict=True)]
+    # Turned by 90 degrees about z: what is x on the page is -y where the cage acts.
+    assert moved == pytest.approx([0.0, -0.1 * size, 0.0], abs=1e-3 * size)
 
 
 def test_a_handle_lands_where_it_is_dragged_under_a_bend() -> None:

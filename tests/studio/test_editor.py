@@ -91,7 +91,9 @@ def test_what_folds_is_shown_and_not_kept(editor: Editor) -> None:
     goal = HandlePose(place=(x, y, z - 0.02))
     editor.drag(goal)
     assert not len(editor.state.folds)
+    assert editor.back == ""
     editor.drag(HandlePose(place=(x, y, z - 0.8)))
+    assert editor.back == "0.78", "as far as from the last place without a fold"
     assert len(editor.state.folds), "what is pushed through what is held folds"
     assert editor.state.rays == "plain"
     assert not editor.drop()

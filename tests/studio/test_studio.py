@@ -213,6 +213,7 @@ def test_a_value_that_folds_is_shown_and_the_last_good_one_kept() -> None:
     editor.slide(0, "translation/0", 0.8)
     assert len(editor.state.folds)
     assert not editor.settle()
+    assert editor.back == ""
     assert editor.raw(0)["translation"] == [0.01, 0.0, 0.0]
 
 

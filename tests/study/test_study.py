@@ -240,6 +240,7 @@ def test_pictures_that_not_all_have(
         (words[:1], "at least two methods to compare, got 1"),
         ([words[0], "papr"], "--pairs: expected NAME=FOLDER, got 'papr'"),
         ([words[0], words[0]], "expected each name once, got 'ours' twice"),
+        ([words[0], f"x={pictures['ours']}"], "expected a folder of each method's own, got"),
         ([words[0], f"x={tmp_path / 'none'}"], "expected a folder of pictures or films"),
         ([*words[::2], "--per-person", "7"], "expected 1 to 3 pairs per person, got 7"),
         ([*words[::2], "--catch", "-1"], "--catch: expected 0 or more, got -1"),
@@ -247,6 +248,20 @@ def test_pictures_that_not_all_have(
         assert main(["study", "make", "--pairs", *given, *out]) == 2
         assert message in capsys.readouterr().err
     assert not (tmp_path / "out" / "study.html").exists()
+
+
+def test_damaged_pictures_and_a_group_called_all_are_refused(pictures: dict[str, Path]) -> None:
+    for folder in pictures.values():
+        (folder / "objects").rename(folder / "all")
+    with pytest.raises(InputError, match="expected groups of other names than 'all'"):
+        plan_study(pictures)
+    for folder in pictures.values():
+        (folder / "all").rename(folder / "objects")
+    cup = pictures["papr"] / "objects" / "cup.png"
+    for content in (b"no picture", cup.read_bytes()[:60]):
+        cup.write_bytes(content)
+        with pytest.raises(InputError, match=r"cup\.png: expected a picture, got a damaged one"):
+            plan_study(pictures, catch=0)
 
 
 def test_other_keys_are_refused(made: Path, tmp_path: Path) -> None:

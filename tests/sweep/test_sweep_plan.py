@@ -52,6 +52,17 @@ def test_every_scene_setting_and_seed_is_a_trial(tmp_path: Path) -> None:
     assert (trials[0].threads, trials[0].device) == (1, "cpu")
 
 
+def test_processes_of_a_trial_are_more_cores_and_a_stamp_of_its_own(tmp_path: Path) -> None:
+    alone = some_trial(tmp_path)
+    text = GOOD + "resources: {cpus: 2, processes: 3, gpus: 3}\n"
+    plan = read_plan(written(tmp_path, text))
+    (trial, *_) = trials_of(plan, beside=tmp_path, folder=tmp_path / "out")
+    assert (trial.processes, trial.threads, trial.device) == (3, 2, "cuda")
+    assert plan.resources.cores == 6
+    assert trial.stamp[-1] == 3
+    assert alone.stamp[-1] == "cpu"
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -69,7 +80,17 @@ def test_every_scene_setting_and_seed_is_a_trial(tmp_path: Path) -> None:
         (("    train: {steps: 100}", "    finetune: {}"), "'settings.slow.train' is missing"),
         (("    train: {steps: 100}", "    train: 3"), "'settings.slow.train'"),
         (("version: 1", "version: 1\nresources: {cpus: 0}"), "'resources.cpus'"),
-        (("version: 1", "version: 1\nresources: {gpus: 2}"), "'resources.gpus'"),
+        (("version: 1", "version: 1\nresources: {gpus: 2}"), "got 2 for 1; give processes: N and"),
+        (("version: 1", "version: 1\nresources: {gpus: 1, processes: 2}"), "got 1 for 2"),
+        (("version: 1", "version: 1\nresources: {processes: 0}"), "'resources.processes'"),
+        (("seeds: [0, 3]", f"seeds: [{2**63}]"), "'seeds.0'"),
+        (("{knight: data/knight, robot: data/robot}", "[knight]"), "expected keys with values {"),
+        (("{knight: data/knight, robot: data/robot}", "{}"), "expected keys of at least 1, got {}"),
+        (
+            (GOOD, ""),
+            "expected keys with values in YAML (version, scenes, settings, seeds), got an",
+        ),
+        ((GOOD, "- knight"), "got one list"),
         (("version: 1", "version: 1\nresources: {memory: 2}"), "'resources.memory' is not a known"),
     ],
 )

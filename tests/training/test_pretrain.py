@@ -203,6 +203,15 @@ def test_influence_and_spread_of_features_at_the_start(box: Scene) -> None:
     assert float(cloud.features.std()) == pytest.approx(0.5, abs=0.02)
 
 
+def test_colours_start_the_same_from_every_side(box: Scene) -> None:
+    model = replace(FROZEN.model, point_colors=True, color_degree=1, feature_size=16)
+    cloud = pretrain(box, replace(FROZEN, points=500, model=model)).cloud
+    sides, others = cloud.features[:, 3:12], cloud.features[:, 12:]
+    # One step of Adam changes nothing by more than its rate, and what no ray met by nothing.
+    assert 0 < float(sides.abs().max()) <= 0.011
+    assert float(others.std()) == pytest.approx(1.0, abs=0.05)
+
+
 def test_photos_without_alpha_have_no_hull(tmp_path: Path) -> None:
     folder = write_scene(tmp_path / "photos", meshes=False, states=False)
     for path in (folder / "train").iterdir():

@@ -114,12 +114,19 @@ def _take_all(jobs: Sequence[Job], renderer: Renderer, progress: Progress | None
     for folder in dict.fromkeys(job.path.parent for job in jobs):
         folder.mkdir(parents=True, exist_ok=True)
         folder.with_name(f"{folder.name}_geometry").mkdir(exist_ok=True)
+    shown = False
     for done, (job, shot) in enumerate(zip(jobs, renderer(jobs), strict=True), start=1):
+        shown = shown or bool(shot.rgba[..., 3].any())
         Image.fromarray(shot.rgba).save(job.path)
         geometry = job.path.parent.with_name(f"{job.path.parent.name}_geometry")
         np.savez_compressed(geometry / f"{job.path.stem}.npz", depth=shot.depth, normal=shot.normal)
         if progress is not None:
             progress(done, len(jobs))
+    if not shown:
+        raise InputError(
+            "benchmark: expected a model that is to be seen, got empty pictures: all of it is cut "
+            "out by its alpha; make its materials opaque"
+        )
 
 
 def _renderer(model: Model, plan: BenchmarkPlan, canonical: Shape) -> Renderer:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from trimesh.resolvers import FilePathResolver
 
 from pcore.benchmark.gltf_look import read_look
 from pcore.benchmark.look import (
@@ -27,6 +28,8 @@ from pcore.data.point_ply import PointPly, read_point_ply
 from pcore.errors import InputError
 
 Up = Literal["y", "z"]
+_FRAME = 1e-3
+"""Seconds beyond the end of a clip that are rounding."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,8 +67,18 @@ class Model:
         raise InputError(f"{self.name}: expected one of its clips ({known}), got {name!r}")
 
     def at(self, clip: Clip, time: float) -> FloatArray:
-        """Vertices (V, 3) at a time of a clip, seconds."""
+        """Vertices (V, 3) at a time of a clip, seconds.
+
+        Raises:
+            InputError: the clip has no such time.
+        """
         assert self.glb is not None
+        last = clip.span[1]
+        if not 0 <= time <= last + _FRAME:
+            raise InputError(
+                f"{self.name}: expected a time of the clip {clip.name!r} from 0 to {last:g} "
+                f"seconds, got {time:g}"
+            )
         vertices, _ = read_shape(at_time(self.glb, clip, time))
         return _z_up(on_shape(vertices, self.faces), self.up)
 
@@ -123,12 +136,18 @@ def _z_up(vertices: FloatArray, up: Up) -> FloatArray:
 
 def _obj(path: Path, up: Up) -> Model:
     """An OBJ through trimesh, which splits its vertices at seams and hard edges."""
+    files = _FilesBeside(path)
     try:
-        loaded: Any = trimesh.load(path, process=False)
+        loaded: Any = trimesh.load(path, process=False, resolver=files)
         parts = [*getattr(loaded, "geometry", {"": loaded}).values()]
         mesh: Any = trimesh.util.concatenate(parts)
     except Exception as error:
         raise InputError(f"{path}: expected a mesh with its paint, got: {error}") from None
+    if files.missing:
+        raise InputError(
+            f"{path}: expected the files of its paint beside it, missing: "
+            f"{', '.join(files.missing)}; bring them, or take out the lines that name them"
+        )
     faces = np.asarray(mesh.faces, dtype=np.int64)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     # In trimesh's cache are normals of the file; asked for them, it would make up others.
@@ -139,6 +158,21 @@ def _obj(path: Path, up: Up) -> Model:
         rows = [p.vertex_normals if has else np.zeros((len(p.vertices), 3)) for p, has in pairs]
         normals = np.concatenate(rows).astype(np.float64)
     return _static(path, vertices, faces, _painted(mesh, len(faces)), up, normals)
+
+
+class _FilesBeside(FilePathResolver):
+    """Remembers what trimesh looks for in vain and paints over in grey."""
+
+    def __init__(self, source: Path) -> None:
+        super().__init__(str(source))
+        self.missing: list[str] = []
+
+    def get(self, name: str) -> bytes:
+        try:
+            return super().get(name)
+        except OSError:
+            self.missing.append(name)
+            raise
 
 
 def _says_flat(path: Path) -> bool:

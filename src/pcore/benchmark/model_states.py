@@ -40,6 +40,10 @@ _LOOKS = 24
 _RESERVED = re.compile(r"|canonical|faces|(train|val|test)(_geometry)?|sample_.*")
 """Arrays of `meshes.npz` and folders that are not states."""
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
+_FLAT = 1e-9
+"""Area of a surface that is a line, in squares of its radius."""
+_GONE = 1e-3
+"""Extent, in radii of the object, under which a clip or an edit has made it vanish."""
 _STILL = 1e-4
 """Mean displacement, in radii of the object, under which a clip does not move."""
 
@@ -113,6 +117,10 @@ def canonical_shape(model: Model, plan: BenchmarkPlan) -> tuple[FloatArray, Floa
         raise InputError(
             f"{model.name}: expected a shape of some extent, got one of radius {radius:g}"
         )
+    corners = (raw[model.faces] - center) / radius
+    sides = corners[:, 1:] - corners[:, :1]
+    if not np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum() > _FLAT:
+        raise InputError(f"{model.name}: expected a surface, got triangles without any area")
     return (raw - center) / radius, center, 1.0 / radius
 
 
@@ -194,7 +202,16 @@ def _reach(vertices: FloatArray) -> float:
     return float(np.linalg.norm(vertices, axis=1).max())
 
 
+def _vanished(vertices: FloatArray) -> bool:
+    return float(np.ptp(vertices, axis=0).max()) < _GONE
+
+
 def _in_sight(name: str, after: FloatArray) -> None:
+    if _vanished(after):
+        raise InputError(
+            f"benchmark: state {name!r}: expected a shape of some extent, got one that has "
+            "vanished; take another time of the clip, or leave it out (--clips)"
+        )
     if _reach(after) > _FARTHEST:
         raise InputError(
             f"benchmark: state {name!r}: expected a shape within {_FARTHEST:g} radii of the "
@@ -232,6 +249,8 @@ def _of_clip(
     for one in times:
         moved = (model.at(clip, float(one)) - frame[0]) * frame[1]
         away = float(np.linalg.norm(moved - vertices, axis=1).mean())
+        if _vanished(moved):
+            away = -1.0  # Rather any other time.
         if best is None or away > best[0]:
             best = away, moved, float(one)
     assert best is not None

@@ -22,6 +22,7 @@ _PLACES = ("sparse", "colmap_sparse", "colmap/sparse", "distorted/sparse", ".")
 """Where models lie, the first that has one is taken; of several in one place the largest."""
 _LISTS = {"train": "train_list.txt", "val": "validation_list.txt", "test": "test_list.txt"}
 _NO_POSE = "no pose in the model"
+_POINTLESS = "points3D is missing or empty, so that only masks and axes say where the object is"
 _FARTHEST = 1e15
 """No point of a model is farther from its origin; its square is no float32 any more."""
 _OPENGL = np.diag([1.0, -1.0, -1.0])
@@ -87,6 +88,8 @@ def read_colmap(root: Path, found: FoundModel, factor: int) -> Capture:
     names = [image.name for image in model.images]
     base = ("input", "distorted/images") if "distorted" in below else ("images", "input", ".")
     photos = find_photos(root, names, base, factor, str(found.folder))
+    sparse = raw_points(model)
+    pointless = "" if sparse else f"{found.folder.name} is a model without points ({_POINTLESS})"
     return Capture(
         layout="COLMAP",
         where=str(found.folder),
@@ -94,9 +97,9 @@ def read_colmap(root: Path, found: FoundModel, factor: int) -> Capture:
             _photo(model, image, path)
             for image, path in zip(model.images, photos.paths, strict=True)
         ],
-        sparse=raw_points(model),
+        sparse=sparse,
         splits=_listed(root, model.images),
-        notes=[note for note in (found.note, *photos.notes) if note],
+        notes=[note for note in (found.note, pointless, *photos.notes) if note],
         skipped=_without_pose(root, photos.paths),
         shrunk=photos.shrunk,
     )

@@ -55,6 +55,8 @@ def read_model(folder: Path) -> Model:
     paths = model_files(folder)
     read = colmap_binary if paths[0].suffix == ".bin" else colmap_text
     cameras = dict(read.cameras(paths[0]))
+    if not cameras:
+        raise SceneError(f"{paths[0]}: expected cameras, got none; export the model again")
     images = list(read.images(paths[1]))
     if not images:
         raise SceneError(

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pcore.capture.photos import Photo
-from pcore.data.cut_off import whole_header
+from pcore.data.cut_off import header_of_whole
 from pcore.data.image_files import ImageHeader
 from pcore.data.images import Crop, ImageCache, ImageSource
 from pcore.data.scene import View
@@ -45,7 +45,7 @@ def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache) -> Opened
     if photo.size is not None and min(photo.size) < 1:
         raise UnusableError(f"a camera for {photo.size[0]} x {photo.size[1]} pixels")
     pose, notes = _rigid(photo.world_from_camera)
-    header = whole_header(photo.path)
+    header = header_of_whole(photo.path)
     if isinstance(header, str):
         raise UnusableError(header)
     upright = _is_upright(photo, header)

@@ -11,12 +11,13 @@ import importlib.util
 import json
 import os
 import shutil
+import struct
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 
-from PIL import Image
+from PIL import ExifTags, Image
 
 from pcore.capture.colmap import find_model
 from pcore.capture.colmap_child import Patience, Tell, run_child
@@ -99,10 +100,12 @@ def _reconstruct(layout: Layout, place: Path, tell: Tell, patience: Patience) ->
             images = work / "images"
             note = choose_frames(layout.path, images, tell)
             (work / _NOTE).write_text(note, encoding="utf-8")
-        images, names = _readable(images, work / "converted")
+        whole = [path for path in photos_below(images) if why_unreadable(path) is None]
+        cameras = [whole] if layout.name != PHOTOS else _by_camera(whole)
+        images, names = _readable(images, whole, work / "converted")
         wish = {
             "images": str(images.resolve()),
-            "names": names,
+            "cameras": [[names[path] for path in group] for group in cameras],
             "output": str(work / "sparse"),
             "database": str(work / "database.db"),
             "ordered": layout.name != PHOTOS,
@@ -119,15 +122,35 @@ def _reconstruct(layout: Layout, place: Path, tell: Tell, patience: Patience) ->
         shutil.copytree(work, place)
 
 
-def _readable(images: Path, converted: Path) -> tuple[Path, list[str]]:
-    """Folder and names of photos as COLMAP reads them; pictures that are cut off or none are left.
+def _by_camera(photos: Sequence[Path]) -> list[list[Path]]:
+    """Photos of one folder, size, device and focal length, which share a lens."""
+    groups: dict[Hashable, list[Path]] = {}
+    for path in photos:
+        with Image.open(path) as image:
+            groups.setdefault((path.parent, image.size, _device(image)), []).append(path)
+    return list(groups.values())
+
+
+def _device(image: Image.Image) -> tuple[str, ...] | None:
+    """Maker, model and focal length as EXIF has them; None without, or where that is damaged."""
+    try:
+        exif = image.getexif()
+        inner = exif.get_ifd(ExifTags.IFD.Exif)
+    except (OSError, SyntaxError, ValueError, KeyError, struct.error):
+        return None
+    said = exif.get(ExifTags.Base.Make), exif.get(ExifTags.Base.Model)
+    found = (*said, inner.get(ExifTags.Base.FocalLength))
+    return None if found == (None, None, None) else tuple(map(str, found))
+
+
+def _readable(images: Path, whole: Sequence[Path], converted: Path) -> tuple[Path, dict[Path, str]]:
+    """Folder of photos as COLMAP reads them, and the name of each in it.
 
     Where it does not read a format, all are copied: those as PNG, the others as they are.
     """
-    whole = [path for path in photos_below(images) if why_unreadable(path) is None]
     if not any(path.suffix.lower() in _NOT_COLMAP for path in whole):
-        return images, [path.relative_to(images).as_posix() for path in whole]
-    names: list[str] = []
+        return images, {path: path.relative_to(images).as_posix() for path in whole}
+    names: dict[Path, str] = {}
     for path in whole:
         copy = converted / path.relative_to(images)
         copy.parent.mkdir(parents=True, exist_ok=True)
@@ -137,5 +160,5 @@ def _readable(images: Path, converted: Path) -> tuple[Path, list[str]]:
                 image.convert("RGB").save(copy)
         else:
             shutil.copyfile(path, copy)
-        names.append(copy.relative_to(converted).as_posix())
+        names[path] = copy.relative_to(converted).as_posix()
     return converted, names

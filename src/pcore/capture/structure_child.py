@@ -1,8 +1,8 @@
 """The child process of `structure`: runs pycolmap, and nothing that loads Pillow beside it.
 
-Called with one argument, JSON: folder `images`, file `names` in it, folder `output` for models,
-file `database`, and whether the photos are `ordered` as those of a video. Lines for the user begin
-with "pcore: ".
+Called with one argument, JSON: folder `images`, names of files in it by their `cameras`, folder
+`output` for models, file `database`, and whether the photos are `ordered` as those of a video.
+Lines for the user begin with "pcore: ".
 """
 
 from __future__ import annotations
@@ -22,19 +22,22 @@ def main(wish: dict[str, Any]) -> None:
     """Find features, match them, map; write every model that has images."""
     import pycolmap
 
-    names: list[str] = wish["names"]
+    cameras: list[list[str]] = wish["cameras"]
+    count = sum(map(len, cameras))
     output, database = Path(wish["output"]), str(wish["database"])
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.max_image_size = _SIDE
-    _say(f"looking for features in {len(names)} photos")
-    pycolmap.extract_features(
-        database,
-        wish["images"],
-        names,
-        camera_mode=pycolmap.CameraMode.SINGLE if wish["ordered"] else pycolmap.CameraMode.AUTO,
-        extraction_options=extraction,
-    )
-    ordered = wish["ordered"] and len(names) > _PAIRS
+    _say(f"features of {count} photos; {len(cameras)} cameras by folder, size and EXIF")
+    for names in cameras:
+        # Left alone, COLMAP gives every photo without EXIF a lens of its own.
+        pycolmap.extract_features(
+            database,
+            wish["images"],
+            names,
+            camera_mode=pycolmap.CameraMode.SINGLE,
+            extraction_options=extraction,
+        )
+    ordered = wish["ordered"] and count > _PAIRS
     _say("matching " + ("neighbours" if ordered else "all pairs"))
     (pycolmap.match_sequential if ordered else pycolmap.match_exhaustive)(database)
     _say("finding poses")

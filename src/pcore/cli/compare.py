@@ -224,14 +224,14 @@ def _entries(
     device: str,
 ) -> list[Entry]:
     from pcore.asset.neural_points import NeuralPoints
-    from pcore.evaluation.contestants import METHODS, given_entries, picture_entries
+    from pcore.evaluation.contestants import given_entries, picture_entries
     from pcore.evaluation.motion_method import has_end_views, motion_entries
     from pcore.evaluation.rival_entries import Workshop
     from pcore.rivals.motion_stages import MotionConfig
     from pcore.training.presets import gaussian_preset, preset
 
     places, states = where
-    wanted = _wanted(command.methods, METHODS)
+    wanted = wanted_methods(command.methods)
     if command.seconds <= 0:
         raise InputError(f"--seconds: expected more than 0, got {command.seconds}")
     counts = [len(one.asset) for one in runs if isinstance(one.asset.content, NeuralPoints)]
@@ -259,13 +259,17 @@ def _entries(
     return entries
 
 
-def _wanted(names: Sequence[str], known: Sequence[Any]) -> list[Any]:
-    unknown = [name for name in names if name not in (*known, "all", "none")]
+def wanted_methods(names: Sequence[str]) -> list[Any]:
+    """Methods of names that were given, in the order of the tables; InputError for others."""
+    from pcore.evaluation.contestants import METHODS
+
+    unknown = [name for name in names if name not in (*METHODS, "all", "none")]
     if unknown:
         raise InputError(
-            f"--methods: expected some of {', '.join(known)}, all or none, got {', '.join(unknown)}"
+            f"--methods: expected some of {', '.join(METHODS)}, all or none, got "
+            f"{', '.join(unknown)}"
         )
-    return [*known] if "all" in names else [name for name in known if name in names]
+    return [*METHODS] if "all" in names else [name for name in METHODS if name in names]
 
 
 def _pairs(option: str, texts: Sequence[str]) -> list[tuple[str, Path]]:

@@ -101,12 +101,13 @@ def _write_cameras(command: ExportCommand, named: Named, moments: list[Moment]) 
     if command.frames is not None:
         folders = [folder / name for name in frame_names(len(moments))]
     for place, (time, posed) in zip(folders, moments, strict=True):
-        model = place / "sparse" / "0"
+        # Where nerfstudio keeps it: beside a transforms.json it is no second layout.
+        model = place / "colmap" / "sparse" / "0"
         model.mkdir(parents=True, exist_ok=True)
         save_transforms(place / TRANSFORMS, named, times=[time] * len(named))
         save_colmap(model, named, posed.points, None)
     where = folder if command.frames is None else f"{folders[0]} to {folders[-1].name}"
-    return [f"{where}: {len(named)} cameras in {TRANSFORMS} and in sparse/0 (COLMAP, text)"]
+    return [f"{where}: {len(named)} cameras in {TRANSFORMS} and in colmap/sparse/0 (COLMAP, text)"]
 
 
 def _write_pictures(

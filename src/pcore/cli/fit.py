@@ -22,11 +22,12 @@ if TYPE_CHECKING:
     from pcore.editing.animation import Animation
     from pcore.editing.script import EditScript
     from pcore.fitting.pose_fit import PoseFit
+    from pcore.fitting.shown import Shown
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitCommand:
-    """Find the pose of a trained object of Gaussians in photos of its deformed state.
+    """Find the pose of a trained object in photos of its deformed state.
 
     The result is an edit file, whose handles are all anchors of the object: `pcore render RUN
     --edit edit.json` draws it. Photos need masks, and cameras in the world of the run.
@@ -82,6 +83,7 @@ class FitCommand:
         from pcore.cli.results import counting
         from pcore.cli.runtime import pick_device, prepare_torch
         from pcore.fitting.fit_sequence import check_times
+        from pcore.fitting.shown import Shown
 
         self._check()
         if self.times:
@@ -91,15 +93,17 @@ class FitCommand:
         factor = asset.record.factor if self.factor is None else self.factor
         states = [photos_in(path, factor)[:: self.every] for path in self.photos]
         console = Console()
+        with counting(console, "Gaussians in its place: pictures and steps") as tell:
+            shown = Shown.of(asset, tell)
         with counting(console, "steps") as tell:
-            result, fits = self._fitted(asset, states, tell)
+            result, fits = self._fitted(shown, states, tell)
         result.save(self.output)
         self._show(console, states, fits)
         if self.appearance is not None:
             self._paint(asset, fits[0].edit, states[0], self.appearance, console)
 
     def _fitted(
-        self, asset: Asset, states: list[tuple[View, ...]], tell: Callable[[int, int], None]
+        self, shown: Shown, states: list[tuple[View, ...]], tell: Callable[[int, int], None]
     ) -> tuple[EditScript | Animation, list[PoseFit]]:
         """The edit that was found, and how well it fits each state."""
         from pcore.fitting.fit_config import FitConfig
@@ -107,11 +111,18 @@ class FitCommand:
         from pcore.fitting.numbers_fit import fit_numbers
         from pcore.fitting.pose_fit import fit_pose
 
+        asset = shown.asset
         config = FitConfig(anchors=self.anchors, seed=self.seed, silhouettes=self.silhouettes)
         if len(states) > 1:
             times = self.times or None
             found = fit_sequence(
-                asset, states, config, times=times, start=self.start, progress=tell
+                asset,
+                states,
+                config,
+                times=times,
+                start=self.start,
+                shown=shown,
+                progress=tell,
             )
             return found.animation, list(found.fits)
         if self.free and self.start is not None:
@@ -121,10 +132,11 @@ class FitCommand:
                 self.free,
                 states[0],
                 silhouettes=self.silhouettes,
+                shown=shown,
                 progress=tell,
             )
         else:
-            fit = fit_pose(asset, states[0], config, start=self.start, progress=tell)
+            fit = fit_pose(asset, states[0], config, start=self.start, shown=shown, progress=tell)
         return fit.edit, [fit]
 
     def _check(self) -> None:

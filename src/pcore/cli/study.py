@@ -127,6 +127,8 @@ def _methods(given: tuple[str, ...]) -> dict[str, Path]:
             raise InputError(f"--pairs: expected NAME=FOLDER, got {word!r}")
         if name in found:
             raise InputError(f"--pairs: expected each name once, got {name!r} twice")
+        if Path(folder) in found.values():
+            raise InputError(f"--pairs: expected a folder of each method's own, got {folder} twice")
         found[name] = Path(folder)
     return found
 

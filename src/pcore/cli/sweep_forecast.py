@@ -6,7 +6,6 @@ import json
 import math
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -55,9 +54,7 @@ def show_plan(
     for setting in dict.fromkeys(one.setting for one in trials):
         first = next(one for one in trials if one.setting == setting)
         for verb in first.verbs:
-            console.print(
-                Text(f"{setting}: pcore {' '.join(words_of(first, verb))}"), soft_wrap=True
-            )
+            console.print(Text(f"{setting}: {' '.join(words_of(first, verb))}"), soft_wrap=True)
     seconds = [known[one.setting].seconds for one in left]
     total = sum(one for one in seconds if one is not None) / max(1, min(workers, len(left)))
     lower = any(one.seconds is None or not one.whole for one in known.values())
@@ -92,13 +89,14 @@ def _forecast(setting: str, left: Sequence[Trial], done: Sequence[TrialResult]) 
 
 def _watched(trial: Trial) -> float | None:
     """Begin a training in a process of its own, and ask its log what is left; then end it."""
-    from pcore.cli.sweep_verbs import RUN, words_of
+    from pcore.cli.sweep_verbs import RUN, process_words
     from pcore.files.run_folder import LOG_FILE
 
-    command = [sys.executable, "-m", "pcore.cli.main", *words_of(trial, "train")]
     begun, first = time.monotonic(), None
     quiet = subprocess.DEVNULL
-    process = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet)
+    process = subprocess.Popen(
+        process_words(trial, "train"), stdin=quiet, stdout=quiet, stderr=quiet
+    )
     try:
         while process.poll() is None:
             step = _last_step(trial.folder / RUN / LOG_FILE)
@@ -111,7 +109,7 @@ def _watched(trial: Trial) -> float | None:
             time.sleep(0.2)
         return time.monotonic() - begun if process.returncode == 0 else None
     finally:
-        process.kill()
+        process.terminate()
         process.wait()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import sys
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -34,7 +35,12 @@ def run_trial(trial: Trial) -> None:
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     for verb in trial.verbs:
-        parsed(trial, verb).run()
+        if trial.processes > 1:
+            from pcore.cli.sweep_processes import run_together
+
+            run_together(process_words(trial, verb))
+        else:
+            parsed(trial, verb).run()
 
 
 def parsed(trial: Trial, verb: str) -> Command:
@@ -62,8 +68,20 @@ def parsed(trial: Trial, verb: str) -> Command:
 
 
 def words_of(trial: Trial, verb: str) -> list[str]:
-    """The same command as words of a command line, without `pcore`."""
-    return [verb, *_own_words(trial, verb), *_plan_words(trial, verb, verb)]
+    """The same command as words of a command line."""
+    from pcore.cli.sweep_processes import TORCHRUN
+
+    start = [*TORCHRUN, str(trial.processes), "--no-python"] if trial.processes > 1 else []
+    return [*start, "pcore", verb, *_own_words(trial, verb), *_plan_words(trial, verb, verb)]
+
+
+def process_words(trial: Trial, verb: str) -> list[str]:
+    """The same command as a process of its own that starts with this Python."""
+    words = words_of(trial, verb)
+    command = ["pcore.cli.main", *words[words.index("pcore") + 1 :]]
+    if trial.processes > 1:
+        command = ["pcore.cli.sweep_processes", str(trial.processes), *command]
+    return [sys.executable, "-m", *command]
 
 
 def check_trials(trials: Sequence[Trial]) -> None:
@@ -80,6 +98,10 @@ def check_trials(trials: Sequence[Trial]) -> None:
     from pcore.evaluation.states import open_states
 
     commands = {one.setting: {verb: parsed(one, verb) for verb in one.verbs} for one in trials}
+    processes = {one.setting: one.processes for one in trials}
+    for setting, verbs in commands.items():
+        for verb, command in verbs.items():
+            _check_values(command, f"plan: setting {setting!r}, {verb}", processes[setting])
     for place, setting in dict.fromkeys((one.scene_folder, one.setting) for one in trials):
         train: Any = commands[setting]["train"]
         load_scene(place, factor=train.factor)
@@ -87,6 +109,24 @@ def check_trials(trials: Sequence[Trial]) -> None:
             scored: Any = commands[setting][verb]
             states = scored.state or (() if verb == "eval" and scored.edit else ("all",))
             open_states(place, factor=scored.factor or train.factor).select(states)
+
+
+def _check_values(command: Any, where: str, processes: int) -> None:
+    """Refuse numbers and methods that the verb would refuse, hours later."""
+    from pcore.cli.compare import CompareCommand, wanted_methods
+    from pcore.validation import check_count
+
+    for name in ("steps", "points", "patches", "every"):
+        value = getattr(command, name, None)
+        if isinstance(value, int):
+            check_count(f"{where}: '{name}'", value)
+    if processes > 1 and hasattr(command, "patches") and (command.patches or 1) < processes:
+        raise InputError(
+            f"{where}: expected at least one patch or photo of a step for each of {processes} "
+            f"processes, got {command.patches or 1}; give patches: {processes} or a multiple"
+        )
+    if isinstance(command, CompareCommand):
+        wanted_methods(command.methods)
 
 
 def _own_words(trial: Trial, verb: str) -> list[str]:

@@ -40,20 +40,20 @@ def check_whole(path: Path) -> None:
         ) from problem
 
 
-def whole_header(path: Path) -> ImageHeader | str:
-    """Header of a picture that can be used; otherwise why not, to be read after its name."""
+def why_unreadable(path: Path) -> str | None:
+    """Why a picture cannot be used, to be read after its name; None of a whole one."""
+    found = header_of_whole(path)
+    return found if isinstance(found, str) else None
+
+
+def header_of_whole(path: Path) -> ImageHeader | str:
+    """The header of a whole picture; of another one why it cannot be used, as `why_unreadable`."""
     try:
         header = read_header(path)
         check_whole(path)
     except SceneError as problem:
         return str(problem).removeprefix(f"image {path}: ")
     return header
-
-
-def why_unreadable(path: Path) -> str | None:
-    """Why a picture cannot be used, to be read after its name; None of a whole one."""
-    found = whole_header(path)
-    return found if isinstance(found, str) else None
 
 
 def _tail(path: Path) -> bytes:

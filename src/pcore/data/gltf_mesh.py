@@ -22,6 +22,7 @@ Faces = NDArray[np.int64]
 _STRIP, _FAN = 5, 6
 _TRIANGLES = (4, _STRIP, _FAN)
 _INSTANCES = "EXT_mesh_gpu_instancing"
+_VISIBILITY = "KHR_node_visibility"
 _DRACO = "KHR_draco_mesh_compression"
 
 
@@ -88,6 +89,8 @@ def _shown(glb: Glb) -> list[int]:
     while waiting:
         number = waiting.pop()
         node = item(document.nodes, number, "nodes", glb.where)
+        if node.extensions.get(_VISIBILITY) == {"visible": False}:
+            continue
         shown.append(number)
         waiting += reversed(node.children)
         if len(shown) > len(document.nodes):
@@ -206,10 +209,11 @@ def _posed(
             )
         carried = carried @ rest[: len(carried)].reshape(-1, 4, 4).transpose(0, 2, 1)
     joints, weights = _influences(glb, primitive, len(places))
-    if joints.size and int(joints.max()) >= len(carried):
+    wrong = joints[(joints < 0) | (joints >= len(carried))]
+    if wrong.size:
         raise InputError(
-            f"{glb.where}: expected joints below {len(carried)}, got {int(joints.max())}; the file "
-            "is damaged"
+            f"{glb.where}: expected joints from 0 to {len(carried) - 1}, got {int(wrong[0])}; the "
+            "file is damaged"
         )
     blended = np.einsum("vj,vjik->vik", weights, carried[joints][:, :, :3])
     return np.einsum("vik,vk->vi", blended[:, :, :3], places) + blended[:, :, 3]
@@ -263,6 +267,8 @@ def primitive_faces(glb: Glb, primitive: Primitive, count: int) -> Faces:
             f"{glb.where}: expected faces that refer to vertices 0 to {count - 1}, got "
             f"{int(order.max())}; the file is damaged"
         )
+    if primitive.mode in (_STRIP, _FAN) and len(order) < 3:
+        return np.zeros((0, 3), dtype=np.int64)
     if primitive.mode == _STRIP:
         faces = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
         # Every second triangle of a strip runs backwards.

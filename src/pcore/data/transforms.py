@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Any, cast
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from pcore.data.foreign import foreign_json, foreign_matrix, foreign_text
 from pcore.data.lens import Lens, lens_of
-from pcore.data.lens_entry import LensEntry, bend_of, check_pinhole, check_projection
+from pcore.data.lens_entry import LensEntry, Number, bend_of, check_pinhole, check_projection
 from pcore.data.transform_keys import (
     USED_AT_TOP,
     USED_IN_CAPTURES,
@@ -28,10 +28,9 @@ from pcore.errors import InputError, SceneError
 from pcore.geometry.camera import Camera
 from pcore.validation import parse, parse_json, read_text
 
-_Cell = Annotated[float, Field(strict=True)]
 _LABEL = 120
 """Letters of a frame's path that messages show."""
-_Row = tuple[_Cell, _Cell, _Cell, _Cell]
+_Row = tuple[Number, Number, Number, Number]
 
 
 class _FrameEntry(LensEntry):

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
+from pcore.geometry.matrix_tuples import uprightnesses
 
 # A share of `orientation`, which is 1 for rigid motions and does not depend on units.
 SINGULAR = 1e-6
@@ -216,6 +217,9 @@ def orientation(deformation: Deformation, points: Tensor) -> Tensor:
 
 def uprightness(jacobian: Tensor) -> Tensor:
     """Return `orientation` of Jacobians (..., 3, 3): (...,)."""
+    if jacobian.dtype == torch.float64 and jacobian.device.type == "cpu":
+        flat = jacobian.detach().reshape(-1, 3, 3).contiguous().numpy()
+        return torch.from_numpy(uprightnesses(flat)).reshape(jacobian.shape[:-2])
     with torch.no_grad():
         # Closed form instead of torch.linalg.det, which factorises matrix by matrix.
         rows = jacobian.unbind(dim=-2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pcore.deform.base import Deformation, check_points, frozen_tensor
-from pcore.deform.mean_value import carried, topology, weights_at
+from pcore.deform.mean_value import carried, slopes_at, topology, turned, weights_at
 from pcore.deform.sites import sites_of
 from pcore.deform.winding import winding_numbers
 from pcore.errors import InputError
+
+FloatArray = NDArray[np.float64]
+_MOST_SLOPES = 2_000_000
+"""Pairs of a point and a vertex up to which slopes are kept: 64 MB."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,9 +60,12 @@ class Cage:
         turns = winding_numbers(flat, self._arrays[0], self._arrays[1])
         return torch.from_numpy(np.abs(turns) > 0.5)
 
-    def carry(
-        self, points: Tensor, moves: NDArray[np.float64], *, slope: bool
-    ) -> tuple[Tensor, Tensor]:
+    def slopes(self, points: Tensor) -> tuple[FloatArray, FloatArray]:
+        """What `turned` takes, of points (N, 3): 32 bytes for each of them and each vertex."""
+        flat = np.ascontiguousarray(points.detach().cpu().double().numpy())
+        return slopes_at(flat, *self._arrays)
+
+    def carry(self, points: Tensor, moves: FloatArray, *, slope: bool) -> tuple[Tensor, Tensor]:
         """Displacements (N, 3) and, if wanted, their derivatives (N, 3, 3) at points (N, 3)."""
         flat = np.ascontiguousarray(points.detach().cpu().double().numpy())
         way, turn = carried(flat, *self._arrays, moves, slope)
@@ -77,6 +85,21 @@ class CageBinding:
     cage: Cage
     points: Tensor
     weights: Tensor
+
+    @cached_property
+    def _slopes(self) -> tuple[FloatArray, FloatArray] | None:
+        """How the coordinates change from place to place; None where that takes much memory."""
+        if self.weights.numel() > _MOST_SLOPES:
+            return None
+        return self.cage.slopes(self.points)
+
+    def turned(self, moves: FloatArray) -> Tensor | None:
+        """Derivatives (N, 3, 3) of the displacements of the points when the vertices move.
+
+        None where they have to be computed anew for every shape.
+        """
+        known = self._slopes
+        return None if known is None else torch.from_numpy(turned(*known, moves))
 
     def is_of(self, points: Tensor) -> bool:
         """Whether these are its points (N, 3), to the last bit."""
@@ -121,7 +144,7 @@ class CageDeform(Deformation):
         _check_count(cage, vertices)
         self.cage, self.binding, self._quick = cage, binding, quick
         self.vertices = frozen_tensor("deformed cage", vertices, tuple(cage.vertices.shape))
-        self._moves: NDArray[np.float64] = (self.vertices - cage.vertices).numpy()
+        self._moves: FloatArray = (self.vertices - cage.vertices).numpy()
         self._known: tuple[Tensor, Tensor, Tensor] | None = None
 
     def __call__(self, points: Tensor) -> Tensor:
@@ -137,24 +160,33 @@ class CageDeform(Deformation):
         """
         check_points(points)
         flat = points.detach().reshape(-1, 3)
-        if self._quick and self.binding is not None and self.binding.is_of(flat):
+        bound = self.binding if self.binding is not None and self.binding.is_of(flat) else None
+        if bound is not None and self._quick:
             linear, _ = sites_of(flat).maps(self.displaced(flat), quick=True)
             return linear.to(points).reshape(*points.shape, 3)
+        eye = torch.eye(3, dtype=torch.float64)
+        if bound is not None and (turn := bound.turned(self._moves)) is not None:
+            return (eye + turn).to(points).reshape(*points.shape, 3)
         known = self._recall(flat)
         if known is None:
             known = self.cage.carry(flat, self._moves, slope=True)
             # Jacobians and places of the same points are asked for in turn, and they cost seconds.
             self._known = (flat.cpu().double(), *known)
-        eye = torch.eye(3, dtype=torch.float64)
         return (eye + known[1]).to(points).reshape(*points.shape, 3)
 
     def displaced(self, points: Tensor) -> Tensor:
         """Do the same as a call for points (N, 3) without gradient."""
         if self.binding is not None and self.binding.is_of(points):
-            return self.binding.moved(self.vertices).to(points)
+            return self._moved.to(points)
         known = self._recall(points)
         way, _ = self.cage.carry(points, self._moves, slope=False) if known is None else known
         return (points.detach().double() + way.to(points.device)).to(points.dtype)
+
+    @cached_property
+    def _moved(self) -> Tensor:
+        """Where the points of the binding go; frames are asked for next, and take it from here."""
+        assert self.binding is not None
+        return self.binding.moved(self.vertices)
 
     def _recall(self, points: Tensor) -> tuple[Tensor, Tensor] | None:
         """What the last Jacobians were computed with, if these are the same points."""

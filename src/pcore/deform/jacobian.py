@@ -228,7 +228,8 @@ def is_mirrored(rest: Tensor, moved: Tensor) -> bool:
     if len(before) < _FEWEST:
         return False
     before, after = before - before.mean(dim=0), after - after.mean(dim=0)
-    if float(torch.linalg.svdvals(before)[2]) < _FLATTEST * float(torch.linalg.svdvals(before)[0]):
+    extents = torch.linalg.svdvals(before)
+    if float(extents[2]) < _FLATTEST * float(extents[0]):
         return False  # A sheet turned over and a sheet mirrored are the same.
     linear = torch.linalg.lstsq(before, after).solution
     sizes = torch.linalg.svdvals(linear)

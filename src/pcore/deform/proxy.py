@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -52,10 +53,9 @@ class BoundMesh:
         """Motion of the points when the vertices go to (V, 3), see `follow_mesh`."""
         posed = as_points(after)
         linear = _vertex_maps(self.rest, posed, self.faces)
-        offset = self.points.numpy()[:, None] - self.rest[self.vertices]
-        turned = np.einsum("nkij,nkj->nki", linear[self.vertices], offset)
-        moved = np.einsum("nk,nki->ni", self.share, posed[self.vertices] + turned)
-        slopes = np.einsum("nk,nkij->nij", self.share, linear[self.vertices])
+        moved, slopes = _followed(
+            self.points.numpy(), self.rest, posed, linear, self.vertices, self.share
+        )
         return PointMotion(
             self.points, torch.from_numpy(moved), torch.from_numpy(slopes), quick=quick
         )
@@ -86,6 +86,34 @@ def middle_distance(points: Tensor, vertices: Tensor, faces: Tensor) -> float:
     some = as_points(points)[:: max(1, len(points) // 1000)]
     found = SurfaceSearch(as_points(vertices), faces.cpu().numpy()).closest(some)
     return float(np.median(found.distance))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _followed(
+    points: FloatArray,
+    rest: FloatArray,
+    posed: FloatArray,
+    linear: FloatArray,
+    vertices: NDArray[np.int64],
+    share: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Places (N, 3) and Jacobians (N, 3, 3), see `follow_mesh`."""
+    moved, slopes = np.zeros((len(points), 3)), np.zeros((len(points), 3, 3))
+    for n in range(len(points)):
+        for k in range(3):
+            v, weight = vertices[n, k], share[n, k]
+            x, y, z = (
+                points[n, 0] - rest[v, 0],
+                points[n, 1] - rest[v, 1],
+                points[n, 2] - rest[v, 2],
+            )
+            for i in range(3):
+                a, b, c = linear[v, i, 0], linear[v, i, 1], linear[v, i, 2]
+                # In the order in which NumPy's einsum adds, which was here first: the same bits.
+                moved[n, i] += weight * (posed[v, i] + (a * x + c * z + b * y))
+                for j in range(3):
+                    slopes[n, i, j] += weight * linear[v, i, j]
+    return moved, slopes
 
 
 def _vertex_maps(rest: FloatArray, posed: FloatArray, faces: NDArray[np.int64]) -> FloatArray:

@@ -12,6 +12,7 @@ has the value and the slope of that site.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -30,6 +31,7 @@ from pcore.deform.base import (
 from pcore.deform.jacobian import is_mirrored
 from pcore.deform.sites import Sites, sites_of
 from pcore.errors import InputError
+from pcore.geometry.extent import size_of
 from pcore.geometry.neighbours import as_points
 
 NEIGHBOURS = 12
@@ -68,8 +70,7 @@ class Scattered:
                 f"{tuple(self.values.shape)} and slopes {tuple(self.slopes.shape)}"
             )
         for name in ("sites", "values", "slopes"):
-            frozen = getattr(self, name).detach().to(device="cpu", dtype=torch.float64, copy=True)
-            object.__setattr__(self, name, frozen)
+            object.__setattr__(self, name, _own(getattr(self, name)))
         object.__setattr__(self, "_known", known)
 
     def __call__(self, points: Tensor) -> Tensor:
@@ -118,9 +119,6 @@ class PointMotion(Deformation):
     Between the points it is `Scattered` with a linear map at each of them. Places say nothing of
     space turned inside out at a single point, so a map that would do that is replaced there by
     one that does not: see `mended`.
-
-    Attributes:
-        field: new places as a function of old ones.
     """
 
     def __init__(
@@ -140,20 +138,34 @@ class PointMotion(Deformation):
                 also stand in where a given one flattens space or turns it inside out.
             quick: fit by one least squares, in a twentieth of the time.
         """
-        self._quick = quick
-        if linear is None:
-            slopes, self._mended = sites_of(before).maps(after, quick=quick)
-        else:
-            slopes = linear.detach().cpu().double()
-            self._mended = ~(uprightness(slopes) > SINGULAR)
-            if bool(self._mended.any()):
-                fitted, _ = sites_of(before).maps(after, quick=quick)
-                slopes = torch.where(self._mended[:, None, None], fitted, slopes)
-        self.field = Scattered(sites=before, values=after, slopes=slopes)
+        self._sites, self._quick = sites_of(before), quick
+        self._after = _own(after)
+        self._linear = None if linear is None else _own(linear)
+
+    @cached_property
+    def _maps(self) -> tuple[Tensor, Tensor]:
+        """Jacobians (N, 3, 3) at the points, and which (N,) are substitutes.
+
+        Where points go is known before them, and often all that is asked for.
+        """
+        if self._linear is None:
+            return self._sites.maps(self._after, quick=self._quick)
+        slopes = self._linear
+        mended = ~(uprightness(slopes) > SINGULAR)
+        if bool(mended.any()):
+            fitted, _ = self._sites.maps(self._after, quick=self._quick)
+            slopes = torch.where(mended[:, None, None], fitted, slopes)
+        return slopes, mended
+
+    @cached_property
+    def field(self) -> Scattered:
+        """New places as a function of old ones."""
+        return Scattered(sites=self._sites.places, values=self._after, slopes=self._maps[0])
 
     def __call__(self, points: Tensor) -> Tensor:
         """Map points (..., 3), world units."""
-        return self.field(points)
+        check_points(points)
+        return self._after.clone() if self._sites.are(points) else self.field(points)
 
     def jacobian(self, points: Tensor) -> Tensor:
         """Jacobians (..., 3, 3); at the points themselves those that were given or fitted."""
@@ -169,8 +181,19 @@ class PointMotion(Deformation):
         after = sites + amount * (self.field.values - sites)
         linear = unit + amount * (self.field.slopes - unit)
         part = PointMotion(sites, after, linear, quick=self._quick)
-        part._mended = part._mended | self._mended
+        part._maps = part._maps[0], part._maps[1] | self._maps[1]
         return part
+
+    def folded(self, points: Tensor) -> Tensor:
+        """Where space is flattened or turned inside out; of fitted maps that needs none of them.
+
+        At the points themselves a fit that folds space gives way to a similarity.
+        """
+        if self._linear is not None or not self._sites.are(points):
+            return super().folded(points)
+        before, after = self._sites.places, self._after
+        gone = size_of(before) > 0 and not size_of(after) > 0
+        return torch.full((len(points),), gone or is_mirrored(before, after))
 
     def folded_given(self, points: Tensor, jacobian: Tensor) -> Tensor:
         """Where space is flattened or turned inside out; everywhere when the whole is mirrored."""
@@ -181,7 +204,12 @@ class PointMotion(Deformation):
     def mended(self, points: Tensor) -> Tensor:
         """Where the nearest of the points has a substitute for its map: bool (...,)."""
         check_points(points)
-        return self._mended.to(points.device)[self.field.nearest(points)]
+        return self._maps[1].to(points.device)[self.field.nearest(points)]
+
+
+def _own(values: Tensor) -> Tensor:
+    """A float64 copy on the CPU that nobody else changes."""
+    return values.detach().to(device="cpu", dtype=torch.float64, copy=True)
 
 
 def scalar_slopes(sites: Tensor, values: Tensor) -> Tensor:

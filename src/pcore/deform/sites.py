@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pcore.deform.base import SINGULAR
 from pcore.deform.jacobian import fitted_maps
-from pcore.deform.quick_fit import quick_fit
+from pcore.deform.quick_fit import offsets_to, quick_fit
 from pcore.geometry.neighbours import as_points
 
 _QUICK_NEIGHBOURS = 10
@@ -64,15 +64,16 @@ class Sites:
         return known
 
     def _quick_maps(self, after: Tensor) -> tuple[Tensor, Tensor]:
-        found, bad = quick_fit(self.places.numpy(), after.numpy(), self._beside, SINGULAR)
-        return torch.from_numpy(found), torch.from_numpy(bad)
+        found, bad = quick_fit(after.numpy(), *self._beside, SINGULAR)
+        return torch.from_numpy(found.reshape(-1, 3, 3)), torch.from_numpy(bad)
 
     @cached_property
-    def _beside(self) -> NDArray[np.int32]:
-        """(N, K) the nearest others of each."""
+    def _beside(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """(N, K) the nearest others of each, and their `offsets_to` it."""
         count = min(_QUICK_NEIGHBOURS + 1, len(self.places))
         _, index = self.tree.query(self.places.numpy(), k=count)
-        return np.asarray(index).reshape(-1, count)[:, 1:].astype(np.int32)
+        beside = np.asarray(index).reshape(-1, count)[:, 1:].astype(np.int32)
+        return beside, offsets_to(self.places.numpy(), beside)
 
 
 def sites_of(points: Tensor) -> Sites:

@@ -8,14 +8,15 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from pcore.deform.base import SINGULAR, Compose, Deformation, Identity, matrix_product, uprightness
-from pcore.deform.checks import check_finite, check_invertible
+from pcore.deform.base import SINGULAR, Compose, Deformation, Identity, uprightness
+from pcore.deform.checks import check_finite, check_invertible, numbers
 from pcore.deform.region import Region
 from pcore.deform.weighted import Held, Weighted, blend
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.edits import Edit
 from pcore.editing.regions import RegionEntry, Setting, bind_region, bind_union
 from pcore.geometry.extent import size_of
+from pcore.geometry.matrix_tuples import products
 
 FAR = 2.0
 """How many times its own size an edit moves a point of the object, seldom by intent."""
@@ -33,13 +34,15 @@ class Bound:
         steps: the deformation of every edit; the identity of one that is not enabled.
         hold: what never moves, in the space before the first edit; None is nothing.
         allow_folds: accept maps that fold space at some of the points.
-        notes: what is odd about the edits and was not refused, a sentence each.
+        kind: of the last edit.
+        said: what is odd about the last edit and was not refused, a sentence each; see `notes`.
         before: the same without the last edit; None before the first one.
     """
 
     setting: Setting
     steps: tuple[Deformation, ...] = ()
-    notes: tuple[str, ...] = ()
+    kind: str = ""
+    said: tuple[str, ...] = ()
     hold: Region | None = None
     allow_folds: bool = False
     before: Bound | None = None
@@ -64,10 +67,41 @@ class Bound:
         """(N, 3, 3) Jacobians of all steps at the points at rest, float64."""
         return self._frames[0]
 
-    @property
+    @cached_property
     def folded(self) -> Tensor:
         """(N,) bool, at which points a step folds space; as `Deformation.folded` of all."""
-        return self._frames[1]
+        before = self.before
+        if before is None:
+            return torch.zeros(len(self.setting.rest), dtype=torch.bool)
+        step, place = self.steps[-1], before.setting.points
+        if isinstance(step, Identity):
+            return before.folded
+        own = self._frames[1] if self._folds_by_jacobian else step.folded(place)
+        if self.hold is None:
+            return before.folded | own
+        own = own & (self._free == 1)
+        return before.folded | own | ~(uprightness(self.linear) > SINGULAR)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is odd about the edits and was not refused, a sentence each."""
+        if self.before is None:
+            return ()
+        label = f"edit {len(self.steps)} ({self.kind})"
+        return (*self.before.notes, *(f"{label}: {line}" for line in (*self._mends, *self.said)))
+
+    @property
+    def _mends(self) -> tuple[str, ...]:
+        """Say so where the last step answers with substitutes for Jacobians."""
+        if self.before is None or isinstance(self.steps[-1], Identity):
+            return ()
+        bad = self.steps[-1].mended(self.before.setting.points)
+        if not bool(bad.any()):
+            return ()
+        return (
+            f"at {int(bad.sum())} of {len(bad)} points ({numbers(bad)}) the local map turns space "
+            "inside out, as beside a tear; deformation-aware rays use one that does not there",
+        )
 
     @cached_property
     def mended(self) -> Tensor:
@@ -87,26 +121,27 @@ class Bound:
         rest = self.setting.rest
         return torch.ones_like(rest[:, 0]) if self.hold is None else 1 - self.hold.weight(rest)
 
+    @property
+    def _folds_by_jacobian(self) -> bool:
+        """Whether it takes Jacobians to tell where the last step folds space."""
+        return type(self.steps[-1]).folded is Deformation.folded
+
     @cached_property
     def _frames(self) -> tuple[Tensor, Tensor]:
-        """See `linear` and `folded`, which need the same Jacobians."""
+        """See `linear`; and where the last step folds space, if its Jacobians tell."""
         before, rest = self.before, self.setting.rest
+        none = torch.zeros(len(rest), dtype=torch.bool)
         if before is None:
-            return Identity().jacobian(rest), torch.zeros(len(rest), dtype=torch.bool)
-        (total, folded), step, place = before._frames, self.steps[-1], before.setting.points
+            return Identity().jacobian(rest), none
+        total, step, place = before.linear, self.steps[-1], before.setting.points
         if isinstance(step, Identity):
-            return total, folded
+            return total, none
         jacobian = step.jacobian(place)
-        if type(step).folded is Deformation.folded:
-            own = step.folded_given(place, jacobian)
-        else:
-            own = step.folded(place)
+        own = step.folded_given(place, jacobian) if self._folds_by_jacobian else none
         if self.hold is None:
-            return matrix_product(jacobian, total), folded | own
-        hold = Held((step,), self.hold)
-        total = hold.further(step, jacobian, rest, place, total)
-        own = own & (self._free == 1)
-        return total, folded | own | ~(uprightness(total) > SINGULAR)
+            both = (one.detach().contiguous().numpy() for one in (jacobian, total))
+            return torch.from_numpy(products(*both)), own
+        return Held((step,), self.hold).further(step, jacobian, rest, place, total), own
 
     def then(self, edit: Edit, *, check: bool = True, quick: bool = False) -> Bound:
         """Bind one more edit to the points as they arrive at it.
@@ -122,7 +157,8 @@ class Bound:
             InputError: an amount that no map can have, or a file that cannot be read.
         """
         if not edit.enabled:
-            return replace(self, steps=(*self.steps, Identity()), before=self)
+            steps = (*self.steps, Identity())
+            return replace(self, steps=steps, said=(), kind=_kind(edit), before=self)
         step, points = self._placed(edit, quick), self.setting.points
         said = edit.notes(self.setting, step)
         moved = step(points)
@@ -130,15 +166,16 @@ class Bound:
             moved = blend(points, moved, self._free)
         check_finite(moved)
         setting, steps = self.setting.at(moved), (*self.steps, step)
-        longer = replace(self, setting=setting, steps=steps, before=self)
+        said = (*said, *_leap(points, moved))
+        longer = replace(
+            self, setting=setting, steps=steps, said=said, kind=_kind(edit), before=self
+        )
         # What is held changes the Jacobian of every step, so the whole sequence is looked at.
         if check and (self.allow_folds or bool(longer.folded.any())):
             whole, places = (step, points) if self.hold is None else (longer.known, setting.rest)
             advice = _advice(edit, self.hold)
             check_invertible(whole, places, allow_folds=self.allow_folds, advice=advice)
-        said = (*said, *_leap(points, moved))
-        notes = [f"edit {len(steps)} ({_kind(edit)}): {line}" for line in said]
-        return replace(longer, notes=(*self.notes, *notes))
+        return longer
 
     def _placed(self, edit: Edit, quick: bool) -> Deformation:
         """An edit bound to the points, in its region."""

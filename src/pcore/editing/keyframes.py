@@ -27,11 +27,9 @@ def is_animated(value: Any) -> bool:
     if isinstance(value, dict):
         items = cast("dict[str, Any]", value)
         return "keyframes" in items or any(map(is_animated, items.values()))
-    if not isinstance(value, list):
-        return False
-    # Most are places, by the thousand.
-    deeper = (one for one in cast("list[Any]", value) if type(one) is not float)
-    return any(map(is_animated, deeper))
+    if not isinstance(value, list) or set(map(type, cast("list[Any]", value))) == {float}:
+        return False  # Most are places, by the thousand.
+    return any(map(is_animated, cast("list[Any]", value)))
 
 
 def key_times(value: Any) -> list[float]:

@@ -176,7 +176,7 @@ def _plain(value: Any) -> Any:
         items = cast("Mapping[str, Any]", value)
         return {key: _plain(item) for key, item in items.items()}
     if isinstance(value, (list, tuple)):
-        if all(type(item) is float for item in value):  # Most are places, by the thousand.
+        if set(map(type, cast("list[Any]", value))) == {float}:  # Most are places, by the thousand.
             return list(cast("list[float]", value))
         return [_plain(item) for item in cast("list[Any]", value)]
     return value

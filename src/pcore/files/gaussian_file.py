@@ -73,7 +73,9 @@ def load_gaussians(path: Path | str) -> SavedGaussians:
         provenance = from_dict(
             Provenance, json.loads(header["provenance"]), where=f"{path}: provenance"
         )
-    except (KeyError, ValueError, InputError) as error:
+    except InputError as error:
+        raise CheckpointError(str(error)) from error
+    except (KeyError, ValueError) as error:
         raise CheckpointError(f"{path}: expected Gaussians of pcore, got {error}") from error
     return SavedGaussians(
         gaussians=gaussians,

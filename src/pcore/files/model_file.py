@@ -237,8 +237,8 @@ def _read_header(path: Path) -> tuple[PaprConfig, Provenance, dict[str, _Form]]:
             "(`pcore train`), import the original's checkpoint again (`pcore import papr`), or use "
             "the pcore that wrote it"
         )
-    # Models that were made before networks had a frame of their own have none.
-    settings = {"frame": None, **_FILE.values(path, header, "config")}
+    # What models that were made before there was such a setting do.
+    settings = {"frame": None, "color_degree": 0, **_FILE.values(path, header, "config")}
     config = from_dict(PaprConfig, settings, where=f"{path}: config")
     provenance = from_dict(
         Provenance, _FILE.values(path, header, "provenance"), where=f"{path}: provenance"

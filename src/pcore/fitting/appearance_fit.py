@@ -1,19 +1,22 @@
-"""Colours of an object of Gaussians that follow photos of a deformed state; its shape stays."""
+"""Colours of an object that follow photos of a deformed state; its shape stays."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import torch
 
 from pcore.asset.asset import Asset
+from pcore.asset.gaussian_content import GaussianContent
+from pcore.asset.neural_points import NeuralPoints
 from pcore.asset.posing import EditLike
 from pcore.data.scene import View
 from pcore.fitting.fit_config import AppearanceConfig
 from pcore.fitting.fit_photos import in_turns, photos_of
 from pcore.fitting.fitter import picture_loss
-from pcore.fitting.pose_fit import gaussian_content
+from pcore.rivals.motion_stages import learn_looks
 
 Progress = Callable[[int, int], None]
 
@@ -28,12 +31,13 @@ def fit_appearance(
 ) -> Asset:
     """Let the colours of an object follow photos of it in a pose, as in PAPR in Motion.
 
-    Only what looks the same from everywhere is learned: a few photos say little about how colours
-    change with the direction. Under the edit it looks like the photos; the light that stands still
-    is taken as it is, so that what it cannot explain ends up in the colours.
+    Of Gaussians only what looks the same from everywhere is learned: a few photos say little about
+    how colours change with the direction. Of neural points features and attention are, as they are
+    seen in the pose. Under the edit it looks like the photos; the light that stands still is taken
+    as it is, so that what it cannot explain ends up in the colours.
 
     Args:
-        asset: an object of Gaussians.
+        asset: the object.
         edit: its pose in the photos, as `fit_pose` finds it.
         views: the photos, with masks.
         config: None takes the defaults.
@@ -43,11 +47,53 @@ def fit_appearance(
         The object with other colours, without a folder; `Asset.save` makes one.
 
     Raises:
-        InputError: an object of neural points, or photos without masks.
+        InputError: photos without masks.
         EditError: an edit that does not fit the object.
     """
     config = config or AppearanceConfig()
-    content = gaussian_content(asset)
+    content = asset.content
+    if isinstance(content, NeuralPoints):
+        return replace(asset, content=_looking(asset, content, edit, views, config, progress))
+    assert isinstance(content, GaussianContent)
+    return replace(asset, content=_colored(asset, content, edit, views, config, progress))
+
+
+def _looking(
+    asset: Asset,
+    content: NeuralPoints,
+    edit: EditLike,
+    views: Sequence[View],
+    config: AppearanceConfig,
+    progress: Progress | None,
+) -> NeuralPoints:
+    """Neural points with features and attention that photos of their pose show."""
+    papr = copy.deepcopy(content.papr)
+    device = next(papr.parameters()).device
+    photos_of(views, torch.device("cpu"))  # Refuses what shows no object.
+    posed = asset.pose(edit).content.to(device)
+    draws = torch.Generator().manual_seed(config.seed)
+    total, done = config.points.steps, 0
+
+    def tell() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, total)
+
+    features = learn_looks(papr, posed, views, config.points, draws, tell)
+    papr.requires_grad_(False)
+    return replace(content, papr=papr, cloud=replace(content.cloud, features=features.cpu()))
+
+
+def _colored(
+    asset: Asset,
+    content: GaussianContent,
+    edit: EditLike,
+    views: Sequence[View],
+    config: AppearanceConfig,
+    progress: Progress | None,
+) -> GaussianContent:
+    """Gaussians with colours that photos of their pose show."""
     device = content.gaussians.means.device
     photos = [one.at_most(config.pixels) for one in photos_of(views, device)]
     drawn = asset.pose(edit).content.drawn
@@ -74,5 +120,4 @@ def fit_appearance(
             progress(step + 1, config.steps)
     gaussians = content.gaussians.detached()
     sh = torch.cat([first.detach(), gaussians.sh[:, 1:]], dim=1)
-    painted = replace(content, gaussians=replace(gaussians, sh=sh))
-    return replace(asset, content=painted)
+    return replace(content, gaussians=replace(gaussians, sh=sh))

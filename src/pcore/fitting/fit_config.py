@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from pcore.errors import InputError
 from pcore.geometry.farthest_points import ANCHORS
+from pcore.rivals.motion_stages import MotionConfig
 from pcore.validation import check_count
 
 
@@ -123,11 +124,12 @@ class AppearanceConfig:
     """How colours follow photos of a pose.
 
     Attributes:
-        pixels: longest side of the pictures at most.
-        steps: of Adam.
-        rate: length of a step at first, of the first coefficient of the colours.
-        views: photos per step.
+        pixels: longest side of the pictures of Gaussians at most.
+        steps: of Adam, for Gaussians.
+        rate: length of a step at first, of the first coefficient of their colours.
+        views: photos per step of theirs.
         seed: of the order of photos.
+        points: of neural points, as in PAPR in Motion's second stage.
     """
 
     pixels: int = 200
@@ -135,6 +137,7 @@ class AppearanceConfig:
     rate: float = 0.03
     views: int = 2
     seed: int = 0
+    points: MotionConfig = field(default_factory=lambda: MotionConfig(steps=300))
 
     def __post_init__(self) -> None:
         check_count("appearance: steps", self.steps)

@@ -13,6 +13,7 @@ from pcore.errors import InputError
 from pcore.fitting.fit_config import FitConfig
 from pcore.fitting.fitted_edit import keyframed
 from pcore.fitting.pose_fit import PoseFit, Progress, fit_pose
+from pcore.fitting.shown import Shown
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,16 +37,18 @@ def fit_sequence(
     *,
     times: Sequence[float] | None = None,
     start: EditLike | None = None,
+    shown: Shown | None = None,
     progress: Progress | None = None,
 ) -> SequenceFit:
     """Find how an object is posed in several states; each starts from the one before.
 
     Args:
-        asset: an object of Gaussians.
+        asset: the object.
         states: photos of each, in the order of time.
         config: None takes the defaults.
         times: of the states, increasing; None is evenly from 0 to 1.
         start: edit to start the first one from; None is the rest state.
+        shown: see `fit_pose`.
         progress: told (steps done, steps in all) of all states.
 
     Raises:
@@ -58,6 +61,7 @@ def fit_sequence(
         raise InputError(f"sequence: expected at least two states, got {count}; use fit_pose")
     when = [k / (count - 1) for k in range(count)] if times is None else list(times)
     check_times(when, count)
+    shown = shown or Shown.of(asset)
     fits: list[PoseFit] = []
     for number, views in enumerate(states):
         before = number * config.steps
@@ -67,7 +71,7 @@ def fit_sequence(
                 progress(before + done, count * config.steps)
 
         try:
-            found = fit_pose(asset, views, config, start=start, progress=tell)
+            found = fit_pose(asset, views, config, start=start, shown=shown, progress=tell)
         except InputError as error:
             raise InputError(f"state {number + 1} of {count}: {error}") from error
         fits.append(found)

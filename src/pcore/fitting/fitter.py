@@ -9,16 +9,17 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from pcore.asset.asset import Posed
 from pcore.asset.content import MovedPoints
-from pcore.asset.gaussian_content import GaussianContent
 from pcore.deform.skinning import AnchorPose, Skinned, SkinningWeights, skin
 from pcore.editing.anchors import AnchorRig
-from pcore.fitting.agreement import Agreement, agreement
+from pcore.fitting.agreement import difference
 from pcore.fitting.anchor_motion import AnchorSpace
 from pcore.fitting.fit_config import FitConfig, FitStage
 from pcore.fitting.fit_photos import Photo, in_turns
 from pcore.fitting.limb_search import LimbSearch
 from pcore.fitting.point_splatting import PointSplatting
+from pcore.fitting.shown import Shown
 from pcore.gaussians.carry import carried_axes
 from pcore.gaussians.render import Footprint, PosedGaussians, render
 from pcore.geometry.local_maps import LocalMaps
@@ -33,14 +34,17 @@ _UPRIGHT = 0.2
 class Fitter:
     """What does not change while a pose is learned."""
 
-    def __init__(self, content: GaussianContent, rig: AnchorRig) -> None:
-        self._gaussians = content.gaussians.detached()
+    def __init__(self, shown: Shown, rig: AnchorRig) -> None:
+        self.shown, self.rig, self._gaussians = shown, rig, shown.gaussians
         device = self._gaussians.means.device
-        self.content, self.rig = content, rig
         self.space = AnchorSpace.of(rig.graph, device)
-        weights = rig.weights
+        self._points = shown.asset.points.to(device)
+        self._of_points = SkinningWeights(
+            anchors=rig.weights.anchors.to(device),
+            values=rig.weights.values.detach().to(device).float(),
+        )
         self._weights = SkinningWeights(
-            anchors=weights.anchors.to(device), values=weights.values.detach().to(device).float()
+            anchors=shown.rows(self._of_points.anchors), values=shown.rows(self._of_points.values)
         )
 
     def within(self, space: AnchorSpace) -> Fitter:
@@ -54,16 +58,15 @@ class Fitter:
         return skin(self._gaussians.means, self._weights, pose)
 
     @torch.no_grad()
-    def look(self, numbers: Tensor) -> PosedGaussians:
-        """The object as `Asset.pose` draws it: colours turned along, light standing still."""
-        moved = self.skinned(self.space.pose(numbers))
+    def posed(self, numbers: Tensor) -> Posed:
+        """The object under numbers (M, 6), its light standing still, whether it folds or not."""
+        moved = skin(self._points, self._of_points, self.space.pose(numbers))
         maps = LocalMaps(to_rest=torch.linalg.inv(moved.linear.double()).float().cpu())
-        motion = MovedPoints(positions=moved.positions.cpu(), local_maps=maps)
-        return self.content.pose(motion, rays="aware", light=None).drawn
+        return self.shown.asset.pose(MovedPoints(positions=moved.positions.cpu(), local_maps=maps))
 
-    def agreement(self, numbers: Tensor, photos: Sequence[Photo]) -> Agreement:
-        """How numbers (M, 6) agree with photos."""
-        return agreement(self.look(numbers), photos, self.content.footprint)
+    def look(self, numbers: Tensor) -> PosedGaussians:
+        """The Gaussians that show the object under numbers (M, 6): colours turned along, lit."""
+        return self.shown.look(self.posed(numbers))
 
     def drawn(self, moved: Skinned, look: PosedGaussians) -> PosedGaussians:
         """Gaussians with gradients to where they are; colours and light as they were last."""
@@ -72,11 +75,11 @@ class Fitter:
         return PosedGaussians(gaussians=shape, axes=axes, gains=look.gains)
 
     def at(self, indices: Tensor, numbers: Tensor) -> AnchorPose:
-        """How Gaussians (K,) by their indices move under numbers (M, 6)."""
-        moved = self.skinned(self.space.pose(numbers))
+        """How points (K,) by their indices move under numbers (M, 6)."""
+        moved = skin(self._points, self._of_points, self.space.pose(numbers))
         indices = indices.to(numbers.device)
         return AnchorPose(
-            rest=self._gaussians.means[indices],
+            rest=self._points[indices],
             moved=moved.positions[indices],
             rotations=nearest_rotation(moved.linear[indices]),
         )
@@ -175,7 +178,7 @@ class Fitter:
             drawn,
             photos,
             background,
-            footprint=self.content.footprint,
+            footprint=self.shown.footprint,
             silhouettes=config.silhouettes,
         )
 
@@ -200,9 +203,7 @@ def picture_loss(
     errors, area = background.new_zeros(()), background.new_zeros(())
     for photo in photos:
         seen = render(posed, [photo.camera], footprint=footprint, background=background)
-        error = (seen.alpha[0] - photo.alpha).abs()
-        if not silhouettes:
-            error = error + (seen.rgb[0] - photo.over(background)).abs().mean(dim=-1)
-        errors = errors + (error * photo.known).sum()
+        one = seen.rgb[0], seen.alpha[0]
+        errors = errors + difference(*one, photo, background, silhouettes=silhouettes)
         area = area + (photo.alpha * photo.known).sum()
     return errors / area.clamp_min(1)

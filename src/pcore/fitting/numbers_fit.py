@@ -21,7 +21,8 @@ from pcore.errors import EditError, InputError
 from pcore.fitting.agreement import agreement, check_same_object
 from pcore.fitting.fit_photos import Photo, photos_of
 from pcore.fitting.fitter import picture_loss
-from pcore.fitting.pose_fit import PoseFit, Progress, gaussian_content
+from pcore.fitting.pose_fit import PoseFit, Progress
+from pcore.fitting.shown import Shown
 from pcore.geometry.extent import size_of
 
 _DEGREES = 20.0
@@ -40,6 +41,7 @@ def fit_numbers(
     views: Sequence[View],
     *,
     silhouettes: bool = False,
+    shown: Shown | None = None,
     progress: Progress | None = None,
 ) -> PoseFit:
     """Find numbers of an edit for which the object looks like photos; all else stays as it is.
@@ -48,27 +50,29 @@ def fit_numbers(
     no gradients. Meant for up to ten numbers.
 
     Args:
-        asset: an object of Gaussians.
+        asset: the object.
         edit: a file without keyframes, or its content; its numbers are where the search begins.
         free: names such as `edits.0.angle_deg` or `edits.0.handles.1.to.2`; edits from 0.
         views: photos with masks.
         silhouettes: compare outlines only.
+        shown: see `fit_pose`.
         progress: told (edits tried, edits at most).
 
     Raises:
         EditError: the edit does not fit the object as it stands.
         InputError: a name that is no number of the edit, or photos as in `fit_pose`.
     """
-    content = gaussian_content(asset)
+    shown = shown or Shown.of(asset)
     folder = None if isinstance(edit, Mapping) else Path(edit).parent
     data = dict(edit) if isinstance(edit, Mapping) else read_edit_file(Path(edit))
     numbers = _Numbers(
         data=data, paths=tuple(tuple(name.split(".")) for name in free), folder=folder
     )
     values = numbers.start()
-    photos = photos_of(views, content.gaussians.means.device)
+    photos = photos_of(views, shown.gaussians.means.device)
     finest = [photo.at_most(_PIXELS[-1]) for photo in photos]
-    before = agreement(asset.pose(numbers.script(values)).content.drawn, finest, content.footprint)
+    begun = numbers.script(values)
+    before = agreement(asset, asset.pose(begun), finest, silhouettes=silhouettes)
     steps = numbers.steps(size_of(asset.points))
     tried, most = 0, _TRIES * len(values) * len(_PIXELS)
 
@@ -80,11 +84,13 @@ def fit_numbers(
 
     for pixels in _PIXELS:
         small = [photo.at_most(pixels) for photo in photos]
-        error = _error_of(asset, numbers, small, silhouettes, tell)
+        error = _error_of(shown, numbers, small, silhouettes, tell)
         values = _least(error, values, steps)
         steps = steps / 4
     result = numbers.script(values)
-    after = agreement(asset.pose(result).content.drawn, finest, content.footprint)
+    after = agreement(asset, asset.pose(result), finest, silhouettes=silhouettes)
+    if after.error > before.error:
+        result, after = begun, before
     check_same_object(after, silhouettes=silhouettes)
     return PoseFit(edit=result, before=before, after=after)
 
@@ -113,23 +119,22 @@ class _Numbers:
 
 
 def _error_of(
-    asset: Asset,
+    shown: Shown,
     numbers: _Numbers,
     photos: Sequence[Photo],
     silhouettes: bool,
     tell: Callable[[], None],
 ) -> Callable[[Values], float]:
-    content = gaussian_content(asset)
-    white = content.gaussians.means.new_ones(3)
+    white = shown.gaussians.means.new_ones(3)
 
     @torch.no_grad()
     def error(values: Values) -> float:
         tell()
         try:
-            posed = asset.pose(numbers.script(values)).content.drawn
+            posed = shown.look(shown.asset.pose(numbers.script(values)))
         except EditError:
             return _REFUSED
-        footprint = content.footprint
+        footprint = shown.footprint
         return float(
             picture_loss(posed, photos, white, footprint=footprint, silhouettes=silhouettes)
         )

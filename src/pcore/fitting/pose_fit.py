@@ -1,4 +1,4 @@
-"""The pose of an object of Gaussians, from photos of its deformed state with known cameras."""
+"""The pose of an object, from photos of its deformed state with known cameras."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ import torch
 from torch import Tensor
 
 from pcore.asset.asset import Asset
-from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.posing import EditLike, script_of
 from pcore.data.scene import View
 from pcore.editing.script import EditScript
-from pcore.errors import InputError
-from pcore.fitting.agreement import Agreement, check_same_object
+from pcore.fitting.agreement import Agreement, agreement, check_same_object
 from pcore.fitting.fit_config import SEARCHED, FitConfig
 from pcore.fitting.fit_photos import Photo, photos_of
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, pose_of_edit
 from pcore.fitting.fitter import Fitter
 from pcore.fitting.part_motion import PartSpace
+from pcore.fitting.shown import Shown
 
 _WORSE = 0.1
 """Share of the error that limbs which keep their shape may cost."""
@@ -49,6 +48,7 @@ def fit_pose(
     config: FitConfig | None = None,
     *,
     start: EditLike | None = None,
+    shown: Shown | None = None,
     progress: Progress | None = None,
 ) -> PoseFit:
     """Find how an object is posed in photos.
@@ -56,30 +56,32 @@ def fit_pose(
     Positions and turns of few anchors are learned by Adam through the differentiable drawing, from
     small to larger pictures, as rigid as possible; limbs that moved far are found by a search. More
     anchors then follow the largest pictures. Parts that turn out to move as wholes are fitted again
-    as such.
+    as such. Gaussians show an object of neural points meanwhile; what is found is kept only if the
+    object's own pictures are nearer to the photos than at the start.
 
     Args:
-        asset: an object of Gaussians.
+        asset: the object.
         views: photos of its deformed state with masks; cameras in the world of the asset.
         config: None takes the defaults.
         start: edit to start from; None is the rest state.
+        shown: `Shown.of` the object, which takes a minute for neural points; None makes it.
         progress: told now and then.
 
     Raises:
-        InputError: an object of neural points, photos without masks, or of another object.
+        InputError: photos without masks, or of another object.
         EditError: a start that does not fit the object, or a pose that folds space.
     """
     config = config or FitConfig()
-    content = gaussian_content(asset)
-    photos = photos_of(views, content.gaussians.means.device)
+    shown = shown or Shown.of(asset)
+    photos = photos_of(views, shown.gaussians.means.device)
     count = _Count(progress, config.steps)
     coarse, fine = (
-        Fitter(content, anchor_rig(asset.points, asset.rig, config, anchors))
+        Fitter(shown, anchor_rig(asset.points, asset.rig, config, anchors))
         for anchors in (config.coarse_anchors, config.anchors)
     )
     begun = _numbers(fine, start, asset, config)
     finest = [photo.at_most(config.stages[-1].pixels) for photo in photos]
-    before = fine.agreement(begun, finest)
+    before = agreement(asset, fine.posed(begun), finest, silhouettes=config.silhouettes)
     found = _coarse(coarse, _numbers(coarse, start, asset, config), photos, config, count)
     lifted = fine.space.numbers(coarse.at(fine.rig.indices, found))
     small = [photo.at_most(config.stages[config.coarse - 1].pixels) for photo in photos]
@@ -88,7 +90,9 @@ def fit_pose(
     numbers = fine.through(config.stages[config.coarse :], numbers, photos, config, count)
     if config.parts:
         numbers = rigid_limbs(fine, numbers, photos, config, count)
-    after = fine.agreement(numbers, finest)
+    after = agreement(asset, fine.posed(numbers), finest, silhouettes=config.silhouettes)
+    if after.error > before.error:
+        numbers, after = begun, before
     check_same_object(after, silhouettes=config.silhouettes)
     edit = edit_of(fine.space.pose(numbers), config)
     edit.bind(asset.points, rig=asset.rig)  # Whoever draws it refuses an edit that folds space.
@@ -150,21 +154,6 @@ def rigid_limbs(
     finest = [photo.at_most(config.jointed.pixels) for photo in photos]
     errors = [fitter.error(each, finest, config) for each in (free, bent)]
     return bent if errors[1] < (1 + _WORSE) * errors[0] else free
-
-
-def gaussian_content(asset: Asset) -> GaussianContent:
-    """Return the Gaussians of an asset.
-
-    Raises:
-        InputError: it is made of neural points.
-    """
-    content = asset.content
-    if not isinstance(content, GaussianContent):
-        raise InputError(
-            "fit: expected an object of Gaussians, got one of neural points; train one with "
-            "`pcore train SCENE --model gaussians`"
-        )
-    return content
 
 
 class _Count:

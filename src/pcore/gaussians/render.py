@@ -20,6 +20,7 @@ from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.pinhole import view_matrices
 from pcore.gaussians.spherical_harmonics import colors, rotated
 from pcore.geometry.camera import Camera
+from pcore.kernels.backends import of_gaussians
 from pcore.kernels.disc_rasterization import rasterization_2dgs
 from pcore.kernels.gaussian_rasterization import RenderMode, rasterization
 
@@ -96,7 +97,8 @@ class GaussianPictures:
     Attributes:
         rgb: (C, H, W, 3) over the background, not clamped.
         alpha: (C, H, W) opacity.
-        depth: (C, H, W) expected camera z of what is drawn, world units; 0 where nothing is.
+        depth: (C, H, W) median camera z of what is drawn (`rasterization`), world units; of flat
+            ones and of gsplat, which know no other, the expected one. 0 where nothing is.
         means2d: (C, N, 2) columns and rows of the centres, pixels; its gradient can be retained.
         normals: (C, H, W, 3) sums of the unit normals of flat Gaussians, in the world, by their
             weights; None of others, and where no depth was asked for.
@@ -186,7 +188,7 @@ def render_views(
         size: width and height, pixels.
         footprint: as the Gaussians were trained.
         background: (3,) or (C, 3) colours; None is white.
-        depth: whether depths are asked for, a fourth colour to blend; without, they are all 0.
+        depth: whether depths are asked for; without, they are all 0.
     """
     gaussians, gains = posed.gaussians, posed.gains
     rotation, shift = viewmats[:, :3, :3], viewmats[:, :3, 3:]
@@ -210,7 +212,7 @@ def render_views(
         near,
         footprint,
         background=background.to(gaussians.means).expand(len(viewmats), 3),
-        render_mode="RGB+ED" if depth else "RGB",
+        render_mode=_with_depth(posed, footprint) if depth else "RGB",
     )
     alpha = alpha[..., 0]
     return GaussianPictures(
@@ -220,6 +222,12 @@ def render_views(
         means2d=meta["means2d"],
         normals=normals if depth else None,
     )
+
+
+def _with_depth(posed: PosedGaussians, footprint: Footprint) -> RenderMode:
+    """How colours and the best depth that there is are asked for."""
+    median = not footprint.flat and of_gaussians(posed.gaussians.means) != "gsplat"
+    return "RGB+MD" if median else "RGB+ED"
 
 
 def _rasterized(

@@ -45,7 +45,7 @@ def basis(degree: int, directions: Tensor) -> Tensor:
     for l in range(degree + 1):  # noqa: E741
         for m in range(-l, l + 1):
             wave = sines[-m] if m < 0 else cosines[m]
-            columns.append(_factor(l, abs(m)) * polynomials[l, abs(m)] * wave)
+            columns.append(factor(l, abs(m)) * polynomials[l, abs(m)] * wave)
     return torch.stack(columns, dim=-1)
 
 
@@ -63,8 +63,8 @@ def _polynomials(degree: int, z: Tensor, one: Tensor) -> dict[tuple[int, int], T
 
 
 @cache
-def _factor(l: int, m: int) -> float:  # noqa: E741
-    """(-1)^m times what makes the harmonics orthonormal."""
+def factor(l: int, m: int) -> float:  # noqa: E741
+    """(-1)^m times n_lm, which makes the harmonics orthonormal, and sqrt2 where m is not 0."""
     squared = (2 * l + 1) / (4 * math.pi) * math.factorial(l - m) / math.factorial(l + m)
     return (-1) ** m * math.sqrt(squared * (2 if m else 1))
 
@@ -98,7 +98,7 @@ def brightened(sh: Tensor, factors: Tensor) -> Tensor:
         (N, K, 3) in the type of `sh`.
     """
     scale = factors.to(sh)[:, None, None]
-    first = sh[:, :1] * scale + 0.5 * (scale - 1) / _factor(0, 0)
+    first = sh[:, :1] * scale + 0.5 * (scale - 1) / factor(0, 0)
     return torch.cat([first, sh[:, 1:] * scale], dim=1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -13,7 +14,7 @@ from torch.nn import functional as F
 from pcore.errors import InputError
 from pcore.gaussians.covariance import covariances
 from pcore.gaussians.gaussians import Gaussians
-from pcore.gaussians.spherical_harmonics import colors
+from pcore.gaussians.seen_colors import seen_colors
 from pcore.kernels.cpu_carry import carried_shapes
 
 Floats = NDArray[np.float32]
@@ -61,6 +62,12 @@ class SplatsAtRest:
         points = plain.means if points is None else points.detach().cpu().float()
         return cls(gaussians=plain, points=points, covariances=shapes)
 
+    @cached_property
+    def _beside(self) -> Tensor | None:
+        """(N, 3) from the points to the means; None where the means are the points."""
+        beside = self.gaussians.means - self.points
+        return beside if bool(beside.any()) else None
+
     @torch.no_grad()
     def moved(
         self,
@@ -86,17 +93,18 @@ class SplatsAtRest:
                 f"splats: expected positions ({count}, 3) and an eye (3,), got "
                 f"{tuple(positions.shape)} and {tuple(eye.shape)}"
             )
-        centers, beside = positions.detach().cpu().float(), self.gaussians.means - self.points
+        centers, beside = positions.detach().cpu().float(), self._beside
         shapes, maps = self.covariances, local_maps
         if maps is not None:
             maps = maps.detach().cpu().double().contiguous()
+        if maps is not None and beside is not None:
             centers = centers + (maps @ beside.double().unsqueeze(-1)).squeeze(-1).float()
-        else:
+        elif beside is not None:
             centers = centers + beside
         seen = F.normalize(centers - eye, dim=1)
         if maps is not None:
             shapes, seen = carried_shapes(shapes, maps, seen)
-        rgb = colors(self.gaussians.sh, seen)
+        rgb = seen_colors(self.gaussians.sh, seen)
         if gains is not None:
             rgb = rgb * gains.detach().cpu().reshape(count, -1)
         return Splats(

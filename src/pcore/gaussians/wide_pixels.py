@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, pixel_unshuffle
 
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, GaussianPictures, PosedGaussians, render
@@ -62,14 +62,21 @@ def render_divided(
     fine = [camera.resized(parts * camera.width, parts * camera.height) for camera in cameras]
     found = render(posed, fine, footprint=footprint, background=background)
 
-    def averaged(pixels: Tensor) -> Tensor:
-        return avg_pool2d(pixels.unsqueeze(1), parts).squeeze(1)
-
-    alpha = averaged(found.alpha)
-    depth = averaged(found.alpha * found.depth) / alpha.clamp_min(torch.finfo(alpha.dtype).tiny)
     return GaussianPictures(
         rgb=avg_pool2d(found.rgb.movedim(-1, 1), parts).movedim(1, -1),
-        alpha=alpha,
-        depth=depth,
+        alpha=avg_pool2d(found.alpha.unsqueeze(1), parts).squeeze(1),
+        depth=_middle_depths(found, parts),
         means2d=found.means2d / parts,
     )
+
+
+def _middle_depths(found: GaussianPictures, parts: int) -> Tensor:
+    """Depths (C, H, W) of the part at which half of what all parts of a pixel show is reached."""
+    opacity, depth = (
+        pixel_unshuffle(plane.unsqueeze(1), parts).movedim(1, -1)
+        for plane in (found.alpha, found.depth)
+    )
+    depth, order = depth.sort(dim=-1)
+    reached = opacity.detach().gather(-1, order).cumsum(dim=-1)
+    middle = (reached >= reached[..., -1:] / 2).int().argmax(dim=-1, keepdim=True)
+    return depth.gather(-1, middle).squeeze(-1)

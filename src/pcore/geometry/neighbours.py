@@ -14,6 +14,7 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.shortest_paths import shortest_paths
+from pcore.geometry.torch_threads import use_torch_threads
 
 _BRIDGE_NEIGHBOURS = 32
 
@@ -111,6 +112,7 @@ def path_lengths(graph: csr_array, sources: Tensor) -> Tensor:
     near = csr_array(graph[order][:, order])
     first, ends = (one.astype(np.int64) for one in (near.indptr, near.indices))
     lengths = near.data.astype(np.float64)
+    use_torch_threads()
     found = shortest_paths(first, ends, lengths, place[sources.numpy()])
     return torch.from_numpy(found[place])
 

@@ -19,10 +19,18 @@ MOST_OPAQUE = 0.999
 """Greatest opacity of a Gaussian in a pixel."""
 FULL = 1e-4
 """A pixel is full before its transmittance falls to this."""
+HALF = 0.5
+"""Transmittance up to which what a pixel shows lies in front of its median."""
 
 
 @numba.njit(cache=True, parallel=True)
-def blend(splats: Splats | Discs, lists: Lists, image: np.ndarray, through: np.ndarray) -> None:
+def blend(
+    splats: Splats | Discs,
+    lists: Lists,
+    image: np.ndarray,
+    through: np.ndarray,
+    middle: np.ndarray,
+) -> None:
     """Draw.
 
     Args:
@@ -30,11 +38,16 @@ def blend(splats: Splats | Discs, lists: Lists, image: np.ndarray, through: np.n
         lists: in which order where.
         image: (C, H, W, D) zeros; receives the sums of weight times colour.
         through: (C, H, W) ones; receives what is left of the light from behind.
+        middle: (C, H, W) receives the index in all C N of the last that meets over half of it.
     """
     bands = (len(lists.starts) - 1) // len(image)
     height = image.shape[1]
     for unit in prange(len(lists.starts) - 1):
-        picture, left = image[unit // bands], through[unit // bands]
+        picture, left, halves = (
+            image[unit // bands],
+            through[unit // bands],
+            middle[unit // bands],
+        )
         top = (unit % bands) * ROWS
         bottom = min(top + ROWS, height)
         open_pixels = (bottom - top) * image.shape[2]
@@ -42,7 +55,9 @@ def blend(splats: Splats | Discs, lists: Lists, image: np.ndarray, through: np.n
             g = lists.gaussians[pair]
             where = outline_of(lists, g), lists.reaches[g], lists.levels[g]
             for row in range(max(lists.first[g], top), min(lists.last[g] + 1, bottom)):
-                open_pixels -= _blend_row(splats, g, where, row, left[row], picture[row])
+                open_pixels -= _blend_row(
+                    splats, g, where, row, left[row], picture[row], halves[row]
+                )
             if open_pixels == 0:
                 break
         for row in range(top, bottom):
@@ -52,7 +67,13 @@ def blend(splats: Splats | Discs, lists: Lists, image: np.ndarray, through: np.n
 
 @numba.njit(cache=True)
 def _blend_row(
-    splats: Splats | Discs, g: int, where: Any, row: int, left: np.ndarray, colors: np.ndarray
+    splats: Splats | Discs,
+    g: int,
+    where: Any,
+    row: int,
+    left: np.ndarray,
+    colors: np.ndarray,
+    middle: np.ndarray,
 ) -> int:
     """Draw one Gaussian into one row; return how many pixels it filled."""
     opacity, color = splats.opacities[g], splats.colors[g]
@@ -61,6 +82,7 @@ def _blend_row(
     outline, reach, level = where
     begin, end = interval(outline, reach, x, y, row, len(left))
     one, most, full = like(1.0, opacity), like(MOST_OPAQUE, opacity), like(FULL, opacity)
+    half = like(HALF, opacity)
     dy = like(row + 0.5, opacity) - y
     filled = 0
     for column in range(begin, end):
@@ -79,6 +101,8 @@ def _blend_row(
             colors[column, d] += weight * color[d]
         if deep:
             colors[column, -1] += weight * color[-1] * (nearer - one)
+        if before > half:
+            middle[column] = g
         left[column] = after
     return filled
 

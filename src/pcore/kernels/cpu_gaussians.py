@@ -24,7 +24,7 @@ def blended(
     near_plane: float,
     precision: float = 0.0,
     deep: bool = False,
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor]:
     """Blend Gaussians of C pictures from front to back.
 
     Args:
@@ -39,12 +39,14 @@ def blended(
         deep: the last colour is the depth of the middle of each disc, and becomes the pixel's.
 
     Returns:
-        (C, H, W, D) sums of weight times colour and (C, H, W) alphas.
+        (C, H, W, D) sums of weight times colour, (C, H, W) alphas, and (C, H, W) int64 which of all
+        C N is in the middle of what a pixel shows: the last that over half of the light from
+        behind would meet; -1 where there is none.
     """
-    image, through = _Blend.apply(
+    image, through, middle = _Blend.apply(
         means, shapes, opacities, colors, depths.detach(), size, near_plane, precision, deep
     )
-    return image, 1 - through
+    return image, 1 - through, middle
 
 
 class _Blend(torch.autograd.Function):
@@ -60,7 +62,7 @@ class _Blend(torch.autograd.Function):
         near_plane: float,
         precision: float,
         deep: bool,
-    ) -> tuple[Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor, Tensor]:
         use_torch_threads()
         splats = _splats(means, shapes, opacities, colors, precision, deep)
         lists = listed(
@@ -75,17 +77,19 @@ class _Blend(torch.autograd.Function):
         cameras, (width, height) = len(depths), size
         image = torch.zeros(cameras, height, width, colors.shape[-1], dtype=means.dtype)
         through = torch.ones(cameras, height, width, dtype=means.dtype)
-        blend(splats, lists, image.numpy(), through.numpy())
+        middle = torch.full((cameras, height, width), -1)
+        blend(splats, lists, image.numpy(), through.numpy(), middle.numpy())
+        ctx.mark_non_differentiable(middle)
         ctx.save_for_backward(means, shapes, opacities, colors, image, through)
         ctx.lists, ctx.precision, ctx.deep = lists, precision, deep
-        return image, through
+        return image, through, middle
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         use_torch_threads()
         means, shapes, opacities, colors, image, through = ctx.saved_tensors
         lists: Lists = ctx.lists
-        to_image, to_through = (one.contiguous() for one in gradients)
+        to_image, to_through = (one.contiguous() for one in gradients[:2])
         rest = (to_image * image).sum(dim=-1) + through * to_through
         splats = _splats(means, shapes, opacities, colors, ctx.precision, ctx.deep)
         parts = [2, shapes.shape[-1], 1, colors.shape[-1]]

@@ -136,7 +136,7 @@ def _drawn(
     )
     if deep:
         colors = torch.cat([colors, projected.depths.unsqueeze(-1)], dim=-1)
-    image, alpha = blended(
+    image, alpha, _ = blended(
         projected.means,
         projected.maps,
         opacities * projected.shares,

@@ -14,7 +14,7 @@ from pcore.kernels import cpu_gaussians, gaussian_projection, reference_gaussian
 from pcore.kernels.backends import of_gaussians
 
 RasterizeMode = Literal["classic", "antialiased"]
-RenderMode = Literal["RGB", "RGB+ED"]
+RenderMode = Literal["RGB", "RGB+ED", "RGB+MD"]
 _LEAST_ALPHA = 1e-10
 
 
@@ -58,7 +58,9 @@ def rasterization(
         rasterize_mode: "antialiased" takes from the opacity what the filter adds to the area (Yu et
             al. 2024), "classic" does not.
         backgrounds: (C, D) colours behind; None is black.
-        render_mode: "RGB+ED" appends the expected camera z, world units.
+        render_mode: "RGB+ED" appends the expected camera z, world units; "RGB+MD", which gsplat
+            lacks, the median: that of the Gaussian behind which half of the light is gone, or of
+            the last one; 0 where there is none. Of an edge between near and far it is one of both.
         covars: (N, 3, 3) covariances, world units squared, in the place of quats and scales.
 
     Returns:
@@ -66,7 +68,7 @@ def rasterization(
         (C, N, 2) in pixels, whose gradient can be retained, `width`, `height` and `n_cameras`.
 
     Raises:
-        InputError: shapes that do not go together.
+        InputError: shapes that do not go together; "RGB+MD" of gsplat.
         DependencyError: on a GPU without gsplat.
     """
     check_inputs(
@@ -74,6 +76,11 @@ def rasterization(
     )
     name = of_gaussians(means)
     if name == "gsplat":
+        if render_mode == "RGB+MD":
+            raise InputError(
+                "rasterization: expected render_mode RGB or RGB+ED on a GPU, got RGB+MD, for which "
+                "gsplat has no kernel; take RGB+ED there, or draw on the CPU"
+            )
         # gsplat is an extra: it is looked for where it is used.
         from pcore.kernels.gsplat_gaussians import rasterization as by_gsplat
 
@@ -112,7 +119,7 @@ def rasterization(
     colors = colors.expand(len(viewmats), *colors.shape[-2:])
     if render_mode == "RGB+ED":
         colors = torch.cat([colors, projected.depths.unsqueeze(-1)], dim=-1)
-    image, alpha = work.blended(
+    image, alpha, middle = work.blended(
         projected.means,
         projected.conics,
         seen,
@@ -127,7 +134,13 @@ def rasterization(
         "height": height,
         "n_cameras": len(viewmats),
     }
-    return finished(image, alpha.unsqueeze(-1), backgrounds, render_mode), alpha[..., None], meta
+    image = finished(image, alpha.unsqueeze(-1), backgrounds, render_mode)
+    if render_mode == "RGB+MD":
+        # One more for -1. index_select adds gradients in one order, indexing by threads does not.
+        known = torch.cat([projected.depths.flatten(), projected.depths.new_zeros(1)])
+        depth = known.index_select(0, middle.flatten() % len(known)).view_as(alpha)
+        image = torch.cat([image, depth.unsqueeze(-1)], dim=-1)
+    return image, alpha[..., None], meta
 
 
 def finished(

@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import torch
-from numba.core import config as numba_config
 from torch import Tensor
 
+from pcore.geometry.torch_threads import use_torch_threads
 
-def use_torch_threads() -> int:
-    """Let numba use as many threads as torch; return how many that are."""
-    # numba fills its config in at import, where type checkers do not see it.
-    most: int = numba_config.NUMBA_NUM_THREADS  # pyright: ignore[reportAttributeAccessIssue]
-    threads = min(torch.get_num_threads(), most)
-    numba.set_num_threads(threads)
-    return threads
+__all__ = ["as_float32", "use_torch_threads"]
 
 
 def as_float32(tensor: Tensor) -> np.ndarray:

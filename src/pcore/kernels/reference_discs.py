@@ -46,7 +46,9 @@ def drawn_discs(
         values = values[:, None, None, :].expand(*square.shape, -1)
         if deep:
             values = torch.cat([values, depth[..., None]], dim=-1)
-        pictures.append(composited(square, inside, opacities[front] * share, values, one[:, 2, 2]))
+        pictures.append(
+            composited(square, inside, opacities[front] * share, values, one[:, 2, 2])[:2]
+        )
     image, alpha = (torch.stack(parts) for parts in zip(*pictures, strict=True))
     return image, alpha, transforms[..., :2, 2] / transforms[..., 2:, 2]
 

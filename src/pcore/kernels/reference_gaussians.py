@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pcore.kernels.cpu_gaussian_lists import FAINTEST
-from pcore.kernels.cpu_gaussian_loops import FULL, MOST_OPAQUE
+from pcore.kernels.cpu_gaussian_loops import FULL, HALF, MOST_OPAQUE
 from pcore.kernels.gaussian_projection import BEYOND, SMALLEST_SHARE, Projected
 
 
@@ -79,7 +79,7 @@ def blended(
     depths: Tensor,
     size: tuple[int, int],
     near_plane: float,
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor]:
     """C = sum_i T_i alpha_i c_i, T_i = prod_{j < i} (1 - alpha_j); see `cpu_gaussians.blended`.
 
     alpha = min(0.999, o exp(-d^2 / 2)), nothing where it is under 1 / 255; a pixel takes no more
@@ -89,8 +89,9 @@ def blended(
         _picture(*one, size, near_plane)
         for one in zip(means, conics, opacities, colors, depths, strict=True)
     ]
-    images, alphas = zip(*pictures, strict=True)
-    return torch.stack(images), torch.stack(alphas)
+    images, alphas, middles = (torch.stack(parts) for parts in zip(*pictures, strict=True))
+    first = depths.shape[1] * torch.arange(len(depths), device=depths.device)
+    return images, alphas, (middles + first[:, None, None]).where(middles >= 0, -1)
 
 
 def _picture(
@@ -101,7 +102,7 @@ def _picture(
     depths: Tensor,
     size: tuple[int, int],
     near_plane: float,
-) -> tuple[Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor]:
     # What is NaN is in front of nothing.
     front = (depths.detach() > near_plane).nonzero().squeeze(1)
     means, conics, opacities, colors, depths = (
@@ -115,7 +116,8 @@ def _picture(
     # What is no ellipse is left out: NaN, and matrices that are not positive.
     drawn = (a * c - b * b > 0).expand_as(square)
     values = colors[:, None, None, :].expand(*square.shape, -1)
-    return composited(square, drawn, opacities, values, depths)
+    image, alpha, middle = composited(square, drawn, opacities, values, depths)
+    return image, alpha, torch.cat([front, front.new_tensor([-1])])[middle]
 
 
 def pixel_centers(size: tuple[int, int], like: Tensor) -> tuple[Tensor, Tensor]:
@@ -126,8 +128,8 @@ def pixel_centers(size: tuple[int, int], like: Tensor) -> tuple[Tensor, Tensor]:
 
 def composited(
     square: Tensor, drawn: Tensor, opacities: Tensor, values: Tensor, depths: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Blend N Gaussians from front to back: colour (H, W, D) and alpha (H, W).
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Blend N Gaussians from front to back: colour (H, W, D), alpha (H, W), the middle one (H, W).
 
     Args:
         square: (N, H, W) squared Mahalanobis distances.
@@ -145,5 +147,9 @@ def composited(
     after = torch.cumprod(1 - alpha, dim=0)
     before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
     image = ((before * alpha)[..., None] * values[order].where(drawn[..., None], 0.0)).sum(dim=0)
-    left = after[-1] if len(order) else torch.ones(square.shape[1:]).to(square)
-    return image, 1 - left
+    places = torch.arange(len(order), device=order.device)[:, None, None]
+    places = places.where((alpha > 0) & (before > HALF), -1)
+    empty = torch.ones(square.shape[1:]).to(square)
+    last = torch.cat([places.new_full((1, *empty.shape), -1), places]).amax(dim=0)
+    middle = torch.cat([order, order.new_tensor([-1])])[last]
+    return image, 1 - (after[-1] if len(order) else empty), middle

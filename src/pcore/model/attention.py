@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from pcore.gaussians.spherical_harmonics import basis
 from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.kernels.functional import AttentionRules, proximity_attention
@@ -122,7 +123,9 @@ class ProximityAttention(nn.Module):
             rules=self._rules(threshold, stop_encoding=stop_encoding),
         )
         if self.config.point_colors:
-            features = _with_colors(features, posed.cloud.features, weights, neighbours)
+            waves = basis(self.config.color_degree, seen.directions)
+            colors = posed.cloud.features[:, : self.config.color_features]
+            features = _with_colors(features, colors, weights, neighbours, waves)
         positions, past_first = _along(posed.positions, rays, neighbours, answering)
         return Hits(
             neighbours=neighbours,
@@ -170,10 +173,24 @@ def _along(
     return positions, past_first
 
 
-def _with_colors(features: Tensor, mu: Tensor, weights: Tensor, neighbours: Tensor) -> Tensor:
-    """Features (R, C) whose first channels are the colours of points (N, F) by weights (R, k)."""
-    colors = mu[:, :COLOR_CHANNELS].index_select(0, neighbours.flatten())
-    blend = (weights.unsqueeze(-1) * colors.unflatten(0, weights.shape)).sum(dim=1)
+def _with_colors(
+    features: Tensor, colors: Tensor, weights: Tensor, neighbours: Tensor, waves: Tensor
+) -> Tensor:
+    """Features (R, C) whose first channels are the colours of points.
+
+    Args:
+        features: (R, C).
+        colors: (N, K 3) coefficients of every point; those of the first harmonic are a colour.
+        weights: (R, k).
+        neighbours: (R, k).
+        waves: K harmonics in the directions from which points are seen, (R, K) or (R, k, K).
+    """
+    waves = waves.unsqueeze(1) if waves.ndim == 2 else waves
+    factors = weights.unsqueeze(-1) * torch.cat(
+        [torch.ones_like(waves[..., :1]), waves[..., 1:]], -1
+    )
+    rows = colors.index_select(0, neighbours.flatten()).view(len(weights), -1, COLOR_CHANNELS)
+    blend = (factors.flatten(1).unsqueeze(-1) * rows).sum(dim=1)
     return torch.cat([blend.to(features), features[:, COLOR_CHANNELS:]], dim=1)
 
 

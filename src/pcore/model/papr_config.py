@@ -12,6 +12,8 @@ from pcore.geometry.pixel_samples import check_samples
 
 COLOR_CHANNELS = 3
 """Features of a point that are its colour (`PaprConfig.point_colors`)."""
+HIGHEST_COLOR_DEGREE = 2
+"""More has not been tried: nine numbers per channel are most of a small model's features."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +133,9 @@ class PaprConfig:
     """The first three features of a point are its colour, which goes around the networks: the
     renderer network sees the blend of colours in the place of its first three channels, and adds
     to it. False (the original): networks make all of a colour."""
+    color_degree: int = 0
+    """Degree of the harmonics by which those colours depend on where a point is seen from. Their
+    coefficients are the next features, harmonic by harmonic, red, green, blue. 0: they do not."""
     key: MlpConfig = field(default_factory=lambda: MlpConfig(layers=5))
     """Network that embeds a point as seen from a ray; normalised before and after."""
     query: MlpConfig = field(default_factory=lambda: MlpConfig(layers=5))
@@ -159,6 +164,11 @@ class PaprConfig:
     renderer network knows (`pcore.render.raster`). None: pictures are drawn as they come."""
 
     @property
+    def color_features(self) -> int:
+        """How many features of a point, the first ones, are its colour."""
+        return COLOR_CHANNELS * (self.color_degree + 1) ** 2 if self.point_colors else 0
+
+    @property
     def unit(self) -> float:
         """World units in one unit of the networks' frame."""
         return 1.0 if self.frame is None else self.frame.unit
@@ -173,11 +183,7 @@ class PaprConfig:
             raise InputError(
                 f"PAPR: expected unet_channels of at least 1, got {self.unet_channels}"
             )
-        if self.point_colors and min(self.feature_size, self.value.size) < COLOR_CHANNELS:
-            raise InputError(
-                f"PAPR: expected features and values of at least {COLOR_CHANNELS} numbers where "
-                f"points have colours, got {self.feature_size} and {self.value.size}"
-            )
+        self._check_colors()
         check_samples("PAPR", self.samples)
         if self.pixel is not None and not (math.isfinite(self.pixel) and self.pixel > 0):
             raise InputError(
@@ -193,4 +199,20 @@ class PaprConfig:
             raise InputError(
                 "PAPR: expected a positive coord_scale and cutoff, got "
                 f"{self.coord_scale} and {self.cutoff}"
+            )
+
+    def _check_colors(self) -> None:
+        degree = self.color_degree
+        if not 0 <= degree <= (HIGHEST_COLOR_DEGREE if self.point_colors else 0):
+            raise InputError(
+                f"PAPR: expected color_degree from 0 to {HIGHEST_COLOR_DEGREE}, and 0 where points "
+                f"have no colours, got {degree}"
+            )
+        if self.feature_size < self.color_features or (
+            self.point_colors and self.value.size < COLOR_CHANNELS
+        ):
+            raise InputError(
+                f"PAPR: expected features of at least {self.color_features} and values of at least "
+                f"{COLOR_CHANNELS} numbers where points have colours of degree {degree}, got "
+                f"{self.feature_size} and {self.value.size}"
             )

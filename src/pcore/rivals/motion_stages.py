@@ -6,7 +6,7 @@ Supervised: it learns from photos of the very state that other methods are asked
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -96,7 +96,7 @@ def fit_motion(
     draws = torch.Generator().manual_seed(config.seed)
     positions = _first_stage(networks, cloud, views, config, draws)
     moved = replace(cloud, positions=positions)
-    features = _second_stage(networks, moved, views, config, draws)
+    features = learn_looks(networks, PosedCloud.at_rest(moved), views, config, draws)
     found = {name: t.detach().clone() for name, t in networks.attention.state_dict().items()}
     return Motion(positions=positions, features=features, attention=found)
 
@@ -119,7 +119,7 @@ def _first_stage(
     optimizer = torch.optim.Adam([positions], lr=config.point_rate / scale)
     for step in range(1, config.steps + 1):
         moved = replace(cloud, positions=positions)
-        loss = _PHOTOS * _error(papr, moved, views, config, draws)
+        loss = _PHOTOS * _error(papr, PosedCloud.at_rest(moved), views, config, draws)
         loss = loss + _RIGID * (_squared(positions * scale, beside) - before).abs().mean()
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -132,15 +132,28 @@ def _first_stage(
     return positions.detach()
 
 
-def _second_stage(
+def learn_looks(
     papr: Papr,
-    cloud: PointCloud,
+    posed: PosedCloud,
     views: Sequence[View],
     config: MotionConfig,
     draws: torch.Generator,
+    told: Callable[[], None] = lambda: None,
 ) -> Tensor:
-    """Features (N, F); the attention of `papr` is changed in place, nothing else."""
-    features = nn.Parameter(cloud.features.detach().clone())
+    """Learn how points look where they are: the second stage.
+
+    Args:
+        papr: its attention is changed in place, nothing else.
+        posed: the points, and how rays see them there.
+        views: photos of that.
+        config: numbers.
+        draws: chooses patches.
+        told: after every step.
+
+    Returns:
+        (N, F) features.
+    """
+    features = nn.Parameter(posed.cloud.features.detach().clone())
     learned = list(papr.attention.requires_grad_(True).parameters())
     groups = [
         {"params": learned, "lr": config.attention_rate},
@@ -148,16 +161,18 @@ def _second_stage(
     ]
     optimizer = torch.optim.Adam(groups)
     for _ in range(config.steps):
-        loss = _error(papr, replace(cloud, features=features), views, config, draws)
+        looking = replace(posed, cloud=replace(posed.cloud, features=features))
+        loss = _error(papr, looking, views, config, draws)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
+        told()
     return features.detach()
 
 
 def _error(
     papr: Papr,
-    cloud: PointCloud,
+    posed: PosedCloud,
     views: Sequence[View],
     config: MotionConfig,
     draws: torch.Generator,
@@ -169,9 +184,9 @@ def _error(
         PatchConfig(side=config.side),
         "black" if black else "white",
         draws,
-        cloud.positions.device,
+        posed.positions.device,
     )
-    image = training_image(papr, PosedCloud.at_rest(cloud), patch.rays, patch.background)
+    image = training_image(papr, posed, patch.rays, patch.background)
     found = photometric(image, patch, opacity_weight=0.0, lpips_weight=0.0, perceptual=None)
     return found.total
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,47 +11,29 @@ from pcore.errors import EditError
 from pcore.geometry.extent import size_of
 from pcore.studio.drawing import OVERLAYS
 from pcore.studio.edit_forms import AXES, CAGES
-from pcore.studio.editor import Editor
 from pcore.studio.handle_pose import HandlePose
-from pcore.studio.help_text import NO_PHOTOS, OVERLAY_LEGENDS
+from pcore.studio.help_text import NO_PHOTOS, NO_SCALE, OVERLAY_LEGENDS
+from pcore.studio.scaling import Scaling, scaling_of
+from pcore.studio.time_actions import TimeActions
 from pcore.studio.viewport import Viewport
 
 if TYPE_CHECKING:
     from pcore.studio.studio import Studio
 
 COMMANDS = (
-    *("undo", "redo", "add", "select", "enable", "order", "remove_handle", "cancel"),
-    *(
-        "play",
-        "set",
-        "key",
-        "unkey",
-        "overlay",
-        "still",
-        "moving",
-        "rest",
-        "widen",
-        "mirror",
-        "lock",
-        "click",
-        "reach",
-        "put",
-        "turn",
-    ),
-    *("save", "open"),
+    *("undo", "redo", "add", "select", "enable", "order", "remove_handle", "cancel", "finish"),
+    *("play", "step", "jump", "set", "key", "unkey", "reach", "put", "turn", "widen"),
+    *("overlay", "still", "moving", "points", "rest", "before"),
+    *("mirror", "lock", "gizmo", "click", "save", "open"),
 )
 """Wishes that are all fulfilled, in their order."""
 NEWEST = ("rename", "time", "compare")
 """Wishes of which only the newest counts."""
 OF_TAB = ("camera_key", "screenshot", "film")
 """Wishes that are all fulfilled and need to know which tab has them."""
-_STEP = 0.08
-"""Seconds between two frames while the timeline plays."""
-_PLAY = 0.02
-"""Time of the timeline that a frame is, as a share of all."""
 
 
-class Actions:
+class Actions(TimeActions):
     """The wishes as methods; they run in the worker and raise `PcoreError`."""
 
     def __init__(self, studio: Studio) -> None:
@@ -61,15 +42,10 @@ class Actions:
         Args:
             studio: whose editor and files.
         """
-        self._studio = studio
-        self.playing = False
+        super().__init__(studio)
         self.save, self.open = studio.files.save, studio.files.open
         self.camera_key = studio.files.camera_key
         self.screenshot, self.film = studio.files.screenshot, studio.files.film
-
-    @property
-    def _editor(self) -> Editor:
-        return self._studio.editor
 
     def undo(self) -> None:
         """Take the last command back."""
@@ -130,18 +106,6 @@ class Actions:
         if not self._studio.selecting.take_back():
             self._editor.cancel()
 
-    def time(self, time: float) -> None:
-        """Go to a time."""
-        self._editor.at(time)
-
-    def key(self, easing: str | None = None) -> None:
-        """Key the selected edit."""
-        self._editor.key(self._index(), easing)
-
-    def unkey(self, easing: str | None = None) -> None:
-        """Take the keys of the selected edit at this time away; no easing counts."""
-        self._editor.unkey(self._index())
-
     def overlay(self, name: str | None = None) -> None:
         """Show an overlay; None is the next one."""
         names: list[str] = list(OVERLAYS)
@@ -158,6 +122,14 @@ class Actions:
     def still(self, on: bool) -> None:
         """Whether the light stands still."""
         self._shown(still=on)
+
+    def before(self) -> None:
+        """Show the object before the edits in half of the picture, or no more."""
+        self._shown(compare=0.0 if self._editor.shown.compare else 0.5)
+
+    def points(self) -> None:
+        """Show points while things move, or splats again."""
+        self._shown(moving="splats" if self._editor.shown.moving == "points" else "points")
 
     def moving(self, what: str) -> None:
         """What is shown while things move, one of `MOVING`."""
@@ -182,6 +154,24 @@ class Actions:
         """Let handles move along one axis alone; the same once more, or "off", lets them go."""
         self._shown(lock="off" if axis == self._editor.shown.lock else axis)
 
+    def gizmo(self, what: str) -> None:
+        """What arrows and rings do, one of `GIZMOS`; the same once more: move and turn."""
+        what = "all" if what == self._editor.shown.gizmo else what
+        self._shown(gizmo=what)
+        raw = self._editor.present
+        if what == "scale" and raw is not None and self._scaling(raw) is None:
+            self._studio.say(NO_SCALE)
+
+    def scale(self, share: float) -> None:
+        """Show what the selected handle scales so many times as large; `settle` keeps it."""
+        index = self._index()
+        if (found := self._scaling(self._editor.raw(index))) is not None:
+            self._editor.slide(index, found.path, found.times(share))
+
+    def finish(self) -> None:
+        """Select no edit: the next handle begins another one."""
+        self._editor.select(None)
+
     def click(self, what: str) -> None:
         """What a click without a key puts, one of `CLICKS`."""
         self._shown(click=what)
@@ -202,15 +192,6 @@ class Actions:
         """Turn the selected handle by angles about x, y and z."""
         self._stays(self._editor.put(degrees=degrees))
 
-    def play(self, on: bool | None = None) -> None:
-        """Let the timeline run, or stop it; None changes that."""
-        on = not self.playing if on is None else on
-        if on == self.playing:
-            return
-        self.playing = on
-        if on:
-            threading.Thread(target=self._run_time, name="pcore timeline", daemon=True).start()
-
     def place(self, viewport: Viewport, place: tuple[float, float], pin: bool = False) -> None:
         """Put a handle, or a pin, where a tab's picture shows the object, in shares of it."""
         editor, camera = self._editor, viewport.camera()
@@ -228,31 +209,16 @@ class Actions:
 
     def drop(self) -> None:
         """Keep what is dragged."""
-        self._stays(self._editor.drop())
+        back = self._editor.back
+        self._stays(self._editor.drop(), back)
 
-    def _stays(self, there: bool) -> None:
+    def _stays(self, there: bool, back: str = "") -> None:
         if not there:
-            raise EditError("space would fold there; back to the last place where it did not")
+            by = f", {back} away" if back else ""
+            raise EditError(f"space would fold there; back to the last place where it did not{by}")
 
     def _shown(self, **changes: Any) -> None:
         self._editor.shown = replace(self._editor.shown, **changes)
 
-    def _index(self) -> int:
-        index = self._editor.shown.selected
-        if index is None:
-            raise EditError("expected a selected edit, got none; click one in the list")
-        return index
-
-    def _pass(self, time: float) -> None:
-        self._editor.at(time)
-        self._studio.panels.at(time)
-
-    def _run_time(self) -> None:
-        pause = threading.Event()
-        while self.playing:
-            times = self._editor.key_times or [0.0, 1.0]
-            length = max(times[-1] - times[0], 1e-9)
-            time = self._editor.session.time
-            later = (time - times[0] + _PLAY * length) % length + times[0]
-            self._studio.newest("play", lambda later=later: self._pass(later), light=True)
-            pause.wait(_STEP)
+    def _scaling(self, raw: dict[str, Any]) -> Scaling | None:
+        return scaling_of(raw, size_of(self._editor.asset.points))

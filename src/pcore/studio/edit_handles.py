@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
+
+import torch
 
 from pcore.editing.dragging import Mirror
 from pcore.editing.state import EditState
 from pcore.errors import EditError, PcoreError
 from pcore.studio.cage_handles import KINDS, cage_handles, with_image, with_vertex, without_vertex
-from pcore.studio.carrying import carried, uncarried
+from pcore.studio.carrying import carried, carried_places, uncarried
 from pcore.studio.formula_handles import CENTRED, MOVING, formula_handle, with_formula_handle
 from pcore.studio.handle_edit import arriving, mirrored, moved_handle, placed
 from pcore.studio.handle_pose import HandlePose
@@ -30,7 +33,10 @@ def handles_of_edit(raw: dict[str, Any], state: EditState, index: int) -> list[H
     if raw["type"] == "anchors":
         return placed(raw, state, index)
     if raw["type"] in KINDS:
-        return cage_handles(raw)
+        own = cage_handles(raw)
+        places = [one.place for one in own]
+        seen = carried_places(torch.tensor(places, dtype=torch.float64), state, index).tolist()
+        return [replace(one, place=(x, y, z)) for one, (x, y, z) in zip(own, seen, strict=True)]
     if raw["type"] not in ONE:
         return []
     return [carried(formula_handle(raw, arriving(state, index)), state, index)]
@@ -73,7 +79,8 @@ def with_handle(
     if raw["type"] == "anchors":
         moved = moved_handle(raw, number, before, after)
         return moved if mirror is None else mirrored(moved, number, *mirror)
-    moved = with_vertex(raw, number, before, after)
+    own = cage_handles(raw)[number]
+    moved = with_vertex(raw, number, own, uncarried(own, before, after, state, index))
     return moved if mirror is None else with_image(moved, number, *mirror)
 
 

@@ -12,10 +12,10 @@ from pcore.studio.edit_handles import TURNING
 from pcore.studio.editor import Editor
 from pcore.studio.formula_handles import CENTRED
 from pcore.studio.handle_pose import HandlePose, degrees_of
-from pcore.studio.help_text import NO_EDIT
+from pcore.studio.help_text import GIZMO_NAMES, NO_EDIT
 from pcore.studio.panel import Panel, Wish
 from pcore.studio.select_actions import EVERYWHERE, SELECTED
-from pcore.studio.stack_editor import CLICKS
+from pcore.studio.shown import CLICKS, GIZMOS
 
 _OWN = "as it is"
 
@@ -48,6 +48,9 @@ class EditPanel(Panel):
             "Only along", ("off", *AXES), hint="Handles move along this axis alone (X, Y, Z)"
         )
         self._on_update(self._lock, "lock")
+        gizmos = {GIZMO_NAMES[name]: name for name in GIZMOS}
+        self._gizmo = gui.add_dropdown("Gizmo", tuple(gizmos), hint="What arrows and rings do")
+        self._on_update(self._gizmo, "gizmo", said=gizmos)
         self._click = gui.add_dropdown(
             "A click puts", CLICKS, hint="Without a key; Ctrl-click puts a handle, Alt-click a pin"
         )
@@ -61,6 +64,7 @@ class EditPanel(Panel):
         """Bring it to the state of an editor, with the names of kept selections."""
         self._mirror.value, self._lock.value = editor.shown.mirror, editor.shown.lock
         self._click.value = editor.shown.click
+        self._gizmo.value = GIZMO_NAMES[editor.shown.gizmo]
         rows = [row[::2] for row in _rows(editor)]
         built = (rows, editor.shown.selected, _region(editor), names, _held(editor))
         if built != self._built:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -24,8 +23,14 @@ from pcore.studio.edit_handles import (
     without_handle,
 )
 from pcore.studio.handle_edit import arriving, handle_points
-from pcore.studio.handle_pose import STILL, HandlePose, degrees_of, turn_of_degrees
-from pcore.studio.keying import keyed_values
+from pcore.studio.handle_pose import (
+    STILL,
+    HandlePose,
+    degrees_of,
+    turn_of_degrees,
+    way_between,
+)
+from pcore.studio.keying import differences, has_keys, keyed_values
 from pcore.studio.selection_editor import SelectionEditor
 
 _UNEVEN = 4.0
@@ -117,6 +122,17 @@ class Editor(SelectionEditor):
         self._dragged, self._held_raw = state, moved
         if not len(state.folds):
             self._kept = moved
+        self._came(before, wanted)
+
+    @property
+    def back(self) -> str:
+        """By how much what is dragged has to go back until nothing folds; empty without a fold."""
+        if self._way is None or not len(self.state.folds):
+            return ""
+        good, now = self._way
+        if isinstance(now, HandlePose):
+            return way_between(good, now)
+        return "all the way" if good is None else f"{abs(now - good):.3g}"
 
     def put(self, *, place: Any = None, degrees: Any = None) -> bool:
         """Put the selected handle at a place (3,), or turn it by `degrees_of`, as one step.
@@ -217,11 +233,11 @@ class Editor(SelectionEditor):
         if not times:
             self.session.replace(index, kept)
             return
-        for path, before, value in _differences(old, kept):
+        for path, before, value in differences(old, kept):
             before = list(STILL) if before is None and path.endswith("/rotation") else before
             # What had no keys stays as it was at the times of the others; texts have none.
             alike = type(before) is type(value) and not isinstance(value, str)
-            for other in times - {time} if alike and not _has_keys(whole, path) else ():
+            for other in times - {time} if alike and not has_keys(whole, path) else ():
                 put_at(whole, path, other, before, key=True)
             put_at(whole, path, time, value, key=alike)
         self.session.replace(index, whole)
@@ -267,30 +283,3 @@ class Editor(SelectionEditor):
             raise EditError("handle: this place is frozen; take another, or unfreeze everything")
         if point in handle_points(raw, arriving(self.session.state, index).points):
             raise EditError("handle: there is one at this very place already")
-
-
-def _has_keys(raw: dict[str, Any], path: str) -> bool:
-    """Whether a value, a list that it is in, or a number in it has keys."""
-    around = (f"{one}/" for one in tracks_of(raw))
-    return any(one.startswith(f"{path}/") or f"{path}/".startswith(one) for one in around)
-
-
-def _differences(old: Any, new: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Paths, old and new values of what is other in JSON values; lists of numbers are one."""
-    if isinstance(new, dict):
-        items = cast("dict[str, Any]", new).items()
-        before = cast("dict[str, Any]", old) if isinstance(old, dict) else {}
-        pairs = [(name, before.get(name), item) for name, item in items]
-    elif isinstance(new, list) and isinstance(old, list) and len(old) == len(new) and _nested(new):
-        lists = cast("list[Any]", old), cast("list[Any]", new)
-        pairs = [(str(k), *both) for k, both in enumerate(zip(*lists, strict=True))]
-    else:
-        if old != new:
-            yield path, old, new
-        return
-    for name, one, other in pairs:
-        yield from _differences(one, other, f"{path}/{name}" if path else name)
-
-
-def _nested(values: list[Any]) -> bool:
-    return any(isinstance(one, (dict, list)) for one in values)

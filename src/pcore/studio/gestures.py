@@ -44,7 +44,7 @@ class Gestures(Tabs):
         """As of tabs; what a slider shows is kept before anything but drags."""
 
         def then() -> None:
-            if self.editor.sliding and do != self.actions.settle:
+            if self.editor.sliding and do not in (self.actions.settle, self.actions.cancel):
                 self.editor.settle()
                 self._note()
             do()
@@ -95,6 +95,14 @@ class Gestures(Tabs):
         self._grabbed = time.monotonic()  # The page tells of the click behind the ball, too.
         if self._may(tab):
             self.perform(lambda: self.editor.select_handle(number))
+
+    def _scaled(self, tab: int, phase: str, share: float) -> None:
+        if tab != self._owner:
+            return
+        if phase == "end":
+            self.perform(self.actions.settle)
+        else:
+            self.newest("scale", lambda: self.actions.scale(share), light=True)
 
     def _dragged(self, tab: int, phase: str, pose: HandlePose) -> None:
         if tab != self._owner:

@@ -99,14 +99,13 @@ def _reach(editor: Editor, raw: dict[str, Any]) -> tuple[Tensor, float] | None:
 def _shape(editor: Editor, raw: dict[str, Any]) -> list[tuple[Tensor, tuple[int, int, int]]]:
     if raw["type"] in KINDS:
         shapes = cage_shapes(raw)
-        return [] if shapes is None else [(_edges(*shapes), _CAGE)]
-    if raw["type"] in CENTRED and "axis" in raw:
-        points = arriving(editor.session.state, editor.shown.selected or 0).points
-        index = editor.shown.selected or 0
-        return [
-            (carried_places(one, editor.session.state, index), c) for one, c in _axis(raw, points)
-        ]
-    return []
+        found = [] if shapes is None else [(_edges(*shapes), _CAGE)]
+    elif raw["type"] in CENTRED and "axis" in raw:
+        found = _axis(raw, arriving(editor.session.state, editor.shown.selected or 0).points)
+    else:
+        return []
+    state, index = editor.session.state, editor.shown.selected or 0
+    return [(carried_places(lines, state, index), color) for lines, color in found]
 
 
 def _edges(mesh: MeshFile, vertices: Tensor) -> Tensor:

@@ -87,6 +87,16 @@ def is_turned(before: HandlePose, after: HandlePose) -> bool:
     return abs(cosine) < 1 - _SAME
 
 
+def way_between(one: HandlePose, other: HandlePose) -> str:
+    """How far one handle is from another in world units, and in degrees where they are turned."""
+    away = float((triple(one.place) - triple(other.place)).norm())
+    said = [f"{away:.2g}"] if away > _SAME else []
+    if is_turned(one, other):
+        cosine = abs(sum(a * b for a, b in zip(one.turn, other.turn, strict=True)))
+        said.append(f"{math.degrees(2 * math.acos(min(1.0, cosine))):.0f}\N{DEGREE SIGN}")
+    return " and ".join(said)
+
+
 def way_of(raw: dict[str, Any], before: HandlePose, after: HandlePose) -> Tensor:
     """(3,) by which an edit must move a handle whole to move it so far at its own amount."""
     share = max(float(raw.get("amount", 1.0)), 1e-3)

@@ -7,16 +7,19 @@ HELP = """
 | **Handle** | Ctrl-click; it holds the place until it is dragged |
 | **Pin** | Alt-click: stays where it was before the edit |
 | **Drag** | the ball, or arrows and rings; Escape puts back |
+| **Gizmo** | 1 moves, 2 turns, 3 scales; again: moves and turns |
 | **One axis** | X, Y, Z, also in a drag; again: free |
 | **Reach** | Shift and the wheel; PageUp, PageDown |
+| **Next edit** | Enter: the next handle begins another edit |
 | **Remove** | Delete, for the selected handle |
 | **Select** | Shift-drag; Ctrl-Shift adds, Alt-Shift removes |
 | **Tools** | R box, B brush, L lasso, G ball |
 | **Freeze** | H; Shift-H lets everything go |
 | **Undo** | Ctrl-Z; Ctrl-Shift-Z does it again |
 | **Save** | Ctrl-S |
-| **Time** | I keys, space plays |
-| **View** | M mirror, O overlay, T dark, K this help |
+| **Time** | I keys, space plays, Left and Right step |
+| | Shift-Left, Shift-Right: from key to key |
+| **View** | C before, P points, O overlay, M mirror, T dark, K this help |
 
 Grey balls hold their place. Red dots: space folds there; let go, and the handle returns to the last
 good place.
@@ -32,6 +35,12 @@ TOUR = (
 """Of the demo, one step after another."""
 NO_EDIT = "*No edits yet.* Ctrl-click the object to put a handle on it, or add an edit above."
 NOT_SELECTED = "*Nothing is selected.* Hold Shift and drag over the object."
+GIZMO_NAMES = {
+    "all": "moves and turns",
+    "move": "moves (1)",
+    "turn": "turns (2)",
+    "scale": "scales (3)",
+}
 TOOL_NAMES = {
     "box": "Box (R)",
     "brush": "Brush (B)",
@@ -58,5 +67,7 @@ OVERLAY_LEGENDS = {
 """What their colours mean."""
 NO_PHOTOS = "⚠ The photos of this object are not here: what they did not see is not known."
 WIDEN = "Allow it with wider soft edges"
+FOLDS = "⚠ Space folds at the red dots: go back by {}."
+NO_SCALE = "Nothing to scale: take an edit with a factor, handles, or one that acts in a ball."
 WORKING = "*Working&hellip;* The first time on a machine takes longer."
 LOADING = "*Loading&hellip;* The first picture takes a moment."

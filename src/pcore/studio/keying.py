@@ -1,12 +1,13 @@
-"""Which numbers of an edit a key at a time keys, and what they are."""
+"""Which numbers of an edit a key at a time keys, what they are, and what of an edit changed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, cast
 
 from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.regions import FALLOFF
+from pcore.editing.tracks import tracks_of
 from pcore.studio.cage_handles import KINDS, moved_vertices
 from pcore.studio.edit_forms import SLIDERS, SOFT, value_at
 
@@ -46,3 +47,30 @@ def _shown(raw: dict[str, Any], size: float) -> dict[str, Any]:
         given = region.get("falloff")
         found[SOFT.path] = FALLOFF * size if given is None else given
     return found
+
+
+def has_keys(raw: dict[str, Any], path: str) -> bool:
+    """Whether a value, a list that it is in, or a number in it has keys."""
+    around = (f"{one}/" for one in tracks_of(raw))
+    return any(one.startswith(f"{path}/") or f"{path}/".startswith(one) for one in around)
+
+
+def differences(old: Any, new: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Paths, old and new values of what is other in JSON values; lists of numbers are one."""
+    if isinstance(new, dict):
+        items = cast("dict[str, Any]", new).items()
+        before = cast("dict[str, Any]", old) if isinstance(old, dict) else {}
+        pairs = [(name, before.get(name), item) for name, item in items]
+    elif isinstance(new, list) and isinstance(old, list) and len(old) == len(new) and _nested(new):
+        lists = cast("list[Any]", old), cast("list[Any]", new)
+        pairs = [(str(k), *both) for k, both in enumerate(zip(*lists, strict=True))]
+    else:
+        if old != new:
+            yield path, old, new
+        return
+    for name, one, other in pairs:
+        yield from differences(one, other, f"{path}/{name}" if path else name)
+
+
+def _nested(values: list[Any]) -> bool:
+    return any(isinstance(one, (dict, list)) for one in values)

@@ -11,7 +11,7 @@ import torch
 from pcore.errors import EditError
 from pcore.studio.editor import Editor
 from pcore.studio.named_selections import NamedSelections
-from pcore.studio.stack_editor import TOOLS
+from pcore.studio.shown import TOOLS
 from pcore.studio.stroke import Stroke
 from pcore.studio.stroke_nodes import HELD
 from pcore.studio.viewport import Viewport

@@ -59,11 +59,18 @@ class SelectPanel(Panel):
 
     def show(self, editor: Editor, names: list[str]) -> None:
         """Bring it to the state of an editor, with the names of kept selections."""
-        shown, count = editor.shown, len(editor.shown.chosen)
-        points = "point is" if count == 1 else "points are"
-        self._count.content = f"**{count:,} {points} selected.**" if count else NOT_SELECTED
+        shown = editor.shown
+        self.count(editor)
         self._tool.value = TOOL_NAMES[shown.tool]
         self._brush.value = shown.brush
         options = tuple(names) or _NO_NAMES
         if self._names.options != options:
             self._names.options = options
+
+    def count(self, editor: Editor) -> None:
+        """Say how many points are selected."""
+        count = len(editor.shown.chosen)
+        points = "point is" if count == 1 else "points are"
+        said = f"**{count:,} {points} selected.**" if count else NOT_SELECTED
+        if self._count.content != said:
+            self._count.content = said

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,53 +19,7 @@ from pcore.errors import EditError, PcoreError
 from pcore.geometry.surfels import spacing_of
 from pcore.studio.edit_forms import new_edit
 from pcore.studio.edit_handles import ONE, handles_or_error
-
-CLICKS = ("nothing", "handle", "pin")
-TOOLS = ("box", "brush", "lasso", "ball")
-MOVING = {"splats": 0, "points": 0, "pictures, 100 pixels": 100, "pictures, 200 pixels": 200}
-"""What is shown while things move, and the pixels along a side where it is an exact picture."""
-MANY = 100_000
-"""Points from which on a page begins with points: a splat takes 32 bytes per event, a point 15."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shown:
-    """What the page shows beside the object; it never changes.
-
-    Attributes:
-        selected: number of the edit whose handles and sliders are shown; None is none.
-        handle: number of its handle that has the gizmo; None is none.
-        chosen: numbers of the points that are selected.
-        overlay: "none", "strain", "holes" or "handles".
-        still: the light stands still, where the object has one.
-        mirror: "off", or the axis across which handles move in pairs: "x", "y" or "z".
-        compare: share of the picture, from the left, that shows the object before the edits.
-        lock: "off", or the axis along which alone handles move: "x", "y" or "z".
-        click: what a click without a key puts: "nothing", "handle" or "pin".
-        tool: what a drag with Shift selects with, one of `TOOLS`.
-        moving: what is shown while things move, one of `MOVING`.
-        rest: an exact picture takes the place of that when things rest.
-        brush: radius of the brush, and of the ball of a click, in shares of the object's size.
-    """
-
-    selected: int | None = None
-    handle: int | None = None
-    chosen: frozenset[int] = frozenset()
-    overlay: str = "none"
-    still: bool = True
-    mirror: str = "off"
-    compare: float = 0.0
-    lock: str = "off"
-    click: str = "nothing"
-    tool: str = "box"
-    brush: float = 0.05
-    moving: str = "splats"
-    rest: bool = True
-
-    @property
-    def exact(self) -> int:
-        """Pixels, along a square's side, of exact pictures while things move; 0: none."""
-        return MOVING[self.moving]
+from pcore.studio.shown import MANY, Shown
 
 
 class StackEditor:
@@ -88,6 +42,7 @@ class StackEditor:
         self._kept: dict[str, Any] | None = None
         self._sliding: tuple[int, str] | None = None
         self._good: Any = None
+        self._way: tuple[Any, Any] | None = None
         self._gesture = 0
         self._folded: tuple[int, int, dict[str, Any]] | None = None
         self._check_selected()
@@ -156,6 +111,7 @@ class StackEditor:
         self._dragged, self._held_raw, self._sliding = state, raw, (index, path)
         if not len(state.folds):
             self._good = value
+        self._came(None, value)
 
     def settle(self) -> bool:
         """Keep the value that `slide` shows, as one step; whether it stays, as `drop`."""
@@ -246,6 +202,13 @@ class StackEditor:
     def cancel(self) -> None:
         """Put what is dragged back to where it was."""
         self._dragged = self._held_raw = self._kept = self._sliding = self._good = None
+        self._way = None
+
+    def _came(self, start: Any, value: Any) -> None:
+        """Remember how far what is dragged is beyond the last place where nothing folds."""
+        folds = self._dragged is not None and len(self._dragged.folds) > 0
+        good = start if self._way is None else self._way[0]
+        self._way = (good if folds else value), value
 
     def region(self) -> dict[str, Any]:
         """The selection as a region of an edit file.

@@ -25,6 +25,8 @@ class StatusLine:
         )
         while self._step is not None and self._step < len(done) and done[self._step]:
             self._step += 1
+        if self._step == len(done) and not saved:  # The last words were read.
+            self._step = None
 
     def text(self, editor: Editor, *, saved: bool, said: str, drawn: bool) -> str:
         """The text.
@@ -40,10 +42,8 @@ class StatusLine:
         edits = "no edits" if not count else f"{count} edit{'s' * (count > 1)}, {kept}"
         number = len(editor.asset.points)
         lines = [f"**{number:,} point{'s' * (number > 1)}** · {edits}"]
-        if said:
-            lines.append(said)
-        elif not drawn:
-            lines.append(LOADING)
-        elif self._step is not None and self._step < len(TOUR):
+        if said or not drawn:
+            lines.append(said or LOADING)
+        if self._step is not None and self._step < len(TOUR):
             lines.append(TOUR[self._step])
         return "\n\n".join(lines)

@@ -15,7 +15,7 @@ from pcore.studio.guard import Guard
 from pcore.studio.guide_nodes import GuideNodes
 from pcore.studio.guides import GuideMaker
 from pcore.studio.handle_nodes import HandleNodes
-from pcore.studio.help_text import WORKING
+from pcore.studio.help_text import FOLDS, WORKING
 from pcore.studio.hotkeys import HOTKEYS
 from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import SIZE, PageFrame
@@ -112,7 +112,11 @@ class Studio(Gestures):
             name=self.outputs.edit.name,
         )
         self.nodes = HandleNodes(
-            scene, self.frame, selected=self._select_handle, dragged=self._dragged
+            scene,
+            self.frame,
+            selected=self._select_handle,
+            dragged=self._dragged,
+            scaled=self._scaled,
         )
         self.strokes = StrokeNodes(scene, self.frame, self._stroked, self._boxed)
         self.guides = GuideNodes(scene, self.frame)
@@ -144,6 +148,8 @@ class Studio(Gestures):
 
         @client.camera.on_update
         async def _(_: Any) -> None:
+            if viewport.number == self._owner:
+                self.nodes.turned()
             if self.editor.shown.exact:
                 self.worker.draw(self._move, self._rest)
                 return
@@ -236,9 +242,13 @@ class Studio(Gestures):
             camera_keys=len(self.files.cameras),
             playing=self.actions.playing,
         )
-        self.panels.several(len(self._viewports))
+        clients = {number: one.client for number, one in self._viewports.items()}
+        self.panels.roles(clients, self._owner)
         self.strokes.use(editor.shown.tool)
         self.strokes.hear(self._clicked, editor.shown.click != "nothing")
+        for viewport in self._viewports.values():
+            if viewport.number == self._owner:
+                self.nodes.face(viewport.client)
         self.nodes.show(editor, warn=False, moved=True)
         self.guides.show(self._guides.of(editor))
         self.worker.draw(self._move, self._rest)
@@ -255,6 +265,7 @@ class Studio(Gestures):
         warn = len(editor.state.folds) > 0
         moved = editor.sliding or self.actions.playing
         self.nodes.show(editor, warn=warn, moved=moved)
+        self.panels.dragged(editor, FOLDS.format(editor.back) if editor.back else self._status())
         self.guides.show(self._guides.of(editor))
         self.worker.draw(self._move, self._rest)
 

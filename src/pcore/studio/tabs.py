@@ -144,7 +144,9 @@ class Tabs(ABC):
     def _may(self, tab: int) -> bool:
         if tab == self._owner:
             return True
-        self._tell(tab, "Another tab edits this object", "Press *Edit in this tab* to go on here.")
+        self._tell(
+            tab, "Another tab edits this object", "Edit in this tab, in the panel, goes on here."
+        )
         return False
 
     def _take_over(self, tab: int) -> None:

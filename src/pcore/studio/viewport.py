@@ -15,7 +15,7 @@ from pcore.data.pictures import to_bytes
 from pcore.gaussians.splats import Splats
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
-from pcore.studio.page_frame import SIZE, PageFrame
+from pcore.studio.page_frame import PageFrame
 
 MOST_PIXELS = 480_000
 """Of a picture at rest; tabs that are larger show it enlarged."""
@@ -24,8 +24,6 @@ _FAR = 160.0
 """Depth on the page of what is not there; viser's code for depths ends at 167."""
 _SLACK = 0.3
 """Depth on the page that handles may lie below the surface and still be seen."""
-_LOWER = 0.35
-"""How far below the object high windows look, in sizes of it."""
 _OVERLAP = 0.12
 """Seconds that a picture stays behind splats that become visible."""
 _QUALITY = 92
@@ -94,10 +92,7 @@ class Viewport:
         camera = self.client.camera
         away = int(camera.image_height) / max(int(camera.image_width), 1)
         if away > 1.0:
-            # The panel covers the lower part of such a window.
-            x, y, z = (away * one for one in eye)
-            down = _LOWER * away * SIZE
-            camera.position, camera.look_at = (x, y, z - down), (0.0, 0.0, -down)
+            camera.position = tuple(away * one for one in eye)
 
     def moving(self, *, stays: bool = False) -> None:
         """Show the splats or points that there are, at once.

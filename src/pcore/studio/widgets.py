@@ -11,7 +11,7 @@ from pcore.studio.editor import Editor
 from pcore.studio.help_text import LOADING, OVERLAY_NAMES, WIDEN
 from pcore.studio.panel import Panel, Wish
 from pcore.studio.select_panel import SelectPanel
-from pcore.studio.stack_editor import MOVING
+from pcore.studio.shown import MOVING
 
 EASINGS = ("smooth", "linear", "in", "out", "step")
 _OVERLAYS = {label: name for name, label in OVERLAY_NAMES.items()}
@@ -35,7 +35,6 @@ class Widgets:
     progress: Any
     stop: Any
     line: Any
-    owner: Any
 
 
 class Panels(Panel):
@@ -55,8 +54,6 @@ class Panels(Panel):
         status = gui.add_markdown(LOADING)
         widen = gui.add_button(WIDEN, icon="arrows-maximize", visible=False, color="orange")
         self._on_click(widen, "widen")
-        owner = gui.add_button("Edit in this tab", visible=False, color="orange")
-        self._on_click(owner, "take_over")
         history = gui.add_button_group("Session", ("Undo", "Redo", "Save", "Help"))
         self._on_choice(history, "top")
         tabs = gui.add_tab_group()
@@ -71,7 +68,8 @@ class Panels(Panel):
         with tabs.add_tab("Files"):
             files = self._files_tab(name)
         shown = (status, widen, time, keys, play, *view, *files)
-        self._w = Widgets(*shown, owner=owner)
+        self._w = Widgets(*shown)
+        self._offers = dict[int, Any]()
 
     # What stands in the panel
 
@@ -183,9 +181,23 @@ class Panels(Panel):
         """Show another text at the top, until the next state."""
         self._w.status.content = status
 
-    def several(self, tabs: int) -> None:
-        """Only one of several tabs edits; offer to go on in another."""
-        self._w.owner.visible = tabs > 1
+    def dragged(self, editor: Editor, status: str) -> None:
+        """Show what changes while something is dragged: the text at the top, and the selection."""
+        if self._w.status.content != status:
+            self._w.status.content = status
+        self._selection.count(editor)
+
+    def roles(self, clients: Mapping[int, Any], owner: int | None) -> None:
+        """Only one of several tabs edits; offer to go on in each of the others."""
+        for tab in [*self._offers]:
+            if tab not in clients or tab == owner:
+                self._offers.pop(tab).remove()
+        for tab, client in clients.items():
+            if tab != owner and tab not in self._offers:
+                order = self._w.status.order + 0.5
+                button = client.gui.add_button("Edit in this tab", color="orange", order=order)
+                self._on_click(button, "take_over")
+                self._offers[tab] = button
 
     def progress(self, share: float | None) -> None:
         """Show how far a film is; None where there is none."""

@@ -25,6 +25,8 @@ KINDS = {
     ".webm": "video/webm",
 }
 """File endings that a browser shows, and their media types."""
+ALL = "all"
+"""Name of the group that holds everything; no folder may be called so."""
 _HOLES, _HOLE = 24, 0.035
 """Holes that are torn into a picture whose answer is to be known; their radius in its width."""
 _PAPER = 245
@@ -170,6 +172,11 @@ def _files_of(name: str, folder: Path) -> dict[str, Path]:
 def _common(files: Mapping[str, Mapping[str, Path]], methods: Mapping[str, Path]) -> list[str]:
     """Items that all methods have; InputError where one lacks some."""
     items = sorted(set[str]().union(*files.values()))
+    if any(_group(item) == ALL for item in items):
+        raise InputError(
+            f"study: expected groups of other names than {ALL!r}, which stands for all of them "
+            "together; rename the folder"
+        )
     for name, found in files.items():
         missing = [item for item in items if item not in found]
         if missing:
@@ -186,6 +193,14 @@ def _group(item: str) -> str:
 
 def _shown(path: Path, salt: str) -> Shown:
     content = path.read_bytes()
+    if KINDS[path.suffix.lower()].startswith("image/"):
+        try:
+            with Image.open(io.BytesIO(content)) as opened:
+                opened.verify()
+        except (OSError, ValueError, SyntaxError):  # Pillow says the last of a damaged PNG.
+            raise InputError(
+                f"study: {path}: expected a picture, got a damaged one; make it again"
+            ) from None
     return Shown(key=_key(salt, content), kind=KINDS[path.suffix.lower()], content=content)
 
 

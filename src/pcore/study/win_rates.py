@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from scipy.stats import binomtest
 
 from pcore.study.answers import Answers, Key
+from pcore.study.trials import ALL
 
-ALL = "all"
-"""Name of the group that holds everything."""
 _CONFIDENCE = 0.95
 
 

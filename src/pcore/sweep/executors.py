@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from pcore.sweep.sweep_trial import Runner, Trial, TrialResult, attempt
 RETRIES = 5
 """Times that a trial goes on after its worker died; a trial that kills it every time fails."""
 _GB = 1e9
+_PATIENCE = 10.0
+"""Seconds in which a cluster's address must answer."""
 _OBJECT_STORE = 100_000_000
 """Bytes that workers share; results are a few hundred."""
 
@@ -50,11 +53,11 @@ def check_resources(wanted: TrialResources, machines: Sequence[Machine]) -> None
     memory = (wanted.memory_gb or 0) * _GB
     for one in machines:
         room = one.memory is None or memory <= one.memory
-        if wanted.cpus <= one.cpus and wanted.gpus <= one.gpus and room:
+        if wanted.cores <= one.cpus and wanted.gpus <= one.gpus and room:
             return
     had = "; ".join(_told(one) for one in machines) or "no machine"
     raise InputError(
-        f"plan: 'resources': expected a machine with {wanted.cpus} CPUs, {wanted.gpus:g} GPUs and "
+        f"plan: 'resources': expected a machine with {wanted.cores} CPUs, {wanted.gpus:g} GPUs and "
         f"{memory / _GB:g} GB of memory for each trial, got {had}; ask for less"
     )
 
@@ -65,10 +68,10 @@ def check_workers(wanted: TrialResources, workers: int, machine: Machine) -> Non
     Raises:
         InputError: it has fewer.
     """
-    if workers * wanted.cpus > machine.cpus:
+    if workers * wanted.cores > machine.cpus:
         raise InputError(
-            f"--workers {workers}: expected at most {machine.cpus // wanted.cpus:g}, one for each "
-            f"{wanted.cpus} of the {machine.cpus:g} cores; give fewer, or fewer CPUs in the plan"
+            f"--workers {workers}: expected at most {machine.cpus // wanted.cores:g}, one for each "
+            f"{wanted.cores} of the {machine.cpus:g} cores; give fewer, or fewer CPUs in the plan"
         )
 
 
@@ -122,7 +125,7 @@ def trials_at_once(wanted: TrialResources, machines: Sequence[Machine]) -> int:
 
 
 def _places(wanted: TrialResources, machine: Machine) -> int:
-    rooms = [machine.cpus / wanted.cpus]
+    rooms = [machine.cpus / wanted.cores]
     if wanted.gpus > 0:
         rooms.append(machine.gpus / wanted.gpus)
     if wanted.memory_gb is not None and machine.memory is not None:
@@ -136,24 +139,41 @@ def _connected(
 ) -> Generator[tuple[Any, list[Machine]]]:
     """Ray, and the machines that it has; what was started for it ends with the context."""
     ray = _ray()
+    if address is not None:
+        _check_reached(address)
     try:
         ray.init(**start, logging_level="ERROR")
     except (ConnectionError, ValueError, RuntimeError) as error:
-        raise InputError(
-            f"--address {address}: expected the address of a running Ray cluster, got none there "
-            f"({str(error).splitlines()[0]}); start one with `ray start --head`"
-        ) from error
+        raise _no_cluster(address, str(error).splitlines()[0]) from error
     try:
         yield ray, [_machine(node["Resources"]) for node in ray.nodes() if node["Alive"]]
     finally:
         ray.shutdown()
 
 
+def _check_reached(address: str) -> None:
+    """Refuse an address where nobody listens; Ray itself would try it for many minutes."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not colon:
+        return  # Words of Ray's own, such as `auto`.
+    try:
+        socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
+    except (OSError, ValueError, OverflowError) as error:
+        raise _no_cluster(address, str(error)) from error
+
+
+def _no_cluster(address: str | None, why: str) -> InputError:
+    return InputError(
+        f"--address {address}: expected the address of a running Ray cluster, got none there "
+        f"({why}); start one with `ray start --head`"
+    )
+
+
 def _attempt_all(
     ray: Any, wanted: TrialResources, trials: Sequence[Trial], run: Runner
 ) -> Iterable[TrialResult]:
     task = ray.remote(attempt).options(
-        num_cpus=wanted.cpus,
+        num_cpus=wanted.cores,
         num_gpus=wanted.gpus,
         memory=None if wanted.memory_gb is None else round(wanted.memory_gb * _GB),
         max_retries=RETRIES,
@@ -193,7 +213,7 @@ def _start(
     memory = None if machine.memory is None else round(machine.memory)
     return {
         "address": "local",
-        "num_cpus": workers * wanted.cpus,
+        "num_cpus": workers * wanted.cores,
         "num_gpus": machine.gpus,
         "_memory": memory,
         "object_store_memory": _OBJECT_STORE,

@@ -20,7 +20,7 @@ VERB_NAMES: tuple[VerbName, ...] = get_args(VerbName)
 """What a trial may do, in this order."""
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=64)]
-Seed = Annotated[int, Field(ge=0)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class _Strict(BaseModel):
@@ -30,12 +30,20 @@ class _Strict(BaseModel):
 class TrialResources(_Strict):
     """What one trial may take."""
 
+    processes: int = Field(default=1, ge=1)
+    """That share the work of a trial, on one machine."""
     cpus: int = Field(default=1, ge=1)
-    """Threads of a trial, and cores of its machine."""
-    gpus: float = Field(default=0, ge=0, le=1)
-    """0: trials compute on the CPU; 1: each has a GPU; less: several share one."""
+    """Threads of each process, and cores that its machine must have for it."""
+    gpus: float = Field(default=0, ge=0)
+    """Of all processes. 0: trials compute on the CPU; as many as processes: each process has one;
+    less than 1: several trials of one process share one."""
     memory_gb: float | None = Field(default=None, gt=0)
     """Memory that a machine must have free for it."""
+
+    @property
+    def cores(self) -> int:
+        """That a machine must have for a trial."""
+        return self.cpus * self.processes
 
 
 class SweepSetting(_Strict):
@@ -77,7 +85,8 @@ def read_plan(path: Path) -> SweepPlan:
     text = read_text(path, where=where, error=InputError)
     try:
         # JSON's rules let lists be lists of any kind and numbers be nothing but numbers.
-        data = json.dumps(yaml.load(text, _OneOfEach), allow_nan=False)
+        found = yaml.load(text, _OneOfEach)
+        data = json.dumps(found, allow_nan=False)
     except yaml.YAMLError as error:
         told = " ".join(str(error).split())
         raise InputError(f"{where}: expected YAML, got text that does not parse: {told}") from error
@@ -86,12 +95,29 @@ def read_plan(path: Path) -> SweepPlan:
             f"{where}: expected texts, numbers, lists and mappings, got something else ({error}); "
             "put quotes around dates and the like"
         ) from error
+    if not isinstance(found, dict):
+        got = "an empty file" if found is None else f"one {type(found).__name__}"
+        raise InputError(
+            f"{where}: expected keys with values in YAML (version, scenes, settings, seeds), got "
+            f'{got}; the guide "Sweeps" has a plan to begin with'
+        )
     try:
         plan = SweepPlan.model_validate_json(data)
     except ValidationError as error:
         raise InputError(f"{where}: {describe_problem(error)}") from error
     _check_names(plan, where)
+    _check_gpus(plan.resources, where)
     return plan
+
+
+def _check_gpus(wanted: TrialResources, where: str) -> None:
+    if wanted.gpus > 1 or wanted.processes > 1:
+        if wanted.gpus in (0, wanted.processes):
+            return
+        raise InputError(
+            f"{where}: 'resources': expected one GPU for each process or none at all, got "
+            f"{wanted.gpus:g} for {wanted.processes}; give processes: N and gpus: N together"
+        )
 
 
 def _check_names(plan: SweepPlan, where: str) -> None:

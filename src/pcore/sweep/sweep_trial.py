@@ -32,8 +32,9 @@ class Trial:
         scene_folder: where the scene lies, absolute.
         folder: for everything the trial writes, absolute.
         verbs: what is run, in this order, each with its options as on the command line.
-        threads: of the CPU.
+        threads: of the CPU, of each process.
         device: to compute on.
+        processes: that share its work.
         storage: URL that the folder is mirrored to, for machines that share no disk; None: none.
     """
 
@@ -45,6 +46,7 @@ class Trial:
     verbs: Mapping[VerbName, Mapping[str, Any]]
     threads: int
     device: str
+    processes: int = 1
     storage: str | None = None
 
     @property
@@ -57,7 +59,8 @@ class Trial:
         """All that its results depend on, as JSON values."""
         scene = relative(self.scene_folder, self.folder)
         verbs = [[name, dict(options)] for name, options in self.verbs.items()]
-        return [scene, verbs, self.seed, self.threads, self.device]
+        shared = [self.processes] if self.processes > 1 else []
+        return [scene, verbs, self.seed, self.threads, self.device, *shared]
 
 
 Runner = Callable[[Trial], None]
@@ -100,6 +103,7 @@ def trials_of(
             verbs=given.verbs(),
             threads=plan.resources.cpus,
             device="cuda" if plan.resources.gpus > 0 else "cpu",
+            processes=plan.resources.processes,
             storage=None
             if storage is None
             else f"{storage.rstrip('/')}/{TRIALS}/{scene}/{setting}/seed-{seed}",

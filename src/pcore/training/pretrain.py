@@ -158,6 +158,7 @@ def begin(
         features = torch.randn(len(positions), papr.config.feature_size, generator=generator)
     features = config.feature_spread * features
     if model.point_colors:
+        features[:, : model.color_features] = 0
         features[:, :COLOR_CHANNELS] = mean_colors(positions, views)
     cloud = PointCloud(
         positions=positions.to(device),

@@ -1,6 +1,7 @@
 // What viser's page does not tell its server: the wheel with Shift held, and whether the browser
-// prefers a dark page. Both are told as keys, which have commands. Keys are heard again once a list
-// or a box has been used, and fields of three numbers show all their decimals.
+// prefers a dark page. Both are told as keys, which have commands. Keys are heard again once a
+// widget has been used, fields of three numbers show all their decimals, and on a telephone the
+// panel opens by a touch.
 const press = (key, code) =>
   document.documentElement.dispatchEvent(
     new KeyboardEvent("keydown", { key, code, bubbles: true }),
@@ -23,11 +24,31 @@ if (!window.pcoreHands) {
     else error(...said);
   };
 
-  // What was chosen or ticked keeps the keyboard; keys of commands would go into it.
+  // What was pressed with the mouse keeps the keyboard; keys of commands would go into it.
+  const WIDGETS =
+    'button, [role="tab"], [role="option"], [role="slider"], input[type="checkbox"]';
   window.addEventListener("click", (event) => {
-    if (!event.target.closest?.('[role="option"], input[type="checkbox"]')) return;
-    setTimeout(() => document.activeElement?.blur(), 0);
+    if (!event.target.closest?.(WIDGETS)) return;
+    setTimeout(() => document.activeElement?.closest(WIDGETS)?.blur(), 0);
   });
+
+  // Who goes from widget to widget with Tab uses them by these keys, which are commands elsewhere.
+  const OWN = ["Enter", " ", "ArrowLeft", "ArrowRight"];
+  document.body.addEventListener("keydown", (event) => {
+    if (OWN.includes(event.key) && event.target.closest(WIDGETS)) event.stopPropagation();
+  });
+  // These two step through time; viser, which listens above, would turn its camera.
+  document.documentElement.addEventListener("keydown", (event) => {
+    if (event.key === "ArrowLeft" || event.key === "ArrowRight") event.stopPropagation();
+  });
+
+  // The panel of a narrow window, which viser opens over most of the object.
+  const narrow = setInterval(() => {
+    const sheet = document.querySelector('.mantine-Paper-root[style*="position: fixed"]');
+    const handle = sheet?.querySelector('[style*="cursor: pointer"]');
+    if (handle) handle.click();
+    if (handle || document.querySelector(".mantine-Tabs-root")) clearInterval(narrow);
+  }, 50);
 
   // Steppers of three numbers in a row cover the last decimals.
   const style = document.createElement("style");
@@ -37,6 +58,20 @@ if (!window.pcoreHands) {
       .mantine-NumberInput-input { padding-inline: 0.3em !important; }
     }`;
   document.head.append(style);
+
+  // viser greys the panel when its server is gone, and says nothing.
+  const lost = document.createElement("div");
+  lost.textContent =
+    "The connection is lost. It comes back by itself, unless the server ended: then start it " +
+    "again and open the address that it prints. What is not saved is kept.";
+  lost.style.cssText =
+    "position:fixed;z-index:1000;left:1em;bottom:1em;max-width:26em;padding:0.8em 1em;" +
+    "color:#fff;background:#b71c1c;border-radius:4px;font:14px/1.4 sans-serif";
+  setInterval(() => {
+    const gone = document.querySelector(".mantine-Loader-root");
+    if (gone && !lost.isConnected) document.body.append(lost);
+    if (!gone && lost.isConnected) lost.remove();
+  }, 500);
 
   let last = 0;
   window.addEventListener(

@@ -1,0 +1,23 @@
+"""As many threads in numba's loops as torch has, and no more in torch."""
+
+from __future__ import annotations
+
+import numba
+import torch
+from numba.core import config as numba_config
+
+
+def use_torch_threads() -> int:
+    """Let numba use as many threads as torch; return how many that are.
+
+    To be called before every loop of numba that is parallel.
+    """
+    # numba fills its config in at import, where type checkers do not see it.
+    most: int = numba_config.NUMBA_NUM_THREADS  # pyright: ignore[reportAttributeAccessIssue]
+    wanted = torch.get_num_threads()
+    threads = min(wanted, most)
+    numba.set_num_threads(threads)
+    # Its first call in a process starts all threads of OpenMP, whose number is torch's as well.
+    if torch.get_num_threads() != wanted:
+        torch.set_num_threads(wanted)
+    return threads
