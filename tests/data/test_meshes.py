@@ -352,7 +352,7 @@ def nowhere(made: Builder) -> None:
         (loop, "expected nodes that form a tree"),
         (two_parents, "expected nodes that form a tree"),
         (no_weights, "expected weights of all 8 vertices of a skin, got none for 2; weight them"),
-        (far_joint, "expected joints below 2, got 5; the file is damaged"),
+        (far_joint, "expected joints from 0 to 1, got 5; the file is damaged"),
         (unbound, "(JOINTS_0), got none; apply the armature before exporting"),
         (far_corner, "expected faces that refer to vertices 0 to 7, got 8"),
         (two_corners, "expected three corners for each triangle, got 2 in all"),
