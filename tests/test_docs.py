@@ -147,3 +147,14 @@ def test_python_blocks_import_what_is_there(page: Path) -> None:
                     resolve(f"{node.module}.{alias.name}")
             elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == "pcore":
                 assert node.attr in pcore.__all__ or import_spec(f"pcore.{node.attr}"), node.attr
+
+
+def test_pages_that_the_code_names_are_there() -> None:
+    """Messages and comments send people to pages; a page that moved takes its name along."""
+    named = {
+        (found, path.name)
+        for path in sorted((ROOT / "src").rglob("*.py"))
+        for found in re.findall(r"docs/[\w./-]+\.md", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 10
+    assert not [one for one in named if not (ROOT / one[0]).is_file()]

@@ -66,6 +66,24 @@ def read_text(path: Path, *, where: str, error: type[PcoreError]) -> str:
         ) from problem
 
 
+def read_bytes(path: Path, *, what: str) -> bytes:
+    """Content of a binary file that a user gave.
+
+    Args:
+        path: the file.
+        what: what it should be, for the message ("a file of Gaussians").
+
+    Raises:
+        InputError: it is missing or cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; expected {what}") from None
+    except OSError as problem:
+        raise InputError(f"{path}: cannot read {what}: {problem.strerror}") from problem
+
+
 def parse_json(text: str, *, where: str, error: type[PcoreError]) -> Any:
     """Parse JSON text that a user gave.
 

@@ -133,7 +133,11 @@ CASES = [
         "expected finite coordinates, got NaN or infinity in 9 of 9 points; remove them first",
         array("start.npy", np.full((9, 3), np.nan)),
     ),
-    Case(f"{FROM_FILE} start.ply", "start.ply: cannot read the file of", folder("start.ply")),
+    Case(
+        f"{FROM_FILE} start.ply",
+        "start.ply: cannot read a .npy or .ply",
+        folder("start.ply"),
+    ),
     Case(
         f"{FROM_FILE} start.npy --points 300",
         "--points 300: expected no number where the points come from a file",

@@ -110,7 +110,7 @@ def test_other_endings(tmp_path: Path, name: str):
 def test_missing_files_and_folders(tmp_path: Path):
     assert "no such file; expected a .npy or .ply" in refusal(tmp_path / "none.npy")
     (tmp_path / "folder.ply").mkdir()
-    assert "cannot read the file of points" in refusal(tmp_path / "folder.ply")
+    assert "cannot read a .npy or .ply of points" in refusal(tmp_path / "folder.ply")
     with pytest.raises(InputError, match="expected an existing folder to write to"):
         save_points(tmp_path / "none" / "a.npy", POINTS)
     with pytest.raises(InputError, match="cannot write the points"):

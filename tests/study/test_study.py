@@ -238,8 +238,8 @@ def test_pictures_that_not_all_have(
     for given, message in (
         (words, r"papr: expected the same pictures of every method, got none of 1 items"),
         (words[:1], "at least two methods to compare, got 1"),
-        ([words[0], "papr"], "--pairs: expected NAME=FOLDER, got 'papr'"),
-        ([words[0], words[0]], "expected each name once, got 'ours' twice"),
+        ([words[0], "papr"], "--pairs: expected NAME=PATH, got "),
+        ([words[0], words[0]], "--pairs: expected different names, got ours, ours"),
         ([words[0], f"x={pictures['ours']}"], "expected a folder of each method's own, got"),
         ([words[0], f"x={tmp_path / 'none'}"], "expected a folder of pictures or films"),
         ([*words[::2], "--per-person", "7"], "expected 1 to 3 pairs per person, got 7"),

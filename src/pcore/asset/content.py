@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Literal, Protocol, TypeVar, get_args
 
@@ -17,6 +18,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
+from pcore.relight.light_file import LIGHT_FILE, load_light
 from pcore.relight.relighting import Relighting
 from pcore.render.image import Image
 
@@ -171,6 +173,37 @@ class Content(Protocol[P]):
             OSError: a file cannot be written.
         """
         ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lit:
+    """What photos may have told the light of.
+
+    Attributes:
+        read_light: gives the light of the photos; None where none was estimated.
+    """
+
+    read_light: Callable[[], Relighting] | None = None
+
+    @property
+    def light(self) -> Relighting | None:
+        """The light of the photos, read when it is first needed.
+
+        Raises:
+            CheckpointError: its file is damaged or belongs to other points.
+        """
+        return None if self.read_light is None else self.read_light()
+
+
+def light_beside(path: Path, points: Callable[[], Tensor]) -> Callable[[], Relighting] | None:
+    """What reads the light that lies in a folder, once and when it is needed; None: there is none.
+
+    Args:
+        path: the folder; a bare file has none beside it.
+        points: gives the (K, 3) canonical points that it falls on, world units.
+    """
+    light = path / LIGHT_FILE
+    return cache(lambda: load_light(light, points())) if light.is_file() else None
 
 
 def wanted_light(

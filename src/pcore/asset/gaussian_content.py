@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import torch
@@ -13,10 +12,12 @@ from torch import Tensor
 from pcore.asset.content import (
     Color,
     LightName,
+    Lit,
     Motion,
     MovedPoints,
     RaysName,
     Sampling,
+    light_beside,
     wanted_light,
 )
 from pcore.data.scene import View
@@ -47,7 +48,7 @@ from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
 from pcore.relight.gaussian_light import fit_gaussian_light, gaussian_gains, lit_of
-from pcore.relight.light_file import LIGHT_FILE, load_light, save_light
+from pcore.relight.light_file import LIGHT_FILE, save_light
 from pcore.relight.relighting import Relighting
 from pcore.render.gaussian_surfels import observe_gaussians
 from pcore.render.image import Image
@@ -71,7 +72,7 @@ class MovedGaussians:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GaussianContent:
+class GaussianContent(Lit):
     """Gaussians at rest, and how they meet pixels.
 
     Attributes:
@@ -80,14 +81,12 @@ class GaussianContent:
         background: of their pictures.
         normals: (N, 3) of the pieces of surface that they are, unit, outwards, on the CPU; zero
             where that is not known; None where nobody has estimated them.
-        read_light: gives the light of the photos; None where none was estimated.
     """
 
     gaussians: Gaussians
     footprint: Footprint
     background: Color
     normals: Tensor | None = None
-    read_light: Callable[[], Relighting] | None = None
 
     @property
     def points(self) -> Tensor:
@@ -98,15 +97,6 @@ class GaussianContent:
     def samples(self) -> int:
         """See `Content.samples`; the footprint is what a pixel is, so that one is enough."""
         return 1
-
-    @property
-    def light(self) -> Relighting | None:
-        """The light of the photos, read when it is first needed.
-
-        Raises:
-            CheckpointError: its file is damaged or belongs to other Gaussians.
-        """
-        return None if self.read_light is None else self.read_light()
 
     @property
     def surfels(self) -> Surfels | None:
@@ -265,20 +255,13 @@ def read_gaussians(path: Path, device: str) -> tuple[GaussianContent, Provenance
         CheckpointError: no Gaussians there, or they are damaged.
     """
     saved = load_gaussians(path)
-    normals, light = saved.normals, path / LIGHT_FILE
-    means = saved.gaussians.means
-
-    @cache
-    def read_light() -> Relighting:
-        assert normals is not None
-        return load_light(light, means[lit_of(normals)])
-
+    normals, means = saved.normals, saved.gaussians.means
     content = GaussianContent(
         gaussians=saved.gaussians.to(device),
         footprint=saved.footprint,
         background=saved.provenance.background,
         normals=normals,
-        read_light=read_light if normals is not None and light.is_file() else None,
+        read_light=None if normals is None else light_beside(path, lambda: means[lit_of(normals)]),
     )
     return content, saved.provenance
 

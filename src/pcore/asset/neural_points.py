@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import torch
@@ -14,10 +13,12 @@ from torch import Tensor
 from pcore.asset.content import (
     Color,
     LightName,
+    Lit,
     Motion,
     MovedPoints,
     RaysName,
     Sampling,
+    light_beside,
     wanted_light,
 )
 from pcore.deform.pose import pose
@@ -32,7 +33,7 @@ from pcore.geometry.posed import PosedCloud
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
-from pcore.relight.light_file import LIGHT_FILE, load_light, save_light
+from pcore.relight.light_file import LIGHT_FILE, save_light
 from pcore.relight.relighting import Relighting
 from pcore.render.image import Image
 from pcore.render.own_splats import own_splats
@@ -41,29 +42,18 @@ from pcore.render.raster import film_detail
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class NeuralPoints:
+class NeuralPoints(Lit):
     """Networks and canonical points; posed, they are a `PosedCloud`.
 
     Attributes:
         papr: the networks, on the device that does the work.
         cloud: canonical points, on the CPU.
         surfels: the surface over them at rest; None where nobody has estimated it.
-        read_light: gives the light of the photos; None where none was estimated.
     """
 
     papr: Papr
     cloud: PointCloud
     surfels: Surfels | None = None
-    read_light: Callable[[], Relighting] | None = None
-
-    @property
-    def light(self) -> Relighting | None:
-        """The light of the photos, read when it is first needed.
-
-        Raises:
-            CheckpointError: its file is damaged or belongs to other points.
-        """
-        return None if self.read_light is None else self.read_light()
 
     @property
     def points(self) -> Tensor:
@@ -191,17 +181,11 @@ def read_neural_points(path: Path, device: str) -> tuple[NeuralPoints, Provenanc
         CheckpointError: no model there, or it is damaged.
     """
     saved = load_model(path)
-    light = path / LIGHT_FILE
     cloud = saved.cloud
-
-    @cache
-    def read_light() -> Relighting:
-        return load_light(light, cloud.positions)
-
     content = NeuralPoints(
         papr=saved.papr().to(device),
         cloud=cloud,
         surfels=saved.surfels,
-        read_light=read_light if light.is_file() else None,
+        read_light=light_beside(path, lambda: cloud.positions),
     )
     return content, saved.provenance

@@ -82,6 +82,18 @@ def write_corrected(
         names[split].append(name)
         if progress is not None:
             progress(number + 1, len(chosen))
+    content = _described(scene, folder, frames, names)
+    replace_file(folder / "transforms.json", json.dumps(content, indent=1).encode())
+    return len(chosen)
+
+
+def _described(
+    scene: Scene,
+    folder: Path,
+    frames: Sequence[dict[str, Any]],
+    names: Mapping[str, Sequence[str]],
+) -> dict[str, Any]:
+    """The scene file of such frames, given the pictures of every split; writes the points."""
     content: dict[str, Any] = {
         "camera_model": "PINHOLE",
         "frames": frames,
@@ -95,8 +107,7 @@ def write_corrected(
     region = scene.region
     if region is not None:
         content[REGION_KEY] = {"center": region.center.tolist(), "radius": region.radius}
-    replace_file(folder / "transforms.json", json.dumps(content, indent=1).encode())
-    return len(chosen)
+    return content
 
 
 def check_outside(scene: Scene, folder: Path) -> None:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
-from pcore.cli.options import Count, Folder, Output
+from pcore.cli.options import Count, Folder, Output, named_paths
 from pcore.cli.runtime import DeviceName
 from pcore.cli.torchrun import is_first
 from pcore.errors import InputError
@@ -119,7 +119,10 @@ def compare(command: CompareCommand, console: Console) -> None:
         from pcore.cli.export_field import export_field
 
         refuse_ranks("--export-field")
-        assets, given = [one.asset for one in runs], _pairs("--points", command.points)
+        assets, given = (
+            [one.asset for one in runs],
+            named_paths("--points", command.points),
+        )
         export_field(console, command.export_field, assets, given, (places, states))
         return
     with joined_ranks(device, learns=False) as ranks:
@@ -153,9 +156,8 @@ def _compare(
     outcomes = contest.run(entries, teller(console, len(entries) * len(states)))
     if ranks.rank > 0:
         return
+    about, names = _about(command, places, states, output), [state.name for state in states]
     notes = [places.left_out] if places.left_out else []
-    about = _about(command, places, states, output)
-    names = [state.name for state in states]
     finish(console, output, outcomes, names, about=about, notes=notes)
 
 
@@ -252,7 +254,7 @@ def _entries(
         config = MotionConfig(steps=command.motion_steps)
         entries += motion_entries(runs, places, output / "trained", config)
     entries += shop.entries(wanted, command.settings, command.seeds)
-    entries += picture_entries(_pairs("--pictures", command.pictures))
+    entries += picture_entries(named_paths("--pictures", command.pictures))
     if not entries:
         raise InputError(
             f"--methods {' '.join(command.methods)}: expected methods that the runs have, got none"
@@ -271,21 +273,6 @@ def wanted_methods(names: Sequence[str]) -> list[Any]:
             f"{', '.join(unknown)}"
         )
     return [*METHODS] if "all" in names else [name for name in METHODS if name in names]
-
-
-def _pairs(option: str, texts: Sequence[str]) -> list[tuple[str, Path]]:
-    """Names and paths of NAME=PATH.
-
-    Raises:
-        InputError: one has no name, or a name comes twice.
-    """
-    pairs = [text.partition("=") for text in texts]
-    if any(not name or not path for name, _, path in pairs):
-        raise InputError(f"{option}: expected NAME=PATH, got {' '.join(texts)}")
-    names = [name for name, _, _ in pairs]
-    if len({*names}) < len(names):
-        raise InputError(f"{option}: expected different names, got {', '.join(names)}")
-    return [(name, Path(path)) for name, _, path in pairs]
 
 
 def _about(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
+
+from pcore.errors import InputError
 
 
 def optional(metavar: str, *aliases: str) -> Any:
@@ -47,3 +50,18 @@ def check_given_samples(samples: int | None) -> None:
 
     if samples is not None:
         check_samples("--samples", samples)
+
+
+def named_paths(option: str, texts: Sequence[str]) -> list[tuple[str, Path]]:
+    """Names and paths of NAME=PATH.
+
+    Raises:
+        InputError: one has no name or no path, or a name comes twice.
+    """
+    pairs = [text.partition("=") for text in texts]
+    if any(not name or not path for name, _, path in pairs):
+        raise InputError(f"{option}: expected NAME=PATH, got {' '.join(texts)}")
+    names = [name for name, _, _ in pairs]
+    if len({*names}) < len(names):
+        raise InputError(f"{option}: expected different names, got {', '.join(names)}")
+    return [(name, Path(path)) for name, _, path in pairs]

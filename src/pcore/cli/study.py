@@ -10,7 +10,7 @@ from rich.console import Console
 from tyro.conf import Positional, arg
 
 from pcore.cli.layout import Sheet, print_lines, room, sheet_lines
-from pcore.cli.options import Count, optional
+from pcore.cli.options import Count, named_paths, optional
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -120,16 +120,10 @@ class StudyReadCommand:
 
 
 def _methods(given: tuple[str, ...]) -> dict[str, Path]:
-    found: dict[str, Path] = {}
-    for word in given:
-        name, equals, folder = word.partition("=")
-        if not (name and equals and folder):
-            raise InputError(f"--pairs: expected NAME=FOLDER, got {word!r}")
-        if name in found:
-            raise InputError(f"--pairs: expected each name once, got {name!r} twice")
-        if Path(folder) in found.values():
-            raise InputError(f"--pairs: expected a folder of each method's own, got {folder} twice")
-        found[name] = Path(folder)
+    found = dict(named_paths("--pairs", given))
+    if len({*found.values()}) < len(found):
+        folders = ", ".join(map(str, found.values()))
+        raise InputError(f"--pairs: expected a folder of each method's own, got {folders}")
     return found
 
 

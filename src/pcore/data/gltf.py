@@ -24,15 +24,8 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 Extensions = dict[str, Any]
 
 _HARMLESS = (
-    "KHR_materials_",
-    "KHR_texture_",
-    "EXT_texture_",
-    "MSFT_texture_",
-    "KHR_lights_",
-    "KHR_xmp",
-    "KHR_mesh_quantization",
-    "KHR_animation_pointer",
-    "KHR_node_visibility",
+    *("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "KHR_xmp"),
+    *("KHR_mesh_quantization", "KHR_animation_pointer", "KHR_node_visibility"),
 )
 """How names of extensions begin that leave shapes as they are, or that are read."""
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
@@ -61,19 +54,17 @@ class BufferView(_Part):
     extensions: Extensions = {}
 
 
-class SparseIndices(_Part):
-    """Which rows a sparse accessor changes."""
-
-    bufferView: Index  # noqa: N815
-    byteOffset: Index = 0  # noqa: N815
-    componentType: Literal[5121, 5123, 5125]  # noqa: N815
-
-
 class SparseValues(_Part):
-    """What it puts there."""
+    """What a sparse accessor puts into the rows that it changes."""
 
     bufferView: Index  # noqa: N815
     byteOffset: Index = 0  # noqa: N815
+
+
+class SparseIndices(SparseValues):
+    """Which rows those are."""
+
+    componentType: Literal[5121, 5123, 5125]  # noqa: N815
 
 
 class Sparse(_Part):
@@ -256,7 +247,9 @@ def _checked(data: Any, binary: bytes, where: str) -> Glb:
             f"{where}: expected glTF of version 2, got version {document.asset.version!r}"
         )
     for name in document.extensionsRequired:
-        _check_extension(name, where)
+        # Compressions may be required and yet not be used by what is read here.
+        if not (name.startswith(_HARMLESS) or "draco" in name or "meshopt" in name):
+            raise refuse_extension(name, where)
     return Glb(document=document, data=data, binary=binary, where=where)
 
 
@@ -275,13 +268,6 @@ def refuse_extension(name: str, where: str) -> InputError:
         f"{where}: expected a plain mesh, got one with the glTF extension {name}, which is not "
         "read: export without it"
     )
-
-
-def _check_extension(name: str, where: str) -> None:
-    # Compressions may be required and yet not be used by what is read here.
-    compression = "draco" in name or "meshopt" in name
-    if not (name.startswith(_HARMLESS) or compression):
-        raise refuse_extension(name, where)
 
 
 def _chunks(content: bytes, where: str) -> dict[int, bytes]:

@@ -16,6 +16,7 @@ from pcore.data.gltf_mesh import read_shape
 from pcore.data.obj import parse_obj
 from pcore.data.point_ply import read_point_ply
 from pcore.errors import InputError
+from pcore.validation import read_bytes
 
 MESH_SUFFIXES = (".ply", ".obj", ".glb", ".gltf")
 _REMEDIES = {
@@ -75,14 +76,7 @@ def _parsed(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             f"{path}: expected a mesh that ends in .ply, .obj, .glb or .gltf, got "
             f"{path.suffix or 'no ending'!r}{_REMEDIES.get(suffix, '')}"
         )
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(
-            f"{path}: no such file; expected a mesh (.ply, .obj, .glb, .gltf)"
-        ) from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the mesh: {error.strerror}") from error
+    content = read_bytes(path, what="a mesh (.ply, .obj, .glb, .gltf)")
     where = str(path)
     if suffix == ".glb":
         return read_shape(read_glb(content, where))

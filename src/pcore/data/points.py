@@ -17,6 +17,9 @@ from pcore.data.ply import plain_ply
 from pcore.data.point_ply import PointPly, read_point_ply
 from pcore.data.whole_file import write_whole
 from pcore.errors import InputError
+from pcore.validation import read_bytes
+
+_FILE = "a .npy or .ply of points"
 
 POINT_SUFFIXES = (".npy", ".ply")
 
@@ -81,7 +84,7 @@ def read_point_file(path: Path | str) -> PointFile:
     """
     path = Path(path)
     check_point_path(path)
-    content = _content(path)
+    content = read_bytes(path, what=_FILE)
     if path.suffix.lower() == ".npy":
         return PointFile(positions=_checked(path, _parse_npy(path, content)))
     return _parse_ply(path, content)
@@ -96,7 +99,7 @@ def read_array(path: Path | str) -> NDArray[Any]:
     path = Path(path)
     if path.suffix.lower() != ".npy":
         raise InputError(f"{path}: expected a NumPy array in a .npy file")
-    return _parse_npy(path, _content(path))
+    return _parse_npy(path, read_bytes(path, what=_FILE))
 
 
 def save_points(
@@ -194,15 +197,6 @@ def check_point_path(path: Path) -> None:
             f"{path}: expected a file of points that ends in .npy or .ply, "
             f"got {path.suffix or 'no ending'!r}"
         )
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; expected a .npy or .ply of points") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the file of points: {error.strerror}") from error
 
 
 def _parse_npy(path: Path, content: bytes) -> NDArray[Any]:

@@ -13,6 +13,7 @@ from pcore.data.ply_header import read_header
 from pcore.data.splat_file import SplatFile
 from pcore.data.whole_file import write_whole
 from pcore.errors import InputError
+from pcore.validation import read_bytes
 
 OUTPUTS = (".ply", ".splat", ".glb")
 _OTHERS = (".splat", ".spz", ".sog", ".ksplat")
@@ -60,7 +61,7 @@ def read_splats(path: Path | str) -> SplatFile:
             f"{where}: expected Gaussians in a file that ends in .ply, .splat, .spz or .sog, got "
             f"{path.suffix or 'no ending'!r}"
         )
-    content = _content(path)
+    content = read_bytes(path, what="a file of Gaussians")
     if kind == ".splat":
         return read_splat(content, where)
     if kind != ".ply":
@@ -124,12 +125,3 @@ def check_splat_output(path: Path) -> None:
 
 def _is_compressed(ply: Ply) -> bool:
     return ply.header.find("chunk") is not None
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; expected a file of Gaussians") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the file: {error.strerror}") from error
