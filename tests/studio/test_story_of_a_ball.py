@@ -43,6 +43,7 @@ def test_a_ball_a_telephone_and_a_lost_server(browser: Any, run: Path, free_port
         page.tab.keyboard.press("c")
         reads(page, "0.5")
         page.go_to("Time")
+        page.tab.wait_for_timeout(500)  # Until the tab has let the keyboard go.
         page.tab.keyboard.press("ArrowRight")
         reads(page, "0.02")
 
