@@ -90,7 +90,8 @@ def test_a_bent_rod_is_found_and_told_by_its_own_pictures(
     asset: Asset, shown: Shown, bent: Path
 ) -> None:
     fit = fit_pose(asset, views_of(bent), SHORT, shown=shown)
-    assert fit.after.psnr > fit.before.psnr + 4
+    # Networks that never learned draw sharp noise, in which a small miss is a large error.
+    assert fit.after.error < 0.5 * fit.before.error
     assert fit.after.overlap > 0.9
     true, found = asset.pose(BEND), asset.pose(fit.edit)
     rest = (true.points - asset.points).norm(dim=1).mean()
