@@ -30,7 +30,7 @@ def test_a_ball_a_telephone_and_a_lost_server(browser: Any, run: Path, free_port
         page.click(MIDDLE, "Control")
         page.says("1 edit, not saved")
         until(lambda: way(run) == [0.0, 0.0, 0.0])
-        page.tab.wait_for_timeout(1500)
+        page.tab.wait_for_timeout(4000)
         # An arrow is before the ball here, and would take it along z alone.
         start = (MIDDLE[0], MIDDLE[1] - 6)
         page.drag(start, (start[0] + 50, start[1] - 10))
