@@ -28,6 +28,15 @@ def test_masks_are_near_the_truth_also_for_views_without_a_vote() -> None:
     assert found.doubtful() == ()
 
 
+def test_of_many_photos_some_vote(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pcore.capture.auto_masks._VOTERS", 6)
+    shot, truth = photos(12)
+    told: list[tuple[int, int]] = []
+    found = find_masks(shot[:10], BOX, judged=shot[10:], progress=lambda *done: told.append(done))
+    assert told[-1] == (6 + 6 + 12, 6 + 6 + 12)
+    assert min(_overlap(m, t) for m, t in zip(found.masks, truth, strict=True)) > 0.95
+
+
 def test_a_scene_in_other_units_has_the_same_masks() -> None:
     shot, _ = photos(8)
     turn, shift, scale = motion = similarity()

@@ -235,6 +235,36 @@ def test_text_with_a_byte_order_mark(layout: str, tmp_path: Path) -> None:
     assert len(after.split("train")) == len(before.split("train"))
 
 
+def test_a_link_that_leads_out_is_not_advised(tmp_path: Path) -> None:
+    write_ngp(tmp_path / "scene")
+    content = json.loads((tmp_path / "scene" / "transforms.json").read_text())
+    photo = tmp_path / "scene" / content["frames"][2]["file_path"]
+    photo.rename(tmp_path / "elsewhere.png").touch()
+    photo.symlink_to(tmp_path / "elsewhere.png")
+    with pytest.raises(SceneError, match="leaves the scene's folder") as caught:
+        load_scene(tmp_path / "scene")
+    assert "A file of that name is there" not in str(caught.value)
+
+
+@pytest.mark.parametrize("factor", [1, 4])
+def test_pictures_of_which_nothing_can_be_measured(factor: int, tmp_path: Path) -> None:
+    write_ngp(tmp_path)
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    name = content["frames"][2]["file_path"]
+    for key in ("w", "h"):
+        content.pop(key, None)
+    size = (2 * factor, 2 * factor)
+    Image.new("RGB", size).save(tmp_path / name)
+    content["frames"][2] |= {"w": size[0], "h": size[1]}
+    for frame in content["frames"][:2] + content["frames"][3:]:
+        frame |= {"w": WIDTH, "h": HEIGHT}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    scene = load_scene(tmp_path, factor=factor)
+    assert [(one.name, "too small for a photo" in one.reason) for one in scene.skipped] == [
+        (name, True)
+    ]
+
+
 def test_picture_bombs(tmp_path: Path) -> None:
     write_colmap(tmp_path)
     Image.new("1", (14_000, 14_000)).save(tmp_path / "images" / "img_2.png")

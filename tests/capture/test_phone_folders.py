@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import ExifTags, Image
 from scipy.spatial.transform import Rotation
 
 from capture_files import HEIGHT, WIDTH, Shot, shots, write_photos
@@ -94,3 +95,40 @@ def test_heic_without_its_plug_in_names_it(tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "a.heic").write_bytes(b"\x00\x00\x00\x18ftypheic" + bytes(64))
     with pytest.raises(SceneError, match="pip install pillow-heif"):
         read_header(tmp_path / "a.heic")
+
+
+def test_heic_photos_are_upright_and_keep_their_alpha(tmp_path: Path) -> None:
+    """Its decoder turns them as their tag says; `exif_transpose` must not turn them again."""
+    pillow_heif = pytest.importorskip("pillow_heif")
+    pillow_heif.register_heif_opener()
+    frames: list[dict[str, object]] = []
+    for number, shot in enumerate(shots(6)):
+        upright = Image.new("RGBA" if number else "RGB", (32, 48), (200, 30, 30))
+        upright.paste((20, 20, 220), (0, 0, 32, 24))
+        if number:
+            upright.putalpha(Image.new("L", (32, 48), 255))
+            upright.paste((0, 0, 0, 0), (0, 40, 32, 48))
+        tag = (1, 6, 8)[number % 3]
+        stored = {
+            1: upright,
+            6: upright.transpose(Image.Transpose.ROTATE_90),
+            8: upright.transpose(Image.Transpose.ROTATE_270),
+        }[tag]
+        exif = Image.Exif()
+        exif[ExifTags.Base.Orientation] = tag
+        name = f"IMG_{number}.HEIC"
+        stored.save(tmp_path / name, format="HEIF", exif=exif.tobytes(), quality=-1)
+        frames.append({"file_path": name, "transform_matrix": shot.matrix.tolist()})
+    content = {"fl_x": 40, "fl_y": 40, "cx": 16, "cy": 24, "w": 32, "h": 48, "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    scene = load_scene(tmp_path)
+    assert scene.skipped == ()
+    views = [*scene.split("train"), *scene.split("test")]
+    assert len(views) == 6
+    for view in views:
+        rgba = view.rgba()
+        assert rgba.shape == (48, 32, 4)
+        assert rgba[4:20, :, 2].mean() > 0.75 > 0.2 > rgba[4:20, :, 0].mean()
+        assert rgba[28:36, :, 0].mean() > 0.7
+        faint = view.name != "IMG_0"
+        assert (float(rgba[44:, :, 3].mean()) < 0.1) == faint

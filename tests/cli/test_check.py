@@ -20,7 +20,7 @@ from pcore.data.pictures import write_mask
 from pcore.data.points import save_points
 from pcore.evaluation.check_page import check_page
 from pcore.evaluation.scene_check import SceneCheck, check_scene
-from room_scene import RADIUS, cameras, picture, sparse_points, write_room
+from room_scene import RADIUS, cameras, photos, picture, sparse_points, write_room
 
 pytest.importorskip("cv2", reason="automatic masks need OpenCV")
 BOX = ["--box", "-0.9", "-0.9", "-0.9", "0.9", "0.9", "0.9"]
@@ -264,6 +264,19 @@ def test_masks_of_nothing_and_of_everything_are_not_called_good(
     said = " ".join(capsys.readouterr().out.split())
     assert words in said
     assert "ok masks" not in said
+
+
+def test_a_lost_mask_is_no_doubt_about_the_others(tmp_path: Path) -> None:
+    room = write_room(tmp_path / "room", 12)
+    (tmp_path / "cut").mkdir()
+    for number, mask in enumerate(photos(12)[1]):
+        write_mask(tmp_path / "cut" / f"{number:04d}.png", mask * (number != 5))
+    scene = load_scene(room, masks=tmp_path / "cut")
+    found = check_scene(scene, scene)
+    assert found.masks is not None
+    assert found.masks.doubtful() == (5,)
+    assert min(*found.masks.agreement[:5], *found.masks.agreement[6:]) > 0.8
+    assert float((found.region.center).norm()) < 0.5
 
 
 def test_photos_of_one_name_in_two_splits_keep_their_own_masks(

@@ -2,16 +2,19 @@
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import pytest
+from torch import Tensor
 
-from pcore.data.scene import Scene
-from pcore.training import forecast
-from pcore.training.config import GrowConfig, PatchConfig
+from pcore.data.scene import Scene, View
+from pcore.gaussians.gaussians import Gaussians
+from pcore.training import forecast, measured_speed
+from pcore.training.config import GrowConfig, PatchConfig, PretrainConfig
 from pcore.training.forecast import forecasts, gaussian_forecast, papr_forecast
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from pcore.training.gaussian_fit import fit_gaussians
-from pcore.training.measured_speed import measured_speed, papr_step
+from pcore.training.measured_speed import StepCost, papr_step
 from pcore.training.presets import gaussian_preset
 from pcore.training.pretrain import pretrain
 from pcore.training.speed import Speed
@@ -31,7 +34,7 @@ def test_gaussians_take_what_was_said(box: Scene) -> None:
         validate_every=80,
         save_every=80,
     )
-    speed = measured_speed(box, config, clock=time.process_time)
+    speed = measured_speed.measured_speed(box, config, clock=time.process_time)
     said = gaussian_forecast(box, config, speed).seconds
     began = time.process_time()
     fit_gaussians(box, config)
@@ -59,6 +62,51 @@ def test_papr_takes_what_was_said(
     assert said.seconds is not None
     assert said.within == (1.3 if largest == 24 else 2.0)
     assert said.seconds / 2 < time.process_time() - began < 2 * said.seconds
+
+
+def test_points_that_spread_take_longer(box: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a grid few rays meet points, in the end all do: the mean of both, and a wider bound."""
+    seconds = {True: 1.0, False: 3.0}
+
+    def step(scene: Scene, config: PretrainConfig, clock: object) -> StepCost:
+        return StepCost(seconds=seconds[config.model.cutoff is not None], memory=2.0)
+
+    monkeypatch.setattr(forecast, "papr_step", step)
+    config = pretrain_config(model=replace(CONFIG, cutoff=0.1), steps=100)
+    hull, grid = (papr_forecast(box, replace(config, start=start)) for start in ("hull", "grid"))
+    assert hull.seconds is not None
+    assert grid.seconds == pytest.approx(2 * hull.seconds)
+    assert (hull.within, grid.within) == (1.3, 2.0)
+
+
+def test_steps_are_timed_with_decoded_photos_from_one_start(
+    box: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+    rgba, begin = View.rgba, measured_speed.start_gaussians
+
+    def decoded(view: View) -> Tensor:
+        done.append(view.name)
+        return rgba(view)
+
+    def started(*arguments: Any) -> Gaussians:
+        done.append("start")
+        return begin(*arguments)
+
+    def clock() -> float:
+        done.append("clock")
+        return time.process_time()
+
+    monkeypatch.setattr(View, "rgba", decoded)
+    monkeypatch.setattr(measured_speed, "start_gaussians", started)
+    shown = {view.name for view in measured_speed._some(box.split("train"))}
+    papr_step(box, pretrain_config(), clock=clock)
+    assert shown <= {*done[: done.index("clock")]}
+    done.clear()
+    speed = measured_speed.measured_speed(box, gaussian_preset("tiny"), clock=clock)
+    assert shown <= {*done[: done.index("clock")]}
+    assert done.count("start") == 1
+    assert speed.gaussian > 1e-8
 
 
 def test_what_gradients_keep_grows_with_the_rays(box: Scene) -> None:

@@ -137,10 +137,21 @@ def test_views_do_not_carve_what_they_do_not_see() -> None:
     blind = replace(seeing, world_from_camera=seeing.world_from_camera.clone())
     blind.world_from_camera[:3, 3] *= -1.0  # Upright, on the other side, and looks away.
     views = around()[::3]
-    with_blind = [*views, FakeView(blind, torch.zeros(48, 64, 4))]
+    shown = torch.zeros(48, 64, 4)
+    shown[0, 0] = 1  # Masks that hold nothing carve nothing in any case.
+    with_blind = [*views, FakeView(blind, shown)]
     apart = torch.cdist(hull(with_blind), hull(views))  # Voxels may lie along other axes.
     assert float(apart.amin(dim=1).max()) < 0.2
     assert float(apart.amin(dim=0).max()) < 0.2
+
+
+def test_a_lost_mask_carves_nothing() -> None:
+    views = around()[::3]
+    lost = replace(views[2].camera, world_from_camera=views[2].camera.world_from_camera.clone())
+    found = hull([*views[:2], FakeView(lost, torch.zeros(48, 64, 4)), *views[3:]])
+    assert float((found - CENTER).norm(dim=1).max()) < RADIUS + 0.3
+    with pytest.raises(TrainingError, match="no common inside"):
+        hull([FakeView(view.camera, torch.zeros(48, 64, 4)) for view in views])
 
 
 def test_what_no_view_sees_is_no_object() -> None:

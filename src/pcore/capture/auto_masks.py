@@ -21,8 +21,10 @@ from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.object_region import Region
 
-_LONGEST = 320
-"""Longer side of the pictures that are cut, pixels: finer ones cost more and find no more."""
+_LONGEST, _ROUGH = 320, 160
+"""Longer side of the pictures whose cuts are masks, pixels: finer ones cost more and find no more;
+and of those whose cuts only vote on the hull."""
+_VOTERS = 32  # Photos that vote before all are cut: neighbours say the same.
 _MARGIN = 0.12
 """Room around an outline in which the cut may still find object, as a share of its size."""
 _ROUNDS, _ITERATIONS = 3, 2
@@ -96,31 +98,32 @@ def find_masks(
         InputError: no photo shows the region, most show nothing else, or no cut leaves anything.
         DependencyError: OpenCV is not installed.
     """
-    small, others = [_shrunk(photo) for photo in photos], [_shrunk(photo) for photo in judged]
-    everyone = [*small, *others]
+    everyone = [_shrunk(photo, _LONGEST) for photo in (*photos, *judged)]
+    voting = [_shrunk(photo, _ROUGH) for photo in _spread(photos)]
+    turns = [*[voting] * (_ROUNDS - 1), everyone]
     whole = region.corners if region.box is not None else _sphere(region)
     known = whole if points is None or len(points) < _FEW else points
-    seeds = [_outline(photo.camera, known) for photo in everyone]
-    # What the points leave out of the object lies in their box.
-    rooms = [_outline(photo.camera, whole) for photo in everyone]
-    nears = [_near(a, b, region) for a, b in zip(seeds, rooms, strict=True)]
-    _check_background(seeds[: len(small)], nears[: len(small)])
+    seeds = [_outline(photo.camera, known) for photo in voting]
     masks: list[Bits] = []
     cores: list[Bits] | None = None
-    total, done = (_ROUNDS - 1) * len(small) + len(everyone), 0
-    for turn in range(_ROUNDS):
-        last = turn == _ROUNDS - 1
+    total, done = sum(map(len, turns)), 0
+    for turn, taken in enumerate(turns):
+        # What the points leave out of the object lies in their box.
+        rooms = [_outline(photo.camera, whole) for photo in taken]
+        nears = [_near(a, b, region) for a, b in zip(seeds, rooms, strict=True)]
+        if turn == 0:
+            _check_background(seeds, nears)
         masks = []
-        for number, photo in enumerate(everyone if last else small):
+        for number, photo in enumerate(taken):
             core = None if cores is None else cores[number]
-            near = _near(seeds[number], rooms[number], region)
-            masks.append(_cut(photo.rgb, seeds[number], near, core))
+            masks.append(_cut(photo.rgb, seeds[number], nears[number], core))
             done += 1
             if progress is not None:
                 progress(done, total)
-        voters = [(one.camera, mask) for one, mask in zip(small, masks, strict=False)]
-        votes = (_JUDGED,) if last else (_LOOSE, _SURE)
-        seeds, cores = _voted(voters, region, votes, [one.camera for one in everyone])
+        votes = (_JUDGED,) if taken is everyone else (_LOOSE, _SURE)
+        voters = [(one.camera, mask) for one, mask in zip(taken, masks, strict=True)]
+        following = [one.camera for one in turns[min(turn + 1, _ROUNDS - 1)]]
+        seeds, cores = _voted(voters[: len(photos)], region, votes, following)
     _check_filled(masks, "what is cut out")
     sized = (
         _resized(mask, one.camera) for mask, one in zip(masks, [*photos, *judged], strict=True)
@@ -183,18 +186,24 @@ def overlap(mask: Bits, other: Bits) -> float:
     return 1.0 if union == 0 else int((mask & other).sum()) / union
 
 
-def shrunk(rgb: Tensor) -> Tensor:
+def shrunk(rgb: Tensor, longest: int = _LONGEST) -> Tensor:
     """A photo (H, W, 3) in the size that is cut, by the mean of areas."""
     height, width = rgb.shape[:2]
-    scale = _LONGEST / max(width, height)
+    scale = longest / max(width, height)
     if scale >= 1:
         return rgb
     size = max(1, round(scale * width)), max(1, round(scale * height))
     return torch.from_numpy(require_opencv().resize(rgb.numpy(), size, interpolation=3))
 
 
-def _shrunk(photo: Photo) -> Photo:
-    rgb = shrunk(photo.rgb)
+def _spread(photos: Sequence[Photo]) -> list[Photo]:
+    """At most so many photos as vote, evenly by their order."""
+    count = min(_VOTERS, len(photos))
+    return [photos[i * len(photos) // count] for i in range(count)]
+
+
+def _shrunk(photo: Photo, longest: int) -> Photo:
+    rgb = shrunk(photo.rgb, longest)
     return replace(photo, camera=photo.camera.resized(rgb.shape[1], rgb.shape[0]), rgb=rgb)
 
 
@@ -222,8 +231,7 @@ def _sphere(region: Region) -> Tensor:
     return region.center + region.radius * ball
 
 
-def _reach(seed: Bits) -> int:
-    """Pixels around an outline in which the cut may still find object."""
+def _reach(seed: Bits) -> int:  # Pixels around an outline that the cut may still take.
     return max(2, round(_MARGIN * math.sqrt(float(seed.sum()))))
 
 
@@ -233,15 +241,10 @@ def _near(seed: Bits, room: Bits, region: Region) -> Bits:
 
 
 def _cut(rgb: Tensor, seed: Bits, near: Bits, core: Bits | None) -> Bits:
-    """GrabCut (H, W) 0 or 1 from an outline; the inner part of a core is object for certain.
-
-    What does not lie near is background for certain.
-    """
+    """GrabCut (H, W) 0 or 1 from an outline, near it; inside of a core is object for certain."""
     cv2 = require_opencv()
-    if not seed.any():
-        return seed
-    if near.all():
-        return seed  # Nothing of the picture is known to be background.
+    if not seed.any() or near.all():
+        return seed  # There is no object, or nothing is known to be background.
     trimap = np.full(seed.shape, cv2.GC_BGD, dtype=np.uint8)
     trimap[near > 0] = cv2.GC_PR_BGD
     trimap[seed > 0] = cv2.GC_PR_FGD

@@ -19,6 +19,8 @@ from pcore.geometry.lens_distortion import LensDistortion
 
 _GRID, _SEEN = 32, 0.1
 """Pixels a side at which lenses are looked at, and the least share of them that must be seen."""
+_SMALLEST = 3
+"""Pixels along a side of a picture of which anything can be measured."""
 _RIGID, _MENDED = 1e-3, 2e-2
 """Rotations off by less are taken as they are; off by less than the second, the nearest one is."""
 
@@ -144,6 +146,7 @@ def _same_shape(size: tuple[int, int], said: tuple[int, int]) -> bool:
 def _whole_blocks(full: tuple[int, int], factor: int) -> Crop | None:
     """The part of a picture that a factor divides; None: all of it."""
     width, height = full[0] // factor * factor, full[1] // factor * factor
-    if 0 in (width, height):
-        raise UnusableError(f"{full[0]} x {full[1]} pixels, smaller than the factor {factor}")
+    if min(width, height) < _SMALLEST * factor:
+        at = f" at factor {factor}" * (factor > 1)
+        raise UnusableError(f"{full[0]} x {full[1]} pixels, too small for a photo{at}")
     return None if (width, height) == full else (0, 0, width, height)

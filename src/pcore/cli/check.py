@@ -142,14 +142,15 @@ def _opened(command: CheckCommand, factor: int, console: Console) -> tuple[Scene
     """The scene with its masks and without any."""
     from pcore.capture.load import load_scene
 
-    bare = load_scene(command.scene, factor=factor, masks="none", tell=console.print)
-    if command.masks == "none":
+    if command.masks in ("none", "auto", "trained"):
+        bare = load_scene(command.scene, factor=factor, masks="none", tell=console.print)
         return bare, bare
-    folder = None if command.masks is None or command.masks in _AUTOMATIC else Path(command.masks)
-    scene = load_scene(command.scene, factor=factor, masks=folder)
-    if command.masks in ("auto", "trained") or not scene.split("train")[0].has_alpha:
-        return bare, bare
-    return scene, bare
+    folder = None if command.masks is None else Path(command.masks)
+    scene = load_scene(command.scene, factor=factor, masks=folder, tell=console.print)
+    if all(view.image.mask is None for view in scene.split("train")):
+        return scene, scene  # What alpha there is is the photos' own: they are decoded once.
+    bare = load_scene(command.scene, factor=factor, masks="none")
+    return (scene, bare) if scene.split("train")[0].has_alpha else (bare, bare)
 
 
 def _looking_factor(path: Path, console: Console) -> int:

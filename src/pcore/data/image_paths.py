@@ -201,7 +201,9 @@ class Finder:
             seen += len(files)
             if seen > _SEARCHED:
                 break
-            places = [Path(folder, file).relative_to(self.root) for file in files]
+            # A link that leads out is what is refused, and no place to advise.
+            inner = [one for file in files if not (one := Path(folder, file)).is_symlink()]
+            places = [place.relative_to(self.root) for place in inner]
             found += [place.as_posix() for place in places if _key(place.name) in keys]
         if not found:
             return ""

@@ -231,7 +231,9 @@ def _outcome(state: str, means: list[StateMean]) -> str:
     }
     psnr = [f"{shown(scores[n]['foreground_psnr'])} dB with {n}" for n in METHODS]
     holes = [shown(scores[n]["hole_rate"], 1, percent=True) for n in METHODS]
-    return f"PSNR of the object {', '.join(psnr)}; holes {', '.join(holes)}."
+    text = f"PSNR of the object {', '.join(psnr)}; holes {', '.join(holes)}."
+    # A line does not break between a number and its unit.
+    return text.replace(" dB", "\u00a0dB").replace(" %", "\u00a0%")
 
 
 def _facts(folder: DemoFolder, settings: DemoSettings) -> tuple[tuple[str, str], ...]:

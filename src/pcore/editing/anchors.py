@@ -151,6 +151,7 @@ class AnchorRig:
     graph: AnchorGraph
     weigher: Weigher = field(repr=False)
     weights: SkinningWeights = field(repr=False)
+    _there: list[AnchorRig] = field(init=False, repr=False, default_factory=list["AnchorRig"])
 
     @property
     def size(self) -> float:
@@ -172,6 +173,9 @@ class AnchorRig:
         places = points.detach().cpu().to(self.points.dtype)
         if torch.equal(places, self.points):
             return self
+        # While something is dragged the cloud arrives where it arrived before.
+        if self._there and torch.equal(self._there[0].points, places):
+            return self._there[0]
         weights = self.weights
 
         def beside(queries: Tensor) -> SkinningWeights:
@@ -179,7 +183,8 @@ class AnchorRig:
             return SkinningWeights(anchors=weights.anchors[rows], values=weights.values[rows])
 
         graph = anchor_graph(places[self.indices], self.graph.between)
-        return replace(self, points=places, graph=graph, weigher=beside)
+        self._there[:] = [replace(self, points=places, graph=graph, weigher=beside)]
+        return self._there[0]
 
     def deformation(self, pose: AnchorPose) -> SkinnedDeformation:
         """Return the map of space that a pose means."""

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pcore.deform.skinning import AnchorPose
+from pcore.deform.skinning import AnchorPose, SkinnedDeformation
+from pcore.deform.weighted import Weighted
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.anchors_edit import AnchorsEdit
-from pcore.editing.binding import begin
+from pcore.editing.binding import Bound, begin
 from pcore.editing.diagnosis import CALM, Legend, painted
 from pcore.editing.script import EditScript
 from pcore.errors import EditError
@@ -107,18 +108,24 @@ def diagnose_handles(rig: AnchorRig, pose: AnchorPose, handles: Iterable[int]) -
         raise EditError("handles: expected at least one anchor with a handle, got none")
     points = rig.points.double()
     anchors, weights = rig.weights.anchors, rig.weights.values.detach().double()
-    turns, rest = pose.rotations.double()[anchors], pose.rest.double()[anchors]
-    wishes = (turns @ (points.unsqueeze(1) - rest).unsqueeze(-1)).squeeze(-1)
-    wishes = wishes + pose.moved.double()[anchors]
-    meant = (weights.unsqueeze(-1) * wishes).sum(dim=1, keepdim=True)
-    spread = (weights * (wishes - meant).square().sum(dim=-1)).sum(dim=1).sqrt()
+    turned = (pose.rotations != torch.eye(3, dtype=pose.rotations.dtype)).flatten(1).any(dim=1)
+    moves = turned | (pose.moved != pose.rest).any(dim=1)
+    # About all others every anchor says that they stay, and most are of those.
+    some = moves[anchors].any(dim=1).nonzero().squeeze(1)
+    own, here, share = anchors[some], points[some], weights[some]
+    away = here.unsqueeze(1) - pose.rest.double()[own]
+    wishes = (pose.rotations.double()[own] @ away.unsqueeze(-1)).squeeze(-1)
+    wishes = wishes + pose.moved.double()[own]
+    meant = (share.unsqueeze(-1) * wishes).sum(dim=1, keepdim=True)
+    spread, way = torch.zeros_like(points[:, 0]), torch.zeros_like(points[:, 0])
+    spread[some] = (share * (wishes - meant).square().sum(dim=-1)).sum(dim=1).sqrt()
+    way[some] = (meant.squeeze(1) - here).norm(dim=1)
     strongest = anchors.gather(1, weights.argmax(dim=1, keepdim=True)).squeeze(1)
-    away = rig.graph.between[:, held].double().amin(dim=1)
-    way = (meant.squeeze(1) - points).norm(dim=1)
+    path = rig.graph.between[:, held].double().amin(dim=1)
     size = max(rig.size, torch.finfo(torch.float32).tiny)
     return HandleDiagnosis(
         disagreement=spread / size,
-        distance=away[strongest] / size,
+        distance=path[strongest] / size,
         way=way / size,
     )
 
@@ -141,12 +148,23 @@ def handles_of(
     """
     resting = points.detach().to(device="cpu", dtype=torch.float64)
     bound = begin(resting, script.freeze, rig=rig, allow_folds=True)
-    found: dict[int, HandleDiagnosis] = {}
-    for number, edit in enumerate(script.edits, start=1):
-        if isinstance(edit, AnchorsEdit) and edit.enabled:
-            own = edit.rig(bound.setting)
-            dragger, handles = edit.dragger(own)
-            pose = dragger.pose(handles)
-            found[number] = diagnose_handles(own, pose, handles)
+    for edit in script.edits:
         bound = bound.then(edit)
+    return handles_in(bound, script)
+
+
+def handles_in(bound: Bound, script: EditScript) -> dict[int, HandleDiagnosis]:
+    """Do the same for a script that is bound already."""
+    found = {} if bound.before is None else handles_in(bound.before, script)
+    if bound.before is None:
+        return found
+    number, step = len(bound.steps), bound.steps[-1]
+    edit = script.edits[number - 1]
+    if isinstance(edit, AnchorsEdit) and edit.enabled:
+        rig = edit.rig(bound.before.setting)
+        step = step.inner if isinstance(step, Weighted) else step
+        handles = edit.placed(rig)
+        known = isinstance(step, SkinnedDeformation)
+        pose = step.pose if known else edit.dragger(rig)[0].pose(handles)
+        found[number] = diagnose_handles(rig, pose, handles)
     return found

@@ -207,7 +207,9 @@ def _agreed(views: Sequence[View], region: Region, masks: tuple[Tensor, ...]) ->
     """How well masks that are there agree with their own hull, looked at small."""
     small = [_small(view, mask) for view, mask in zip(views, masks, strict=True)]
     cameras, bits = [one[0] for one in small], [one[1] for one in small]
-    hulls = hull_silhouettes(cameras, bits, region, votes=(_VOTE,), into=cameras, voxels=_VOXELS)[0]
+    voting = [one for one in small if one[1].any()]  # A lost mask says nothing of the others.
+    voters, votes = [one[0] for one in voting], [one[1] for one in voting]
+    hulls = hull_silhouettes(voters, votes, region, votes=(_VOTE,), into=cameras, voxels=_VOXELS)[0]
     return CheckedMasks(
         masks=masks,
         agreement=tuple(overlap(a, b) for a, b in zip(bits, hulls, strict=True)),

@@ -72,7 +72,8 @@ def _looking(
     photos_of(views, torch.device("cpu"))  # Refuses what shows no object.
     posed = asset.pose(edit).content.to(device)
     draws = torch.Generator().manual_seed(config.seed)
-    total, done = config.points.steps, 0
+    numbers = replace(config.points, samples=min(config.points.samples, content.samples))
+    total, done = numbers.steps, 0
 
     def tell() -> None:
         nonlocal done
@@ -80,7 +81,7 @@ def _looking(
         if progress is not None:
             progress(done, total)
 
-    features = learn_looks(papr, posed, views, config.points, draws, tell)
+    features = learn_looks(papr, posed, views, numbers, draws, tell)
     papr.requires_grad_(False)
     return replace(content, papr=papr, cloud=replace(content.cloud, features=features.cpu()))
 

@@ -129,7 +129,8 @@ class AppearanceConfig:
         rate: length of a step at first, of the first coefficient of their colours.
         views: photos per step of theirs.
         seed: of the order of photos.
-        points: of neural points, as in PAPR in Motion's second stage.
+        points: of neural points, as in PAPR in Motion's second stage; no more rays per pixel than
+            the object's pictures have.
     """
 
     pixels: int = 200
@@ -137,7 +138,7 @@ class AppearanceConfig:
     rate: float = 0.03
     views: int = 2
     seed: int = 0
-    points: MotionConfig = field(default_factory=lambda: MotionConfig(steps=300))
+    points: MotionConfig = field(default_factory=lambda: MotionConfig(steps=300, samples=2))
 
     def __post_init__(self) -> None:
         check_count("appearance: steps", self.steps)

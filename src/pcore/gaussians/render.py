@@ -97,8 +97,8 @@ class GaussianPictures:
     Attributes:
         rgb: (C, H, W, 3) over the background, not clamped.
         alpha: (C, H, W) opacity.
-        depth: (C, H, W) median camera z of what is drawn (`rasterization`), world units; of flat
-            ones and of gsplat, which know no other, the expected one. 0 where nothing is.
+        depth: (C, H, W) median camera z of what is drawn (`rasterization`), world units; of
+            gsplat, which knows no other, the expected one. 0 where nothing is.
         means2d: (C, N, 2) columns and rows of the centres, pixels; its gradient can be retained.
         normals: (C, H, W, 3) sums of the unit normals of flat Gaussians, in the world, by their
             weights; None of others, and where no depth was asked for.
@@ -212,7 +212,7 @@ def render_views(
         near,
         footprint,
         background=background.to(gaussians.means).expand(len(viewmats), 3),
-        render_mode=_with_depth(posed, footprint) if depth else "RGB",
+        render_mode=_with_depth(posed) if depth else "RGB",
     )
     alpha = alpha[..., 0]
     return GaussianPictures(
@@ -224,10 +224,9 @@ def render_views(
     )
 
 
-def _with_depth(posed: PosedGaussians, footprint: Footprint) -> RenderMode:
+def _with_depth(posed: PosedGaussians) -> RenderMode:
     """How colours and the best depth that there is are asked for."""
-    median = not footprint.flat and of_gaussians(posed.gaussians.means) != "gsplat"
-    return "RGB+MD" if median else "RGB+ED"
+    return "RGB+ED" if of_gaussians(posed.gaussians.means) == "gsplat" else "RGB+MD"
 
 
 def _rasterized(

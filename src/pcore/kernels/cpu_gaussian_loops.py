@@ -101,7 +101,7 @@ def _blend_row(
             colors[column, d] += weight * color[d]
         if deep:
             colors[column, -1] += weight * color[-1] * (nearer - one)
-        if before > half:
+        if weight > 0 and before > half:
             middle[column] = g
         left[column] = after
     return filled

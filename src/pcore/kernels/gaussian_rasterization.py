@@ -134,13 +134,12 @@ def rasterization(
         "height": height,
         "n_cameras": len(viewmats),
     }
-    image = finished(image, alpha.unsqueeze(-1), backgrounds, render_mode)
     if render_mode == "RGB+MD":
         # One more for -1. index_select adds gradients in one order, indexing by threads does not.
         known = torch.cat([projected.depths.flatten(), projected.depths.new_zeros(1)])
         depth = known.index_select(0, middle.flatten() % len(known)).view_as(alpha)
         image = torch.cat([image, depth.unsqueeze(-1)], dim=-1)
-    return image, alpha[..., None], meta
+    return finished(image, alpha.unsqueeze(-1), backgrounds, render_mode), alpha[..., None], meta
 
 
 def finished(
@@ -148,8 +147,10 @@ def finished(
 ) -> Tensor:
     """Put the background behind pictures (C, H, W, D) and turn sums of depths into means."""
     depth = None
-    if render_mode == "RGB+ED":
-        image, depth = image[..., :-1], image[..., -1:] / alpha.clamp_min(_LEAST_ALPHA)
+    if render_mode != "RGB":
+        image, depth = image[..., :-1], image[..., -1:]
+    if depth is not None and render_mode == "RGB+ED":
+        depth = depth / alpha.clamp_min(_LEAST_ALPHA)
     if backgrounds is not None:
         image = image + (1 - alpha) * backgrounds[:, None, None]
     return image if depth is None else torch.cat([image, depth], dim=-1)

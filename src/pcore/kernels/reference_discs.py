@@ -33,6 +33,7 @@ def drawn_discs(
     eps2d: float,
     antialiased: bool,
     deep: bool,
+    median: bool,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """See `disc_rasterization`: pictures (C, H, W, D), alphas (C, H, W), centres (C, N, 2)."""
     transforms = ray_transforms(means, tangents, viewmats, intrinsics)
@@ -46,9 +47,16 @@ def drawn_discs(
         values = values[:, None, None, :].expand(*square.shape, -1)
         if deep:
             values = torch.cat([values, depth[..., None]], dim=-1)
-        pictures.append(
-            composited(square, inside, opacities[front] * share, values, one[:, 2, 2])[:2]
+        image, alpha, middle = composited(
+            square, inside, opacities[front] * share, values, one[:, 2, 2]
         )
+        if median:
+            none = torch.zeros_like(alpha)[None]
+            found = torch.cat([depth.expand_as(square), none]).gather(
+                0, (middle % (len(depth) + 1))[None]
+            )
+            image = torch.cat([image, found[0][..., None]], dim=-1)
+        pictures.append((image, alpha))
     image, alpha = (torch.stack(parts) for parts in zip(*pictures, strict=True))
     return image, alpha, transforms[..., :2, 2] / transforms[..., 2:, 2]
 

@@ -44,6 +44,8 @@ class MotionConfig:
     feature_rate: float = 5e-3
     side: int = 80
     """Of the patches, pixels."""
+    samples: int = 1
+    """Rays per pixel, drawn anew in every step; 1 is the one through its centre."""
     seed: int = 0
 
 
@@ -181,7 +183,7 @@ def _error(
     black = papr.config.background == (0.0, 0.0, 0.0)
     patch = draw_patch(
         views,
-        PatchConfig(side=config.side),
+        PatchConfig(side=config.side, samples=config.samples),
         "black" if black else "white",
         draws,
         posed.positions.device,

@@ -11,7 +11,7 @@ from torch import Tensor
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.neural_points import NeuralPoints
 from pcore.editing.diagnosis import CALM, painted
-from pcore.editing.handles import handle_colors, handles_of
+from pcore.editing.handles import handle_colors, handles_in
 from pcore.editing.live import LiveDiagnosis
 from pcore.editing.state import EditState
 from pcore.errors import PcoreError
@@ -150,7 +150,7 @@ class Drawer:
             found = self._live.of(state)
             colors = found.colors() if overlay == "strain" else found.hole_colors()
         elif overlay == "handles":
-            found = handles_of(state.script, self.asset.points, self.asset.rig)
+            found = handles_in(state.bound, state.script)
             colors = handle_colors(found.values(), len(colors))
         away = (colors.int() - painted(CALM).int()).abs().amax(dim=1) > _SHADE
         marks = [(torch.tensor(sorted(chosen)).long(), CHOSEN), (state.folds, FOLDED)]

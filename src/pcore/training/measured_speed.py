@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import torch
 from torch import Tensor
 from torch.autograd.graph import saved_tensors_hooks
 
 from pcore.data.scene import Scene, View
+from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.pinhole import view_matrices
 from pcore.gaussians.render import PosedGaussians, render_views
 from pcore.metrics.trunks import TRUNKS
@@ -27,19 +30,22 @@ from pcore.training.speed import Speed, speed_from
 from pcore.training.time_plan import Photos
 from pcore.training.trainable_gaussians import TrainableGaussians, trainable_gaussians
 
+Decoded = TypeVar("Decoded", bound=Photo)
+
 _VIEWS = 4
 """Views that are looked at: decoding large photos takes its time."""
 _SIDE = 200
 """Pixels along the longer side of the larger pictures; half of it of the smaller ones."""
-_NUMBERS = (4_000, 16_000)
-"""Gaussians of the two objects."""
+_START, _PARTS = 4_000, (1, 4)
+"""Gaussians of a start, which is made once, and into how many parts each of them is taken: finding
+where photos agree costs more than all the steps."""
 _OPACITY = 0.5
 """Of every Gaussian, as in the middle of a training."""
 _RENDERED = "NeRF-Synthetic"
 """The layout whose photos are only divided by what divides their sides."""
 _TURNS = 3
 _PATCHES = 10
-"""Steps of PAPR with a cut-off: patches that hold no point cost next to nothing."""
+"""Steps of PAPR with a cut-off and masks: patches that hold no point cost next to nothing."""
 _SOLID = 0.5
 
 
@@ -78,10 +84,12 @@ def measured_speed(
     longest = max(max(view.camera.width, view.camera.height) for view in views)
     fine = max(1, round(longest / _SIDE))
     samples: list[tuple[float, float, float]] = []
-    for count in _NUMBERS:
-        work = _prepared(scene, views, replace(config, points=count), where)
+    generator = torch.Generator().manual_seed(config.seed)
+    start = start_gaussians(scene, views, replace(config, points=_START), generator)
+    for parts in _PARTS:
+        work = _prepared(scene, _in_parts(start, parts, generator), config, where)
         for reduction in (fine, 2 * fine):
-            photos = reduced(views, reduction)
+            photos = _decoded(reduced(views, reduction))
             camera = photos[0].camera
             seconds = _step_seconds(work, photos, config, clock)
             samples.append((camera.width * camera.height, work.points, seconds))
@@ -114,12 +122,13 @@ def papr_step(
         device: that will train.
         clock: tells the time.
     """
-    views = _some(scene.split("train"))
+    views = _decoded(_some(scene.split("train")))
     where = torch.device(device)
     work = begin(scene, views, config, where)
     took: list[float] = []
     kept: dict[int, int] = {}
-    turns = _TURNS if config.model.cutoff is None else _PATCHES
+    uneven = config.model.cutoff is not None and all(view.has_alpha for view in views)
+    turns = _PATCHES if uneven else _TURNS
     for turn in range(turns + 1):
         began = clock()
         # The first step does not count in time; so its gradients can be looked at.
@@ -167,10 +176,26 @@ def _some(views: Sequence[View]) -> Sequence[View]:
     return views[:: max(1, len(views) // _VIEWS)][:_VIEWS]
 
 
+def _decoded(photos: Sequence[Decoded]) -> Sequence[Decoded]:
+    """The photos, kept in memory now: a training decodes each of them once, and not in a step."""
+    for photo in photos:
+        photo.rgba()
+        photo.valid()
+    return photos
+
+
+def _in_parts(start: Gaussians, parts: int, generator: torch.Generator) -> Gaussians:
+    """Every Gaussian in parts inside of it that cover as much of a surface as it did."""
+    many = start.each(lambda rows: rows.repeat_interleave(parts, dim=0))
+    apart = torch.randn(many.means.shape, generator=generator) * (parts > 1)
+    return replace(
+        many, means=many.means + apart * many.scales, scales=many.scales / math.sqrt(parts)
+    )
+
+
 def _prepared(
-    scene: Scene, views: Sequence[View], config: GaussianConfig, device: torch.device
+    scene: Scene, start: Gaussians, config: GaussianConfig, device: torch.device
 ) -> TrainableGaussians:
-    start = start_gaussians(scene, views, config, torch.Generator().manual_seed(config.seed))
     start = replace(start, opacities=torch.full_like(start.opacities, _OPACITY))
     return trainable_gaussians(
         start.to(device),

@@ -103,8 +103,9 @@ def hull_points(
     Raises:
         TrainingError: when the silhouettes have no common inside.
     """
-    solid = [_Mask(view.camera, view.alpha() > _SOLID, view.valid()) for view in views]
-    trace = [_Mask(view.camera, view.alpha() > _TRACE, view.valid()) for view in views]
+    holding = _holding(views)
+    solid = [_Mask(view.camera, view.alpha() > _SOLID, view.valid()) for view in holding]
+    trace = [_Mask(view.camera, view.alpha() > _TRACE, view.valid()) for view in holding]
     axes = capture_axes([view.camera for view in views])
     coarse, size = _coarse(lower, upper, region, axes)
     inside = _inside_all(coarse @ axes.T, trace, region)
@@ -181,8 +182,16 @@ def coarse_hull(
         region: as for `hull_points`.
     """
     voxels, size = _coarse(lower, upper, region, axes := capture_axes([v.camera for v in views]))
-    trace = [_Mask(view.camera, view.alpha() > _TRACE, view.valid()) for view in views]
+    trace = [_Mask(v.camera, v.alpha() > _TRACE, v.valid()) for v in _holding(views)]
     return (voxels @ axes.T)[_inside_all(voxels @ axes.T, trace, region)], size
+
+
+def _holding(views: Sequence[MaskedView]) -> Sequence[MaskedView]:
+    """The views whose mask holds anything; all where none does.
+
+    One that was lost and is black would carve all away but what this view does not see.
+    """
+    return [view for view in views if bool((view.alpha() > _TRACE).any())] or views
 
 
 def _inside_all(voxels: Tensor, masks: Sequence[_Mask], region: Region | None) -> Tensor:

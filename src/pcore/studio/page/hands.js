@@ -29,7 +29,7 @@ if (!window.pcoreHands) {
     'button, [role="tab"], [role="option"], [role="slider"], input[type="checkbox"]';
   window.addEventListener("click", (event) => {
     if (!event.target.closest?.(WIDGETS)) return;
-    setTimeout(() => document.activeElement?.closest(WIDGETS)?.blur(), 0);
+    setTimeout(() => document.activeElement?.blur(), 0);
   });
 
   // Who goes from widget to widget with Tab uses them by these keys, which are commands elsewhere.

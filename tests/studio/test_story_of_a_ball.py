@@ -1,0 +1,64 @@
+"""In Chromium: the ball of a gizmo, keys, a narrow window, a server that goes."""
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from page import Page, kept, until
+
+pytest.importorskip("viser", reason="the extra studio is not installed")
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
+MIDDLE = (355, 350)
+
+
+def way(run: Path) -> list[float]:
+    """How far the only handle is from where it was put."""
+    one = kept(run)["edits"][0]["handles"][0]
+    return [a - b for a, b in zip(one["to"], one["near"], strict=True)]
+
+
+def reads(page: Page, number: str) -> None:
+    """Wait until a number beside a slider is this."""
+    page.tab.locator(f'input[value="{number}"]:visible').first.wait_for(timeout=30_000)
+
+
+def test_a_ball_a_telephone_and_a_lost_server(browser: Any, run: Path, free_port: int) -> None:
+    page = Page(browser, run, free_port)
+    try:
+        page.click(MIDDLE, "Control")
+        page.says("1 edit, not saved")
+        until(lambda: way(run) == [0.0, 0.0, 0.0])
+        page.tab.wait_for_timeout(4000)
+        # An arrow is before the ball here, and would take it along z alone.
+        start = (MIDDLE[0], MIDDLE[1] - 6)
+        page.drag(start, (start[0] + 50, start[1] - 10))
+        until(lambda: way(run) != [0.0, 0.0, 0.0])
+        x, y, z = way(run)
+        assert min(x, y) > 0.03, "it goes where the pointer goes"
+        assert 0 < z < 0.5 * min(x, y)
+
+        page.go_to("View")
+        page.tab.keyboard.press("c")
+        reads(page, "0.5")
+        page.go_to("Time")
+        page.tab.wait_for_timeout(500)  # Until the tab has let the keyboard go.
+        page.tab.keyboard.press("ArrowRight")
+        reads(page, "0.02")
+
+        page.tab.close()
+        page.tab = browser.new_page(viewport={"width": 390, "height": 844}, has_touch=True)
+        page.tab.goto(page.url)
+        page.tab.get_by_text("Loading").wait_for(state="detached", timeout=60_000)
+        edit = page.tab.get_by_role("tab", name="Edit", exact=True)
+        edit.wait_for(state="hidden", timeout=30_000)
+        page.tab.wait_for_timeout(1000)
+        page.tab.touchscreen.tap(250, 820)
+        edit.wait_for(state="visible", timeout=30_000)
+        assert page.problems == []
+
+        page.server.kill()
+        page.says("The connection is lost.")
+    finally:
+        page.end(signal.SIGKILL)
