@@ -12,8 +12,8 @@ from pcore.data.pictures import to_bytes
 from pcore.data.scene import Scene
 from pcore.errors import InputError
 from pcore.geometry.object_region import Region, region_of_box
+from pcore.training.hull import hull_points
 from pcore.training.locate import locate
-from pcore.training.population import hull_points
 from room_scene import (
     RADIUS,
     cameras,

@@ -12,14 +12,8 @@ from torch import Tensor, nn
 from pcore.errors import InputError, TrainingError
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
-from pcore.training.population import (
-    faint_share,
-    grid_points,
-    growth_mixture,
-    growth_sites,
-    hull_points,
-    replace_rows,
-)
+from pcore.training.hull import faint_share, grid_points, hull_points
+from pcore.training.population import growth_mixture, growth_sites, replace_rows
 from small_training import FakeView
 
 # --- grid -------------------------------------------------------------------------------------

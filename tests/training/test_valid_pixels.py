@@ -14,9 +14,9 @@ from pcore.geometry.camera import Camera
 from pcore.render.image import Image
 from pcore.training.config import PatchConfig
 from pcore.training.held_out import mean_scores
+from pcore.training.hull import hull_points
 from pcore.training.losses import photometric
 from pcore.training.patches import Patch, draw_patch
-from pcore.training.population import hull_points
 
 
 @pytest.fixture(scope="module")

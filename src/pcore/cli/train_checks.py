@@ -48,7 +48,7 @@ def warn_of_start(scene: Scene, start: str, console: Console, *, otherwise: str)
     """
     from pcore.cli.diagnosing import note
     from pcore.data.masks import check_masks
-    from pcore.training.population import faint_share
+    from pcore.training.hull import faint_share
     from pcore.training.start_cloud import check_start, start_from_file
 
     views = scene.split("train")

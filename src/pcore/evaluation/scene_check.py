@@ -26,8 +26,8 @@ from pcore.evaluation.findings import Finding, findings
 from pcore.geometry.camera import Camera
 from pcore.geometry.object_region import Region
 from pcore.training.forecast import Forecast, forecasts
+from pcore.training.hull import coarse_hull
 from pcore.training.locate import Located, Source, locate
-from pcore.training.population import coarse_hull
 from pcore.training.trained_masks import trained_masks
 
 _VOTE, _VOXELS = 0.95, 64

@@ -16,8 +16,8 @@ from pcore.data.scene import Scene, View
 from pcore.errors import InputError
 from pcore.gaussians.gaussians import THINNEST, Gaussians
 from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.hull import hull_points
 from pcore.training.photo_consistency import consistent_points
-from pcore.training.population import hull_points
 
 _NEIGHBOURS = 3
 _NEAREST, _FARTHEST = 0.3, 30.0

@@ -15,7 +15,7 @@ from pcore.data.scene import Scene, View
 from pcore.errors import InputError
 from pcore.geometry.capture_axes import capture_axes
 from pcore.geometry.object_region import Region, region_of_box
-from pcore.training.population import coarse_hull
+from pcore.training.hull import coarse_hull
 
 Source = Literal["box", "files", "masks", "points", "axes"]
 

@@ -14,7 +14,7 @@ from pcore.data.scene import Scene, View
 from pcore.errors import InputError
 from pcore.model.papr_config import NetworkFrame
 from pcore.training.config import PretrainConfig
-from pcore.training.population import grid_points, hull_points
+from pcore.training.hull import grid_points, hull_points
 
 _GRID_HALF_SIDE = 1.2
 _TRACE = 0.05
