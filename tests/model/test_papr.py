@@ -102,6 +102,17 @@ def test_colours_of_points_go_around_the_networks() -> None:
     assert torch.allclose(features.grad[:, 0], expected, atol=1e-5)
 
 
+@pytest.mark.parametrize("degree", [0, 1])
+def test_rays_that_meet_nothing_have_no_colour(degree: int) -> None:
+    config = small_config(point_colors=True, color_degree=degree, feature_size=12, cutoff=0.3)
+    aside = torch.eye(4)
+    aside[0, 3] = 50.0
+    rays = Camera.from_fov(aside, width=9, height=6, angle_x=0.8).rays()
+    out = picture_of(Papr(config), colourful_cloud(), rays)
+    assert torch.all(out.alpha == 0)
+    assert torch.all(out.rgb == 1)
+
+
 def test_colours_depend_on_the_side_by_harmonics() -> None:
     """The plain colour is the constant part; the harmonics are those of Gaussians."""
     config = small_config(point_colors=True, color_degree=1, feature_size=12)

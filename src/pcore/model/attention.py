@@ -189,7 +189,8 @@ def _with_colors(
     factors = weights.unsqueeze(-1) * torch.cat(
         [torch.ones_like(waves[..., :1]), waves[..., 1:]], -1
     )
-    rows = colors.index_select(0, neighbours.flatten()).view(len(weights), -1, COLOR_CHANNELS)
+    many = neighbours.shape[1] * (colors.shape[1] // COLOR_CHANNELS)
+    rows = colors.index_select(0, neighbours.flatten()).view(len(weights), many, COLOR_CHANNELS)
     blend = (factors.flatten(1).unsqueeze(-1) * rows).sum(dim=1)
     return torch.cat([blend.to(features), features[:, COLOR_CHANNELS:]], dim=1)
 
