@@ -24,7 +24,7 @@ from pcore.fitting.fit_sequence import fit_sequence
 from pcore.fitting.fitted_edit import edit_of
 from pcore.fitting.numbers_fit import fit_numbers
 from pcore.fitting.pose_fit import fit_pose
-from pcore.fitting.shown import Shown
+from pcore.fitting.shown_object import Shown
 from pcore.gaussians.render import render
 from pcore.rivals.motion_stages import MotionConfig
 
@@ -51,7 +51,7 @@ def asset() -> Asset:
 def shown(asset: Asset) -> Shown:
     with pytest.MonkeyPatch.context() as patch:
         quick = partial(splats_of_points, steps=100)
-        patch.setattr("pcore.fitting.shown.splats_of_points", quick)
+        patch.setattr("pcore.fitting.shown_object.splats_of_points", quick)
         patch.setattr("pcore.asset.splats_of_points.cameras_around", lambda *_: cameras(8))
         return Shown.of(asset)
 
@@ -140,7 +140,7 @@ def test_a_free_number_is_found(asset: Asset, shown: Shown, bent: Path) -> None:
 def test_a_motion_shares_its_gaussians(asset: Asset, shown: Shown, bent: Path) -> None:
     states = [views_of(bent)] * 2
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pcore.fitting.shown.splats_of_points", None)
+        patch.setattr("pcore.fitting.shown_object.splats_of_points", None)
         found = fit_sequence(asset, states, SHORT, times=(0.0, 2.0), shown=shown)
     assert found.fits[1].before.psnr > found.fits[0].after.psnr - 1
     assert found.fits[1].after.error <= found.fits[1].before.error

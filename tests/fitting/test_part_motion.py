@@ -21,7 +21,7 @@ from pcore.fitting.fitter import Fitter
 from pcore.fitting.part_motion import PartSpace
 from pcore.fitting.pose_fit import rigid_limbs
 from pcore.fitting.rigid_parts import rigid_parts
-from pcore.fitting.shown import Shown
+from pcore.fitting.shown_object import Shown
 
 CONFIG = FitConfig(
     anchors=40,

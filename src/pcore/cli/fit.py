@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pcore.editing.animation import Animation
     from pcore.editing.script import EditScript
     from pcore.fitting.pose_fit import PoseFit
-    from pcore.fitting.shown import Shown
+    from pcore.fitting.shown_object import Shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +83,7 @@ class FitCommand:
         from pcore.cli.results import counting
         from pcore.cli.runtime import pick_device, prepare_torch
         from pcore.fitting.fit_sequence import check_times
-        from pcore.fitting.shown import Shown
+        from pcore.fitting.shown_object import Shown
 
         self._check()
         if self.times:

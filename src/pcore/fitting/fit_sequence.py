@@ -13,7 +13,7 @@ from pcore.errors import InputError
 from pcore.fitting.fit_config import FitConfig
 from pcore.fitting.fitted_edit import keyframed
 from pcore.fitting.pose_fit import PoseFit, Progress, fit_pose
-from pcore.fitting.shown import Shown
+from pcore.fitting.shown_object import Shown
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,7 +19,7 @@ from pcore.fitting.fit_config import FitConfig, FitStage
 from pcore.fitting.fit_photos import Photo, in_turns
 from pcore.fitting.limb_search import LimbSearch
 from pcore.fitting.point_splatting import PointSplatting
-from pcore.fitting.shown import Shown
+from pcore.fitting.shown_object import Shown
 from pcore.gaussians.carry import carried_axes
 from pcore.gaussians.render import Footprint, PosedGaussians, render
 from pcore.geometry.local_maps import LocalMaps

@@ -18,7 +18,7 @@ from pcore.fitting.fit_photos import Photo, photos_of
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, pose_of_edit
 from pcore.fitting.fitter import Fitter
 from pcore.fitting.part_motion import PartSpace
-from pcore.fitting.shown import Shown
+from pcore.fitting.shown_object import Shown
 
 _WORSE = 0.1
 """Share of the error that limbs which keep their shape may cost."""
