@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from tests.cli.toys import CONFIG, toy_cameras, toy_cloud
 import pcore
 from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
+from pcore.asset.neural_points import NeuralPoints
 from pcore.asset.saving import asset_of
 from pcore.deform.simple import uniform_scale
 from pcore.errors import InputError
@@ -20,11 +22,19 @@ from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.camera import Camera
 from pcore.model.papr import Papr
 
+KINDS = ("neural points", "gaussians")
+CLOUD = toy_cloud()
 
-@pytest.fixture(params=["neural points", "gaussians"])
+
+@pytest.fixture(params=KINDS)
 def asset(request: pytest.FixtureRequest) -> Asset:
-    cloud = toy_cloud()
-    if request.param == "neural points":
+    return made(request.param)
+
+
+def made(kind: str, shift: float = 0.0) -> Asset:
+    cloud = replace(CLOUD, positions=CLOUD.positions + shift)
+    if kind == "neural points":
+        torch.manual_seed(0)  # The same networks every time.
         return asset_of(Papr(CONFIG).requires_grad_(False).eval(), cloud)
     count = len(cloud)
     return asset_of_gaussians(
@@ -79,3 +89,63 @@ def test_numbers_of_a_camera_are_one_or_one_of_each(camera: Camera) -> None:
         replace(batch, fx=torch.ones(3))
     with pytest.raises(InputError, match=r"cy as a number, got a tensor of shape \(2,\)"):
         replace(camera, cy=torch.ones(2))
+
+
+USES: dict[str, Callable[[Asset, Any, Camera], object]] = {
+    "render": lambda asset, posed, camera: asset.render(posed, camera),
+    "render several": lambda asset, posed, camera: asset.render(posed, [camera]),
+    "trace": lambda asset, posed, camera: asset.trace(posed, camera.rays()),
+    "film": lambda asset, posed, camera: next(asset.film([posed], [camera])),
+    "film_detail": lambda asset, posed, camera: asset.film_detail([posed], [camera]),
+    "lit": lambda asset, posed, _: asset.lit(posed),
+    "gains_of": lambda asset, posed, _: asset.gains_of(posed),
+    "splats": lambda asset, posed, _: asset.splats(
+        posed, torch.zeros(3), gains=torch.ones(len(asset))
+    ),
+}
+
+
+@pytest.mark.parametrize("use", USES)
+def test_a_pose_of_another_object(asset: Asset, camera: Camera, use: str) -> None:
+    for kind in KINDS:
+        other = made(kind, shift=0.01)
+        with pytest.raises(InputError, match=r"expected a pose of its own \d+ points .* others \("):
+            USES[use](asset, other.pose(uniform_scale(1.2)), camera)
+
+
+def test_what_is_no_pose_and_a_session_of_another_object(asset: Asset, camera: Camera) -> None:
+    for use in USES.keys() - {"splats"}:
+        with pytest.raises(InputError, match=r"expected what .* returns, got EditSession"):
+            USES[use](asset, asset.session(), camera)
+    with pytest.raises(InputError, match=r"expected edits bound to the .* points of this asset"):
+        asset.splats(made("gaussians", 0.01).session(), torch.zeros(3))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_pose_of_the_other_kind(kind: str, camera: Camera) -> None:
+    """The points may even be the same."""
+    one, other = made(kind), made(KINDS[1 - KINDS.index(kind)])
+    assert torch.equal(one.points, other.points)
+    with pytest.raises(InputError, match="expected a pose of its own"):
+        one.render(other.pose(), camera)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_pose_of_the_same_object_with_another_look(kind: str, camera: Camera) -> None:
+    """Read a second time, before another background, or with colours that were learned anew."""
+    first = made(kind)
+    posed = first.pose(uniform_scale(1.2))
+    dark = first.over((0.0, 0.0, 0.0))
+    own = dark.render(dark.pose(uniform_scale(1.2)), camera)
+    assert torch.equal(dark.render(posed, camera).rgb, own.rgb)
+    shown, content = first.render(posed, camera).rgb, first.content
+    assert torch.equal(made(kind).render(posed, camera).rgb, shown)
+    if isinstance(content, NeuralPoints):
+        cloud = replace(content.cloud, features=content.cloud.features + 1.0)
+        colored: Any = replace(content, cloud=cloud)
+    else:
+        gaussians = content.gaussians
+        colored = replace(content, gaussians=replace(gaussians, sh=gaussians.sh + 1.0))
+    other = replace(first, content=colored)
+    assert torch.equal(other.render(posed, camera).rgb, shown)  # A pose has its colours.
+    assert not torch.equal(other.render(other.pose(uniform_scale(1.2)), camera).rgb, shown)

@@ -11,8 +11,8 @@ from typing import Any, Unpack, overload
 from torch import Tensor
 
 from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
-from pcore.asset.posed_asset import How, Posed
-from pcore.asset.posing import Edit, EditLike, begin_with, bind_motion
+from pcore.asset.posed_asset import How, Posed, content_of
+from pcore.asset.posing import Edit, EditLike, begin_with, bind_motion, check_bound
 from pcore.capture.load import load_scene
 from pcore.contrib.learned_skinning import Skinning
 from pcore.data.scene import Scene
@@ -121,12 +121,7 @@ class Asset:
             check=rays == "aware" or light == "still",
         )
         posed = self.content.pose(bound.motion, rays=rays, light=light)
-        return Posed(
-            points=self.content.points_of(posed),
-            local_maps=self.content.local_maps_of(posed),
-            notes=bound.notes,
-            content=posed,
-        )
+        return Posed.of(self.content, posed, bound.notes)
 
     def splats(
         self,
@@ -150,21 +145,23 @@ class Asset:
         state = posed.state if isinstance(posed, EditSession) else posed
         if state is None:
             return self.splats_at_rest.moved(self.points, None, eye, gains)
-        if isinstance(state, Posed) and gains is None:
-            gains = self.gains_of(state)
-        linear = state.linear if isinstance(state, Posed) else state.bound.linear
-        return self.splats_at_rest.moved(state.points, linear, eye, gains)
+        if not isinstance(state, Posed):
+            check_bound(state.bound, self.splats_at_rest.points)
+            return self.splats_at_rest.moved(state.points, state.bound.linear, eye, gains)
+        own = self.gains_of(state)
+        gains = own if gains is None else gains
+        return self.splats_at_rest.moved(state.points, state.linear, eye, gains)
 
     def lit(self, posed: Posed, gains: Tensor | None = None) -> Posed:
         """Light what was posed with `light="baked"` and aware rays: the second stage of a picture.
 
         Gains are (N,) of what was posed last; None finds those of the light of the photos.
         """
-        return replace(posed, content=self.content.lit(posed.content, gains))
+        return replace(posed, content=self.content.lit(content_of(posed, self.content), gains))
 
     def gains_of(self, posed: Posed) -> Tensor | None:
         """(N,) factors by which the light on its points has changed; None: as in the photos."""
-        return self.content.gains_of(posed.content)
+        return self.content.gains_of(content_of(posed, self.content))
 
     @overload
     def render(self, posed: Posed | None, cameras: Camera, **how: Unpack[How]) -> Image: ...
@@ -197,16 +194,16 @@ class Asset:
             A picture (of a batch with its axis in front), or one for each of several cameras.
 
         Raises:
-            InputError: a picture that is too small, rays per pixel that make no square, or points
-                that are not finite.
+            InputError: a pose of another object, a picture that is too small, rays per pixel that
+                make no square, or points that are not finite.
             RenderCancelledError: `cancel` said so.
         """
-        posed = self.pose() if posed is None else posed
+        content = content_of(self.pose() if posed is None else posed, self.content)
         sampling = Sampling(**how)
         if isinstance(cameras, Camera):
-            return self.content.render(posed.content, cameras, sampling)
+            return self.content.render(content, cameras, sampling)
         return [
-            self.content.render(posed.content, camera, sampling.of(number, len(cameras)))
+            self.content.render(content, camera, sampling.of(number, len(cameras)))
             for number, camera in enumerate(cameras)
         ]
 
@@ -226,7 +223,8 @@ class Asset:
 
     def film_detail(self, frames: Sequence[Posed], cameras: Sequence[Camera]) -> float | None:
         """Number that all frames of a film share, so that its look does not jump."""
-        return self.content.film_detail([one.content for one in frames], cameras)
+        poses = [content_of(one, self.content) for one in frames]
+        return self.content.film_detail(poses, cameras)
 
     def trace(
         self, posed: Posed | None, rays: RayBundle, background: Tensor | None = None
@@ -241,8 +239,8 @@ class Asset:
         Raises:
             InputError: no rays, or directions that are not of unit length.
         """
-        posed = self.pose() if posed is None else posed
-        return self.content.trace(posed.content, rays.checked(), background)
+        content = content_of(self.pose() if posed is None else posed, self.content)
+        return self.content.trace(content, rays.checked(), background)
 
     def session(self, edit: EditLike | None = None, *, time: float | None = None) -> EditSession:
         """Begin to edit it step by step, with the weights it learned; see `EditSession`.

@@ -1,4 +1,4 @@
-"""An asset in a pose, and how its pictures are taken."""
+"""An asset in a pose, and what is asked of it to take pictures."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any, TypedDict
 import torch
 from torch import Tensor
 
+from pcore.asset.content import Content
+from pcore.errors import InputError
 from pcore.geometry.local_maps import LocalMaps
 
 
@@ -31,15 +33,55 @@ class Posed:
         local_maps: how space moved around them; None where plain rays do not need it.
         notes: what is odd about the edits and was not refused, a sentence each.
         content: what the kind of object is posed as.
+        origin: the content that was posed.
     """
 
     points: Tensor = field(repr=False)
     local_maps: LocalMaps | None = field(repr=False)
     notes: tuple[str, ...] = ()
     content: Any = field(repr=False)
+    origin: Content[Any] = field(repr=False)
+
+    @classmethod
+    def of(cls, origin: Content[Any], content: Any, notes: tuple[str, ...]) -> Posed:
+        """Make one of what was posed, what that is then, and what was odd about it."""
+        return cls(
+            points=origin.points_of(content),
+            local_maps=origin.local_maps_of(content),
+            notes=notes,
+            content=content,
+            origin=origin,
+        )
 
     @property
     def linear(self) -> Tensor | None:
         """(N, 3, 3) Jacobians at its points, float64; None where nothing remembers them."""
         maps = self.local_maps
         return None if maps is None else torch.linalg.inv(maps.to_rest.double())
+
+
+def content_of(posed: object, own: Content[Any]) -> Any:
+    """Return what an object of this content is posed as.
+
+    Another background, light or colours are no other object: its canonical points are compared, and
+    only where the content is not the very one that was posed.
+
+    Raises:
+        InputError: of another object, or no pose at all.
+    """
+    if not isinstance(posed, Posed):
+        raise InputError(
+            f"asset: expected what `asset.pose` returns, got {type(posed).__name__}; pose it first"
+        )
+    other = posed.origin
+    if other is own or (type(other) is type(own) and same_points(other.points, own.points)):
+        return posed.content
+    raise InputError(
+        f"asset: expected a pose of its own {len(own.points)} points ({type(own).__name__}), got "
+        f"one of {len(other.points)} others ({type(other).__name__}); make it with `asset.pose`"
+    )
+
+
+def same_points(rest: Tensor, points: Tensor) -> bool:
+    """Whether canonical points (N, 3) and (M, 3) are the same, to the last bit."""
+    return rest.shape == points.shape and torch.equal(rest, points.detach().cpu().to(rest))

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from pcore.asset.content import Motion, MovedPoints
+from pcore.asset.posed_asset import same_points
 from pcore.deform.base import Deformation
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.animation import Animation, load_animation, parse_animation
@@ -116,7 +116,7 @@ def bind_motion(
     if isinstance(edit, EditState):
         edit = edit.bound
     if isinstance(edit, Bound):
-        _same_points(edit, points)
+        check_bound(edit, points)
         return BoundMotion(motion=edit.known, notes=edit.notes)
     known: tuple[type, ...] = (str, Path, Mapping, EditScript, Animation)
     if not isinstance(edit, known):
@@ -135,10 +135,11 @@ def _same_number(count: int, points: Tensor) -> None:
         )
 
 
-def _same_points(bound: Bound, points: Tensor) -> None:
+def check_bound(bound: Bound, points: Tensor) -> None:
+    """Refuse edits that were bound to other canonical points (N, 3); raises InputError."""
     rest = bound.setting.rest
-    if rest.shape != points.shape or not torch.equal(rest, points.detach().cpu().to(rest)):
+    if not same_points(rest, points):
         raise InputError(
-            f"pose: expected edits bound to the {len(points)} points of this asset, got edits of "
+            f"asset: expected edits bound to the {len(points)} points of this asset, got edits of "
             f"{len(rest)} others; begin the session with `asset.session()`"
         )
