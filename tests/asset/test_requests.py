@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from tests.cli.toys import CONFIG, toy_cameras, toy_cloud
@@ -149,3 +150,43 @@ def test_a_pose_of_the_same_object_with_another_look(kind: str, camera: Camera) 
     other = replace(first, content=colored)
     assert torch.equal(other.render(posed, camera).rgb, shown)  # A pose has its colours.
     assert not torch.equal(other.render(other.pose(uniform_scale(1.2)), camera).rgb, shown)
+
+
+@pytest.mark.parametrize("samples", [0, -1, 3, 1.5, 4.0, "4", True, torch.tensor(4)])
+def test_rays_per_pixel_that_make_no_square(asset: Asset, camera: Camera, samples: Any) -> None:
+    with pytest.raises(InputError, match="expected rays per pixel that make a square grid"):
+        asset.render(None, camera, samples=samples)
+    with pytest.raises(InputError, match="expected rays per pixel that make a square grid"):
+        next(asset.film([asset.pose()], [camera], samples=samples))
+
+
+def test_more_rays_per_pixel_change_nothing_of_gaussians(camera: Camera) -> None:
+    drawn = made("gaussians")
+    one, four = (drawn.render(None, camera, samples=count).rgb for count in (1, 4))
+    assert torch.equal(one, four)
+    assert torch.equal(one, drawn.render(None, camera, samples=np.int64(4)).rgb)  # pyright: ignore
+
+
+@pytest.mark.parametrize(
+    ("cameras", "message"),
+    [
+        ([], "expected at least one camera, got none"),
+        ("cam", "expected cameras, got 'c' among them"),
+        (3, "expected cameras, got int"),
+        (None, "expected cameras, got NoneType"),
+    ],
+)
+def test_what_is_no_camera(asset: Asset, cameras: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        asset.render(None, cameras)
+    with pytest.raises(InputError, match=message):
+        next(asset.film([], cameras))
+
+
+def test_what_the_interpreter_shows_is_one_line(asset: Asset, camera: Camera) -> None:
+    kind = type(asset.content).__name__
+    assert repr(asset) == f"Asset({kind}, 40 points, no light)"
+    lit: Any = replace(asset.content, read_light=lambda: pytest.fail("it is not read for that"))
+    assert repr(replace(asset, content=lit)) == f"Asset({kind}, 40 points, a light)"
+    assert repr(asset.render(None, camera)) == "Image(8 x 8 pixels)"
+    assert repr(asset.render(None, Camera.stack([camera] * 3))) == "Image(3 x 8 x 8 pixels)"

@@ -27,6 +27,7 @@ class MeshContent:
     faces: np.ndarray
     samples: int = 1
     light: None = None
+    read_light: None = None
     surfels: None = None
 
     @property

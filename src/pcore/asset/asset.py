@@ -11,7 +11,7 @@ from typing import Any, Unpack, overload
 from torch import Tensor
 
 from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
-from pcore.asset.posed_asset import How, Posed, content_of
+from pcore.asset.posed_asset import How, Posed, checked_cameras, content_of
 from pcore.asset.posing import Edit, EditLike, begin_with, bind_motion, check_bound
 from pcore.capture.load import load_scene
 from pcore.contrib.learned_skinning import Skinning
@@ -56,6 +56,10 @@ class Asset:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def __repr__(self) -> str:
+        light = "no light" if self.content.read_light is None else "a light"
+        return f"Asset({type(self.content).__name__}, {len(self)} points, {light})"
 
     @property
     def points(self) -> Tensor:
@@ -186,16 +190,16 @@ class Asset:
             posed: from `pose`; None is the object as it was photographed.
             cameras: a camera or a batch (`Camera.stack`) of at least 4 x 4 pixels, or several
                 cameras of any sizes.
-            **how: `samples`, rays per pixel, a square number (those it was trained for);
-                `fast=True`, not exact, in less time; `detail` of `film_detail`; `cancel`, asked now
-                and then, True ends the work; `progress`, told which share of it is done.
+            **how: `samples`, rays per pixel, a square number, no matter for Gaussians; `fast=True`,
+                not exact, in less time; `detail` of `film_detail`; `cancel`, asked now and then,
+                True ends the work; `progress`, told which share is done. More under `Sampling`.
 
         Returns:
             A picture (of a batch with its axis in front), or one for each of several cameras.
 
         Raises:
-            InputError: a pose of another object, a picture that is too small, rays per pixel that
-                make no square, or points that are not finite.
+            InputError: a pose of another object, no camera, a picture that is too small, rays per
+                pixel that make no square, or points that are not finite.
             RenderCancelledError: `cancel` said so.
         """
         content = content_of(self.pose() if posed is None else posed, self.content)
@@ -204,7 +208,7 @@ class Asset:
             return self.content.render(content, cameras, sampling)
         return [
             self.content.render(content, camera, sampling.of(number, len(cameras)))
-            for number, camera in enumerate(cameras)
+            for number, camera in enumerate(checked_cameras(cameras))
         ]
 
     def film(
@@ -224,7 +228,7 @@ class Asset:
     def film_detail(self, frames: Sequence[Posed], cameras: Sequence[Camera]) -> float | None:
         """Number that all frames of a film share, so that its look does not jump."""
         poses = [content_of(one, self.content) for one in frames]
-        return self.content.film_detail(poses, cameras)
+        return self.content.film_detail(poses, checked_cameras(cameras))
 
     def trace(
         self, posed: Posed | None, rays: RayBundle, background: Tensor | None = None

@@ -16,6 +16,7 @@ from pcore.files.provenance import Provenance
 from pcore.gaussians.splats import SplatsAtRest
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
+from pcore.geometry.pixel_samples import check_samples
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
 from pcore.relight.light_file import LIGHT_FILE, load_light
@@ -63,6 +64,8 @@ class Sampling:
 
     Attributes:
         samples: rays per pixel, a square number; None takes those that the object was trained for.
+            Gaussians need one, and more change nothing: pixels wider than those that they learned
+            from are divided anyhow, unless it is to be `fast` (ADR 46).
         fast: leave out what adds little to a colour, and send one ray per pixel unless `samples`
             says otherwise: less time, and not exact (`FAST_THRESHOLD`).
         detail: one number for all frames of a film (`Asset.film_detail`); None measures it.
@@ -75,6 +78,10 @@ class Sampling:
     detail: float | None = None
     cancel: Callable[[], bool] | None = None
     progress: Callable[[float], None] | None = None
+
+    def __post_init__(self) -> None:
+        if self.samples is not None:
+            check_samples("samples", self.samples)
 
     def of(self, number: int, count: int) -> Sampling:
         """Return that of one picture of several, whose progress is a part of the whole."""
@@ -102,6 +109,11 @@ class Content(Protocol[P]):
     @property
     def samples(self) -> int:
         """Rays per pixel of its pictures."""
+        ...
+
+    @property
+    def read_light(self) -> Callable[[], Relighting] | None:
+        """Gives the light of its photos; None where none was estimated."""
         ...
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypedDict
 
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pcore.asset.content import Content
 from pcore.errors import InputError
+from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 
 
@@ -80,6 +81,18 @@ def content_of(posed: object, own: Content[Any]) -> Any:
         f"asset: expected a pose of its own {len(own.points)} points ({type(own).__name__}), got "
         f"one of {len(other.points)} others ({type(other).__name__}); make it with `asset.pose`"
     )
+
+
+def checked_cameras(cameras: object) -> Sequence[Camera]:
+    """Return several cameras; raises InputError where they are none, or something else."""
+    if not isinstance(cameras, Sequence):
+        raise InputError(f"pictures: expected cameras, got {type(cameras).__name__}")
+    if not cameras:
+        raise InputError("pictures: expected at least one camera, got none")
+    for one in cameras:
+        if not isinstance(one, Camera):
+            raise InputError(f"pictures: expected cameras, got {one!r} among them")
+    return cameras
 
 
 def same_points(rest: Tensor, points: Tensor) -> bool:

@@ -7,6 +7,8 @@ it, which shows at edges and wherever an edit puts more of an object into a pixe
 from __future__ import annotations
 
 import math
+from numbers import Integral
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,17 +16,19 @@ from torch import Tensor
 from pcore.errors import InputError
 
 
-def check_samples(what: str, samples: int) -> int:
+def check_samples(what: str, samples: Any) -> int:
     """Return a number of rays per pixel that makes a square grid: 1, 4, 9, ...
 
     Raises:
         InputError: it does not.
     """
-    if samples < 1 or math.isqrt(samples) ** 2 != samples:
+    whole = isinstance(samples, Integral) and not isinstance(samples, bool)
+    if not whole or samples < 1 or math.isqrt(samples) ** 2 != samples:
         raise InputError(
-            f"{what}: expected rays per pixel that make a square grid (1, 4, 9, ...), got {samples}"
+            f"{what}: expected rays per pixel that make a square grid (1, 4, 9, ...), got "
+            f"{samples!r}"
         )
-    return samples
+    return int(samples)
 
 
 def grid_places(samples: int) -> Tensor:

@@ -36,6 +36,9 @@ class Image:
     surface: Tensor
     hits: Hits | None = None
 
+    def __repr__(self) -> str:
+        return f"Image({' x '.join(map(str, self.alpha.shape))} pixels)"
+
     @property
     def ray_hits(self) -> Hits:
         """What each ray hits; only of images of `render_rays`."""
