@@ -152,9 +152,8 @@ class Asset:
         if not isinstance(state, Posed):
             check_bound(state.bound, self.splats_at_rest.points)
             return self.splats_at_rest.moved(state.points, state.bound.linear, eye, gains)
-        own = self.gains_of(state)
-        gains = own if gains is None else gains
-        return self.splats_at_rest.moved(state.points, state.linear, eye, gains)
+        own, linear = self.gains_of(state), state.linear
+        return self.splats_at_rest.moved(state.points, linear, eye, own if gains is None else gains)
 
     def lit(self, posed: Posed, gains: Tensor | None = None) -> Posed:
         """Light what was posed with `light="baked"` and aware rays: the second stage of a picture.

@@ -80,8 +80,9 @@ def _points(scene: Scene) -> str:
 
 
 def _region(scene: Scene) -> str:
+    from pcore.geometry.object_region import coordinates
+
     region = scene.region
     if region is None:
         return "not said by the files"
-    center = ", ".join(f"{value:.4g}" for value in region.center.tolist())
-    return f"radius {region.radius:.4g} about ({center})"
+    return f"radius {region.radius:.4g} about ({coordinates(region.center, region.radius)})"

@@ -19,6 +19,7 @@ from pcore.evaluation.figures import data_uri
 from pcore.evaluation.findings import Finding
 from pcore.evaluation.report import require_jinja
 from pcore.evaluation.scene_check import SceneCheck
+from pcore.geometry.object_region import coordinates
 from pcore.training.forecast import Forecast
 
 _TEMPLATE = "templates/check.html.j2"
@@ -89,7 +90,7 @@ def facts(check: SceneCheck) -> tuple[tuple[str, str], ...]:
     sizes = sorted({(view.camera.width, view.camera.height) for view in views})
     focal = [view.camera.focal[0] for view in views]
     bent = sum(view.image.lens is not None for view in views)
-    lower, upper = (", ".join(f"{x:.4g}" for x in corner) for corner in check.region.bounds)
+    lower, upper = (coordinates(corner, check.region.radius) for corner in check.region.bounds)
     rows = [
         ("layout", scene.layout),
         ("photos", splits),

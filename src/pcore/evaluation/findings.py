@@ -13,6 +13,8 @@ from pcore.capture.coverage import ONE_SIDE
 from pcore.capture.triangulation import WRONG, PoseAgreement
 from pcore.data.masks import check_masks
 from pcore.errors import SceneError
+from pcore.geometry.extent import size_of
+from pcore.geometry.object_region import coordinates
 
 if TYPE_CHECKING:
     from pcore.evaluation.scene_check import SceneCheck
@@ -247,8 +249,8 @@ _SOURCES = {
 def _of_region(check: SceneCheck) -> list[Finding]:
     region = check.region
     text = (
-        f"the object lies in {_said(region.bounds)}, world units, by {_SOURCES[check.source]}; "
-        f"cameras stand {check.coverage.distance.median():.4g} away"
+        f"the object lies in {_said(region.bounds, region.radius)}, world units, by "
+        f"{_SOURCES[check.source]}; cameras stand {check.coverage.distance.median():.4g} away"
     )
     if check.masks is None:
         action = region_advice(*region.bounds)
@@ -256,17 +258,18 @@ def _of_region(check: SceneCheck) -> list[Finding]:
             action = f"Give --box X Y Z X Y Z if that is not the object. {action}"
         return [Finding(level="note", topic="region", text=text, action=action)]
     if check.hull is not None:
-        text += f"; the hull of the masks in it reaches over {_said(check.hull)}"
+        text += f"; the hull of the masks in it reaches over {_said(check.hull, region.radius)}"
     return [Finding(level="good", topic="region", text=text)]
 
 
-def _said(corners: Iterable[Tensor]) -> str:
-    return " to ".join(f"({', '.join(f'{x:.4g}' for x in corner)})" for corner in corners)
+def _said(corners: Iterable[Tensor], size: float) -> str:
+    return " to ".join(f"({coordinates(corner, size)})" for corner in corners)
 
 
 def region_advice(lower: Tensor, upper: Tensor) -> str:
     """What an edit of a scene with its background needs: a region, (3,) corners in world units."""
-    corners = (", ".join(f"{x:.4g}" for x in corner) for corner in (lower, upper))
+    size = size_of(torch.stack([lower, upper]))
+    corners = (coordinates(corner, size) for corner in (lower, upper))
     box = '{{"shape": "box", "lower": [{}], "upper": [{}]}}'.format(*corners)
     return f'The background is learned too, so edits need a region: "region": {box}.'
 

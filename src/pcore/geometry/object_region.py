@@ -60,6 +60,22 @@ class Region:
         return inside & ((points >= self.box[0]) & (points <= self.box[1])).all(dim=-1)
 
 
+def coordinates(place: Tensor, size: float) -> str:
+    """A place (3,) as text, so exact that a hundredth of a size can be told, however far it lies.
+
+    Args:
+        place: world units.
+        size: of what lies there, world units; positive.
+    """
+    step = math.floor(math.log10(size / 100))
+
+    def said(value: float) -> str:
+        digits = 1 + math.floor(math.log10(abs(value))) - step if value else 0
+        return f"{value:.{max(4, digits)}g}"
+
+    return ", ".join(said(value) for value in place.tolist())
+
+
 def region_of_box(lower: Tensor, upper: Tensor) -> Region:
     """Return the region of a box along the axes, (3,) each: with the sphere through its corners."""
     box = torch.stack([lower, upper]).float()
