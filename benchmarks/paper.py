@@ -13,7 +13,7 @@ out, with the reason. What has to be trained is trained into RUNS, once; the sam
 where an interrupted one stopped. A table is means over scenes and states, for each data set, with
 the paper's figures below them, marked as quoted: they are no baseline of ours, as objects,
 resolutions and trainings differ. Written are RUNS/paper/TABLE.md, TABLE.csv and TABLE-images.csv
-with a line for every picture.
+with a line for every picture; `study` prints its table only.
 
 --dry-run says what would be done. Options of `pcore compare` (or `pcore ablate`, or
 benchmarks.skinning) may follow `--`.

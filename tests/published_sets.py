@@ -71,9 +71,11 @@ def dtu(root: Path, scan: str = "scan24") -> Path:
 
 def mip_nerf_360(root: Path, name: str = "garden", small: tuple[int, ...] = (4, 8)) -> Path:
     """A scene of Mip-NeRF 360: a model of COLMAP, photos and smaller copies of them."""
-    photos = capture_files.write_colmap(root / name, 17)
-    for factor in small:
-        size = (capture_files.WIDTH // factor, capture_files.HEIGHT // factor)
-        names = [photo.name for photo in photos]
-        capture_files.write_photos(root / name / f"images_{factor}", names, size)
+    width, height = 2 * capture_files.WIDTH, 2 * capture_files.HEIGHT
+    lens = ("SIMPLE_PINHOLE", width, height, [60.0, width / 2, height / 2])
+    photos = capture_files.write_colmap(root / name, 17, cameras={1: lens})
+    names = [photo.name for photo in photos]
+    for factor in (1, *small):
+        folder = "images" if factor == 1 else f"images_{factor}"
+        capture_files.write_photos(root / name / folder, names, (width // factor, height // factor))
     return root / name

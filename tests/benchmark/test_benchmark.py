@@ -389,6 +389,11 @@ def falling_times(made: Builder) -> None:
     made.tree["animations"][0]["samplers"][0]["input"] = made.array(np.array([2.0, 1.0]))
 
 
+def moved_by_pointer(made: Builder) -> None:
+    pointer = {"KHR_animation_pointer": {"pointer": "/nodes/2/rotation"}}
+    made.tree["animations"][0]["channels"][0]["target"] = {"path": "pointer", "extensions": pointer}
+
+
 def no_material(made: Builder) -> None:
     made.primitive["material"] = 7
 
@@ -457,6 +462,10 @@ def shrinks_away(made: Builder) -> None:
         (joint_before_the_first, "expected joints from 0 to 1, got -1"),
         (shrinks_away, "state 'bow': expected a shape of some extent, got one that has vanished"),
         (no_keys, "expected 8 numbers for the rotation of node 2, got 12"),
+        (
+            moved_by_pointer,
+            "/nodes/2/rotation is moved by KHR_animation_pointer",
+        ),
         (falling_times, "finite keys at rising times for the rotation of node 2"),
         (no_material, "one of its 1 materials, got 7"),
         (broken_picture, "expected a texture in PNG, JPEG or WebP, got one that cannot be read"),

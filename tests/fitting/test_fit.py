@@ -267,3 +267,15 @@ def test_the_command(
     assert "foreground PSNR" in said.out
     assert len(load_edit(out).edits[0].handles) == 12
     assert main([str(w) for w in [*words[:4], bent, "-o", tmp_path / "edit.txt"]]) != 0
+
+
+@pytest.mark.parametrize("option", ["-o", "--appearance"])
+def test_places_that_take_no_results_are_named_before_any_work(
+    asset: Asset, bent: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str
+) -> None:
+    asset.save(tmp_path / "run")
+    (tmp_path / "taken").touch()
+    places = {"-o": tmp_path / "edit.json"} | {option: tmp_path / "taken" / "edit.json"}
+    words = ["fit", tmp_path / "run", "--photos", bent, "--factor", 1]
+    assert main([str(one) for one in [*words, *(w for pair in places.items() for w in pair)]]) == 2
+    assert "taken is a file: expected a folder" in capsys.readouterr().err

@@ -169,7 +169,9 @@ def test_gains_scale_the_object_and_not_the_background(posed: PosedCloud, sample
     papr, cam = network(background=(0.2, 0.5, 1.0)), camera(37, 30)
     plain = render(papr, posed, cam, tile=16, max_rays=100, samples=samples)
     behind = (1 - plain.alpha).unsqueeze(-1) * torch.tensor([0.2, 0.5, 1.0])
-    twice = render(papr, in_light(posed, torch.full((60,), 2.0)), cam, tile=16, samples=samples)
+    # Rows at a time are the same in all: some processors' matrix products depend on their number.
+    bright = in_light(posed, torch.full((60,), 2.0))
+    twice = render(papr, bright, cam, tile=16, max_rays=100, samples=samples)
     torch.testing.assert_close(twice.rgb - behind, 2 * (plain.rgb - behind), atol=1e-5, rtol=1e-5)
     assert torch.equal(twice.alpha, plain.alpha)
     ones = in_light(posed, torch.ones(60))
@@ -384,7 +386,7 @@ def test_rays_of_any_batch_shape_make_pictures_of_that_shape(
         for name in ("rgb", "alpha", "depth", "surface"):
             expected = getattr(single, name)
             torch.testing.assert_close(getattr(found, name)[index], expected, atol=1e-5, rtol=0)
-    with pytest.raises(InputError, match=r"rays of pixels \(..., H, W\), got \(5,\)"):
+    with pytest.raises(InputError, match=r"pixels \(..., H, W\), at least 4 x 4 .*, got \(5,\)"):
         render_rays(papr, posed, cameras[0].rays().flat()[:5])
 
 

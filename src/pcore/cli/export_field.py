@@ -42,7 +42,7 @@ def export_field(
     from pcore.evaluation.field_files import own_sources, write_cameras, write_field
 
     places, states = where
-    pictures_folder(folder, overwrite=False)
+    pictures_folder(folder, overwrite=None)
     sources = {name: read_point_file(path) for name, path in given}
     if not sources:
         for asset in runs:

@@ -140,12 +140,14 @@ class FitCommand:
         return fit.edit, [fit]
 
     def _check(self) -> None:
+        from pcore.cli.output import check_place
         from pcore.validation import check_count
 
         if not self.photos:
             raise InputError("fit: expected at least one scene with --photos, got none")
         if self.output.suffix != ".json":
             raise InputError(f"-o {self.output}: expected a name that ends in .json")
+        check_place(self.output.parent)
         check_count("--every", self.every)
         if self.times and len(self.photos) == 1:
             raise InputError("--times: expected several --photos, whose times they are, got one")
@@ -158,6 +160,8 @@ class FitCommand:
             raise InputError(
                 f"--appearance {folder}: expected a new or empty folder, got one with files"
             )
+        if folder is not None:
+            check_place(folder)
 
     def _paint(
         self, asset: Asset, edit: EditScript, views: Sequence[View], folder: Path, console: Console

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 
-def pictures_folder(folder: Path, *, overwrite: bool) -> None:
+def pictures_folder(folder: Path, *, overwrite: bool | None) -> None:
     """Make a folder for pictures; refuse one that holds other files.
 
     Args:
         folder: made with its parents.
-        overwrite: accept what is there; files of the same names are replaced, others stay.
+        overwrite: accept what is there; files of the same names are replaced, others stay. None:
+            False, and the command has no such option.
 
     Raises:
         InputError: it is a file, a run, or holds files and `overwrite` is False.
@@ -23,9 +24,10 @@ def pictures_folder(folder: Path, *, overwrite: bool) -> None:
 
     there = _content(folder, "pictures")
     if there and not overwrite:
+        way_out = "" if overwrite is None else ", or --overwrite to replace those of the same name"
         raise InputError(
-            f"{folder} holds files already ({there}), which are not overwritten: use another -o, "
-            "or --overwrite to replace those of the same name"
+            f"{folder} holds files already ({there}), which are not overwritten: use another "
+            f"-o{way_out}"
         )
     folder.mkdir(parents=True, exist_ok=True)
 

@@ -63,7 +63,7 @@ class StudyMakeCommand:
             raise InputError(f"--catch: expected 0 or more, got {self.catch}")
         methods = _methods(self.pairs)
         study = plan_study(methods, every_pair=self.every_pair, catch=self.catch, seed=self.seed)
-        pictures_folder(self.output, overwrite=False)
+        pictures_folder(self.output, overwrite=None)
         name = write_study(
             self.output,
             study,

@@ -199,4 +199,4 @@ def output_folder(folder: Path, file: str) -> None:
     from pcore.files.run_place import bytes_needed, check_space
 
     check_space(folder, bytes_needed(0))
-    pictures_folder(folder, overwrite=(folder / file).is_file())
+    pictures_folder(folder, overwrite=(folder / file).is_file() or None)

@@ -30,9 +30,18 @@ class _Part(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True)
 
 
+class _Pointer(_Part):
+    pointer: str
+
+
+class _PointerOf(_Part):
+    pointer: _Pointer | None = Field(default=None, alias="KHR_animation_pointer")
+
+
 class _Target(_Part):
     node: Index | None = None
     path: str
+    extensions: _PointerOf = _PointerOf()
 
 
 class _Channel(_Part):
@@ -100,7 +109,7 @@ def read_clips(glb: Glb) -> tuple[Clip, ...]:
     """Read all animations that move nodes; a name that was there before gets a number.
 
     Raises:
-        InputError: damaged keys.
+        InputError: damaged keys, or nodes that move by KHR_animation_pointer.
     """
     found = parse(_Animations, glb.data, where=glb.where, error=InputError)
     clips: list[Clip] = []
@@ -108,12 +117,22 @@ def read_clips(glb: Glb) -> tuple[Clip, ...]:
         tracks = [
             _track(glb, channel, one.samplers)
             for channel in one.channels
-            # Other paths are extensions (colours of materials); they move nothing.
-            if channel.target.node is not None and channel.target.path in _KIND
+            if _moves(channel.target, glb.where)
         ]
         if tracks:
             clips.append(Clip(name=_free(one.name or f"clip{number}", clips), tracks=tuple(tracks)))
     return tuple(clips)
+
+
+def _moves(target: _Target, where: str) -> bool:
+    """Whether a channel moves a node; others change colours of materials and the like."""
+    pointer = target.extensions.pointer
+    if pointer is not None and pointer.pointer.startswith("/nodes/"):
+        raise InputError(
+            f"{where}: {pointer.pointer} is moved by KHR_animation_pointer, which is not read: "
+            "expected the standard's own channels; export it without that extension"
+        )
+    return target.node is not None and target.path in _KIND
 
 
 def _free(name: str, clips: Sequence[Clip]) -> str:
