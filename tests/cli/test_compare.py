@@ -103,6 +103,8 @@ def test_own_points_where_no_files_are_given(run: Path, tmp_path: Path) -> None:
         (["--methods", "none"], "expected methods that the runs have, got none"),
         (["--pictures", "x"], "--pictures: expected NAME=PATH, got x"),
         (["--pictures", "x=a", "x=b"], "--pictures: expected different names, got x, x"),
+        (["--methods", "papr", "--pictures", "papr=a"], "papr=a: expected a name that no other"),
+        (["--pictures", "SC GS=a", "SC_gs=b"], "got that of 'SC GS'; choose another name"),
         (["--state", "wlak"], "no state 'wlak'"),
         (["--every", "0"], "--every: expected a whole number of at least 1, got 0"),
     ],
@@ -112,6 +114,18 @@ def test_wrong_options(
 ) -> None:
     assert compare(run, *words) == 2
     assert message in " ".join(capsys.readouterr().err.split())
+    assert not [*run.glob("compare/rows/*")]
+
+
+def test_pictures_may_have_the_name_of_a_method_that_is_not_compared(
+    run: Path, scene: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(scene / "test", tmp_path / "theirs" / "canonical")
+    words = ("--pictures", f"PAPR={tmp_path / 'theirs'}")
+    assert compare(run, "--methods", "none", *words) == 0
+    kept = {path.name for path in run.glob("compare/rows/PAPR-given-0/*.json")}
+    assert kept == {"canonical.json", "grown.json", "walk.json"}
+    assert compare(run, "--methods", "aware", "papr", *words) == 2
 
 
 def test_what_is_compared_must_be_of_one_scene(

@@ -1,4 +1,4 @@
-"""Who is compared: runs that were given, pictures of other code, and rivals that are trained."""
+"""Who is compared: runs that were given, and rivals that are trained."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from pcore.evaluation.gaussian_method import (
     turned_rule,
 )
 from pcore.evaluation.methods import label_of, methods_of, never_seen
-from pcore.evaluation.picture_method import open_pictures
 from pcore.rivals.kept import Spent
 
 MethodName = Literal[
@@ -183,20 +182,6 @@ def point_entries(
     ]
 
 
-def picture_entries(folders: Sequence[tuple[str, Path]]) -> list[Entry]:
-    """Entries of folders of pictures, by the names that they have in tables."""
-    return [
-        Entry(
-            name=name,
-            setting="given",
-            seed=0,
-            stamp=_stamp_of_folder(folder),
-            make=lambda name=name, folder=folder: Contestant(method=open_pictures(name, folder)),
-        )
-        for name, folder in folders
-    ]
-
-
 def cost_of(asset: Asset, spent: Spent | None) -> Cost:
     """What an object took: its training, and numbers that were learned."""
     return Cost(
@@ -284,11 +269,6 @@ def spent_on(asset: Asset) -> Spent | None:
     """Seconds that are on record of a run's training."""
     found = asset.record.seconds
     return None if found is None else Spent(seconds=found, megabytes=None)
-
-
-def _stamp_of_folder(folder: Path) -> list[list[str | int]]:
-    files = sorted(folder.glob("*/*")) if folder.is_dir() else []
-    return [[str(one), one.stat().st_size, one.stat().st_mtime_ns] for one in files]
 
 
 def stamp_of_run(path: Path) -> str:
