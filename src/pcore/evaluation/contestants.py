@@ -63,6 +63,16 @@ _WAYS: tuple[tuple[str, RaysName, LightName], ...] = (
 FLAT: tuple[MethodName, ...] = ("2dgs-affine", "2dgs-light")
 """Those for flat Gaussians; the others are for those in space."""
 
+_POINTS = "a run of points (`pcore train --model papr`)"
+_NEEDED: dict[MethodName, str] = {
+    "papr": _POINTS,
+    "aware": _POINTS,
+    "light": f"{_POINTS} with a light (`pcore light`)",
+    "motion": f"{_POINTS} before `pcore finetune`",
+    "voxels": "--settings time",
+    "papr-time": "--settings time",
+}
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Given:
@@ -109,6 +119,11 @@ def given_entries(
         else:
             found += _point_entries(run, scene, wanted, alike, take)
     return found
+
+
+def needed(name: MethodName) -> str:
+    """What a method cannot be compared without."""
+    return _NEEDED.get(name, "a run of Gaussians, or --settings and --seeds to train some")
 
 
 def rule_entries(
