@@ -13,6 +13,7 @@ import torch
 from tests.render.test_gaussian_surfels import a_ball
 
 import tiny_scene
+from gaussian_ball import ball_run
 from pcore.cli.main import main
 from pcore.data.points import load_points, read_point_file, save_points
 
@@ -61,6 +62,17 @@ def test_runs_and_pictures_are_scored_alike(
     assert "failed" not in capsys.readouterr().out
 
 
+def test_failures_alone_are_a_failure(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = (run, "--methods", "none", "--pictures", f"Theirs={tmp_path / 'none'}")
+    assert compare(*words) == 2
+    said = capsys.readouterr()
+    assert "note: Theirs, canonical: --pictures Theirs=" in " ".join(said.out.split())
+    assert "expected a method that can be scored, got failures only" in said.err
+    assert "expected a folder, found none" in (run / "compare" / "compare.csv").read_text()
+
+
 def test_the_field_as_files(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh, nodes = tmp_path / "mesh.ply", tmp_path / "nodes.npy"
     corners = torch.from_numpy(tiny_scene.CORNERS).float()
@@ -100,9 +112,12 @@ def test_own_points_where_no_files_are_given(run: Path, tmp_path: Path) -> None:
     [
         (["--methods", "sc-ga"], "--methods: expected some of papr, aware, light, 3dgs-fixed"),
         (["--methods", "3dgs-fixed", "--seconds", "0"], "--seconds: expected more than 0, got 0"),
-        (["--methods", "none"], "expected methods that the runs have, got none"),
+        (["--methods", "none"], "got none: give pictures of other code with --pictures NAME=DIR"),
+        (["--methods", "voxels", "--settings", "primitives"], "voxels needs --settings time"),
         (["--pictures", "x"], "--pictures: expected NAME=PATH, got x"),
         (["--pictures", "x=a", "x=b"], "--pictures: expected different names, got x, x"),
+        (["--methods", "papr", "--pictures", "papr=a"], "papr=a: expected a name that no other"),
+        (["--pictures", "SC GS=a", "SC_gs=b"], "got that of 'SC GS'; choose another name"),
         (["--state", "wlak"], "no state 'wlak'"),
         (["--every", "0"], "--every: expected a whole number of at least 1, got 0"),
     ],
@@ -112,6 +127,27 @@ def test_wrong_options(
 ) -> None:
     assert compare(run, *words) == 2
     assert message in " ".join(capsys.readouterr().err.split())
+    assert not [*run.glob("compare/rows/*")]
+
+
+def test_pictures_may_have_the_name_of_a_method_that_is_not_compared(
+    run: Path, scene: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(scene / "test", tmp_path / "theirs" / "canonical")
+    words = ("--pictures", f"PAPR={tmp_path / 'theirs'}")
+    assert compare(run, "--methods", "none", *words) == 0
+    kept = {path.name for path in run.glob("compare/rows/PAPR-given-0/*.json")}
+    assert kept == {"canonical.json", "grown.json", "walk.json"}
+    assert compare(run, "--methods", "aware", "papr", *words) == 2
+
+
+def test_the_kind_of_run_that_is_lacking_is_named(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--scene", scene, "--factor", 1, "--methods", "papr", "motion")
+    assert compare(ball_run(tmp_path / "ball"), *words) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "papr needs a run of points (`pcore train --model papr`); motion needs a run of" in said
 
 
 def test_what_is_compared_must_be_of_one_scene(

@@ -118,6 +118,7 @@ def test_broken_gaussians_are_left_out_and_told(folder: Path, capsys: pytest.Cap
         ("gs.ply", "gs.ply", "other than the input"),
         ("a.ksplat", "out.ply", "are not read"),
         ("none.splat", "out.ply", "no such file"),
+        ("a.glb", "out.splat", r"or Gaussians \(.ply, .splat, .spz, .sog\), got '.glb'"),
     ],
 )
 def test_what_cannot_be_is_refused(folder: Path, source: str, output: str, message: str):

@@ -1,5 +1,6 @@
 """`pcore export` of both kinds of object, and what it refuses."""
 
+import io
 import json
 import os
 from pathlib import Path
@@ -97,6 +98,23 @@ def test_frames_of_other_files(folder: Path):
     assert isinstance(own, GaussianContent)
     torch.testing.assert_close(first.means.float(), own.gaussians.means)
     assert float((last.means - first.means).norm(dim=1).max()) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "note"),
+    [
+        ("s.ply", "which `pcore import gaussians` reads from a comment of the file: --variance"),
+        ("s.splat", "which `pcore import gaussians` must be told: --variance"),
+        ("s.glb", "does not hold (`pcore import gaussians` reads .ply, .splat): --variance"),
+    ],
+)
+def test_what_becomes_of_the_screen_filter_is_said(folder: Path, name: str, note: str):
+    told = io.StringIO()
+    command = ExportCommand(
+        run_folder=folder / "ball", to="splats", output=folder / name, threads=1, device="cpu"
+    )
+    export(command, Console(file=told))
+    assert note in told.getvalue()
 
 
 def test_depth_is_that_of_the_ball(folder: Path):

@@ -80,6 +80,24 @@ def test_depth_beside_pictures_is_scored(folder: Path, states: SceneStates) -> N
         evaluate([method], [grown])
 
 
+def test_what_some_pictures_lack_is_an_error_that_names_them(
+    folder: Path, states: SceneStates
+) -> None:
+    canonical, grown = states.select(["grown"])
+    for path in folder.glob("*/*.png"):
+        np.save(path.with_suffix(".npy"), np.full((24, 24), 3.0))
+    (folder / "grown" / "r_1.npy").unlink()
+    method = open_pictures("theirs", folder)
+    assert method.tells == "depth"
+    assert len(method.pose(canonical)) == 2
+    with pytest.raises(InputError, match=r"grown: expected depth .* r_1 \(1 in this state\)"):
+        method.pose(grown)
+    Image.open(folder / "grown" / "r_0.png").convert("RGB").save(folder / "grown" / "r_0.png")
+    with pytest.raises(InputError, match=r"grown: expected an alpha channel .* r_0 \(1 in"):
+        open_pictures("theirs", folder).pose(grown)
+    assert len(open_pictures("theirs", folder).pose(canonical)) == 2
+
+
 def test_missing_and_misnamed_views_are_named(folder: Path, states: SceneStates) -> None:
     (folder / "grown" / "r_1.png").rename(folder / "grown" / "00001.png")
     method = open_pictures("theirs", folder)

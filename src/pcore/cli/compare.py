@@ -72,7 +72,8 @@ class CompareCommand:
     pictures: Annotated[
         tuple[str, ...], arg(metavar="NAME=DIR [NAME=DIR ...]", help_behavior_hint="")
     ] = ()
-    """Pictures of other code, each DIR/STATE/VIEW.png; NAME stands in the tables."""
+    """Pictures of other code, each DIR/STATE/VIEW.png; NAME stands in the tables and is no other
+    method's."""
 
     export_field: Folder = None
     """Only write the field, in the forms that official codes take, into this folder."""
@@ -106,7 +107,8 @@ def compare(command: CompareCommand, console: Console) -> None:
     Raises:
         CheckpointError: a run cannot be read.
         SceneError: the scene or a state cannot be read.
-        InputError: unknown names, options that do not fit, or an output folder in use.
+        InputError: unknown names, options that do not fit, an output folder in use, or, after all
+            is written, no method that could be scored in any state.
     """
     from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.torchrun import joined_ranks, refuse_ranks
@@ -227,8 +229,9 @@ def _entries(
     device: str,
 ) -> list[Entry]:
     from pcore.asset.neural_points import NeuralPoints
-    from pcore.evaluation.contestants import given_entries, picture_entries
+    from pcore.evaluation.contestants import given_entries, needed
     from pcore.evaluation.motion_method import has_end_views, motion_entries
+    from pcore.evaluation.picture_entries import picture_entries
     from pcore.evaluation.rival_entries import Workshop
     from pcore.rivals.motion_stages import MotionConfig
     from pcore.training.presets import gaussian_preset, preset
@@ -254,10 +257,12 @@ def _entries(
         config = MotionConfig(steps=command.motion_steps)
         entries += motion_entries(runs, places, output / "trained", config)
     entries += shop.entries(wanted, command.settings, command.seeds)
-    entries += picture_entries(named_paths("--pictures", command.pictures))
+    entries += picture_entries(named_paths("--pictures", command.pictures), entries)
     if not entries:
+        lacking = "; ".join(f"{name} needs {needed(name)}" for name in wanted)
         raise InputError(
-            f"--methods {' '.join(command.methods)}: expected methods that the runs have, got none"
+            f"--methods {' '.join(command.methods)}: expected a method that can be compared, got "
+            f"none: {lacking or 'give pictures of other code with --pictures NAME=DIR'}"
         )
     return entries
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
+from pcore.errors import InputError
+
 if TYPE_CHECKING:
     from pcore.evaluation.contest import Outcome
     from pcore.evaluation.contest_tables import Line
@@ -56,6 +58,7 @@ def finish(
         notes: what a reader has to know besides failures.
 
     Raises:
+        InputError: all of them failed; the files are written.
         OSError: a file cannot be written.
     """
     from pcore.evaluation.contest_tables import (
@@ -81,6 +84,11 @@ def finish(
     for line in said:
         console.print(Text(f"note: {line}"), soft_wrap=True)
     console.print(Text(f"written to {output}"), soft_wrap=True)
+    if all(one.failed is not None for one in outcomes):
+        raise InputError(
+            f"{output}: expected a method that can be scored, got failures only; mend what the "
+            "notes say, then give the same command again"
+        )
 
 
 _SHOWN = (

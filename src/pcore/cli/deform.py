@@ -12,7 +12,7 @@ from pcore.asset.posing import script_of
 from pcore.cli.change import change_lines, coarse, fold_notes
 from pcore.cli.deform_gaussians import deform_gaussians
 from pcore.cli.options import Number, optional
-from pcore.data.points import check_point_path, read_point_file, save_moved
+from pcore.data.points import POINT_SUFFIXES, check_point_path, read_point_file, save_moved
 from pcore.data.splat_formats import check_splat_output, holds_splats
 from pcore.deform.checks import count_folds
 from pcore.errors import InputError
@@ -57,7 +57,12 @@ def deform(command: DeformCommand) -> None:
         InputError: the points cannot be read or written, or would replace their own file.
         EditError: the edit file is not valid or its deformation is singular at the points.
     """
-    gaussians = holds_splats(command.input)
+    gaussians, kind = holds_splats(command.input), command.input.suffix.lower()
+    if not gaussians and kind not in POINT_SUFFIXES:
+        raise InputError(
+            f"{command.input}: expected points (.npy, .ply) or Gaussians (.ply, .splat, .spz, "
+            f".sog), got {kind or 'no ending'!r}"
+        )
     check = check_splat_output if gaussians else check_point_path
     check(command.output)
     if _same_file(command.input, command.output):

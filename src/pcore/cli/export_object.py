@@ -163,9 +163,11 @@ def _of_filter(footprint: Footprint | None, kind: str) -> list[str]:
 
     if footprint is None:
         return []
-    words = filter_words(footprint)
-    read = "reads from a comment of the file" if kind == ".ply" else "must be told"
-    notes = [f"their screen filter, which `pcore import gaussians` {read}: {words}"]
+    read = {
+        ".ply": "which `pcore import gaussians` reads from a comment of the file",
+        ".glb": "which glTF does not hold (`pcore import gaussians` reads .ply, .splat)",
+    }.get(kind, "which `pcore import gaussians` must be told")
+    notes = [f"their screen filter, {read}: {filter_words(footprint)}"]
     if footprint.antialiased:
         notes.append(
             "they were trained antialiased: switch that on in the viewer (SuperSplat) or trainer "

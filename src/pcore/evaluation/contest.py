@@ -198,9 +198,18 @@ class Contest:
         return replace(base, rows=tuple(rows), cost=cost, milliseconds=spent)
 
     def _path(self, entry: Entry, state: State) -> Path:
-        letters = "".join(c if c.isalnum() or c in "+-" else "_" for c in entry.name)
-        place = f"{letters}-{entry.setting}-{entry.seed}"
+        place = f"{_letters(entry.name)}-{entry.setting}-{entry.seed}"
         return self.folder / ROWS / place / f"{folder_of(state.name)}.json"
+
+
+def file_key(name: str) -> str:
+    """The same for names of methods whose results would be the same files on some disks."""
+    return _letters(name).casefold()
+
+
+def _letters(name: str) -> str:
+    """A name in letters that may stand in names of files."""
+    return "".join(c if c.isalnum() or c in "+-" else "_" for c in name)
 
 
 class _Once:

@@ -1,4 +1,4 @@
-"""Who is compared: runs that were given, pictures of other code, and rivals that are trained."""
+"""Who is compared: runs that were given, and rivals that are trained."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from pcore.evaluation.gaussian_method import (
     turned_rule,
 )
 from pcore.evaluation.methods import label_of, methods_of, never_seen
-from pcore.evaluation.picture_method import open_pictures
 from pcore.rivals.kept import Spent
 
 MethodName = Literal[
@@ -63,6 +62,16 @@ _WAYS: tuple[tuple[str, RaysName, LightName], ...] = (
 """To draw neural points: name, rays, light."""
 FLAT: tuple[MethodName, ...] = ("2dgs-affine", "2dgs-light")
 """Those for flat Gaussians; the others are for those in space."""
+
+_POINTS = "a run of points (`pcore train --model papr`)"
+_NEEDED: dict[MethodName, str] = {
+    "papr": _POINTS,
+    "aware": _POINTS,
+    "light": f"{_POINTS} with a light (`pcore light`)",
+    "motion": f"{_POINTS} before `pcore finetune`",
+    "voxels": "--settings time",
+    "papr-time": "--settings time",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,6 +119,11 @@ def given_entries(
         else:
             found += _point_entries(run, scene, wanted, alike, take)
     return found
+
+
+def needed(name: MethodName) -> str:
+    """What a method cannot be compared without."""
+    return _NEEDED.get(name, "a run of Gaussians, or --settings and --seeds to train some")
 
 
 def rule_entries(
@@ -180,20 +194,6 @@ def point_entries(
             make=lambda way=way: contestant(*way),
         )
         for way in _WAYS
-    ]
-
-
-def picture_entries(folders: Sequence[tuple[str, Path]]) -> list[Entry]:
-    """Entries of folders of pictures, by the names that they have in tables."""
-    return [
-        Entry(
-            name=name,
-            setting="given",
-            seed=0,
-            stamp=_stamp_of_folder(folder),
-            make=lambda name=name, folder=folder: Contestant(method=open_pictures(name, folder)),
-        )
-        for name, folder in folders
     ]
 
 
@@ -284,11 +284,6 @@ def spent_on(asset: Asset) -> Spent | None:
     """Seconds that are on record of a run's training."""
     found = asset.record.seconds
     return None if found is None else Spent(seconds=found, megabytes=None)
-
-
-def _stamp_of_folder(folder: Path) -> list[list[str | int]]:
-    files = sorted(folder.glob("*/*")) if folder.is_dir() else []
-    return [[str(one), one.stat().st_size, one.stat().st_mtime_ns] for one in files]
 
 
 def stamp_of_run(path: Path) -> str:

@@ -44,7 +44,8 @@ class PictureMethod:
         """Find the picture of every shot.
 
         Raises:
-            InputError: some are missing; the message lists them, and files of other names.
+            InputError: some are missing, or lack the alpha channel or depth that other pictures
+                have; the message lists them, and files of other names.
         """
         place = self.folder / folder_of(state.name)
         if not place.is_dir():
@@ -63,6 +64,12 @@ class PictureMethod:
                 f"{first_names(missing)} ({len(missing)} missing)"
                 + (f"; files that no view is called after: {odd}" if odd else "")
             )
+        no_alpha = [
+            one for one in wanted if self.tells != "colour" and not _alphas([there[one]])[0]
+        ]
+        _refuse_some(place, "an alpha channel in every picture or none", no_alpha)
+        no_depth = [one for one in wanted if self.tells == "depth" and not _tells_depth(there[one])]
+        _refuse_some(place, "depth beside every picture (VIEW.npy) or none", no_depth)
         return {id(shot.camera): there[shot.view.name] for shot in state.shots}
 
     def draw(self, posed: Mapping[int, Path], camera: Camera) -> Image:
@@ -116,10 +123,22 @@ def open_pictures(name: str, folder: Path) -> PictureMethod:
             f"--pictures {name}={folder}: expected pictures named STATE/VIEW.png in it, for "
             "example canonical/r_0.png, found none"
         )
-    opaque = not all(_alphas(found))
-    deep = all(one.with_suffix(".npy").is_file() for one in found)
-    tells: Tells = "colour" if opaque else "depth" if deep else "opacity"
+    # What one picture tells, `pose` asks of all: a missing file must not drop a metric in silence.
+    clear, deep = any(_alphas(found)), any(map(_tells_depth, found))
+    tells: Tells = "depth" if clear and deep else "opacity" if clear else "colour"
     return PictureMethod(name=name, folder=folder, tells=tells)
+
+
+def _refuse_some(place: Path, expected: str, lacking: Sequence[str]) -> None:
+    if lacking:
+        raise InputError(
+            f"{place}: expected {expected}, in all states, got some without: "
+            f"{first_names(lacking)} ({len(lacking)} in this state)"
+        )
+
+
+def _tells_depth(picture: Path) -> bool:
+    return picture.with_suffix(".npy").is_file()
 
 
 def _is_picture(path: Path) -> bool:
