@@ -15,7 +15,10 @@ from scene_files import pose
 
 WIDTH, HEIGHT = 24, 16
 OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-MODELS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "FOV": 7}
+MODELS = {
+    **{"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4},
+    **{"OPENCV_FISHEYE": 5, "FOV": 7, "THIN_PRISM_FISHEYE": 10},
+}
 
 
 @dataclass

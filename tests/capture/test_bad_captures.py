@@ -60,7 +60,7 @@ def test_lenses_that_are_not_read(text: bool, tmp_path: Path) -> None:
     camera = ("FOV", WIDTH, HEIGHT, [30.0, 30.0, 12.0, 8.0, 0.9])
     photos = shots()
     write_photos(tmp_path / "images", [shot.name for shot in photos])
-    write_model(tmp_path / "sparse" / "0", [], {1: camera}, text=text)
+    write_model(tmp_path / "sparse" / "0", photos, {1: camera}, text=text)
     with pytest.raises(SceneError, match=r"camera model FOV is not read; read are SIMPLE_PINHOLE"):
         load_scene(tmp_path)
 
@@ -404,6 +404,13 @@ def test_camera_lists_of_other_content(tmp_path: Path) -> None:
 def test_boxes_that_are_none(box: object, tmp_path: Path) -> None:
     write_ngp(tmp_path, aabb=box)
     with pytest.raises(SceneError, match="two corners of a box in 'aabb'"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("world", [{"scale": 0}, {"scale": [1]}, {"offset": [1, 2]}])
+def test_a_world_of_instant_ngp_that_is_none(world: dict[str, object], tmp_path: Path) -> None:
+    write_ngp(tmp_path, render_aabb=[[0, 0, 0], [1, 1, 1]], **world)
+    with pytest.raises(SceneError, match=r"two corners of a box in 'render_aabb'.*mend it"):
         load_scene(tmp_path)
 
 

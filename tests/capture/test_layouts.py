@@ -11,6 +11,7 @@ from PIL import Image
 
 from capture_files import (
     HEIGHT,
+    PLAIN,
     WIDTH,
     Shot,
     points,
@@ -106,6 +107,51 @@ def test_regions(tmp_path: Path) -> None:
     assert region is not None
     assert region.box is not None
     torch.testing.assert_close(region.box, torch.tensor([[0.0, -1, 0], [1, 1, 1]]))
+    for name, offset in (("one", 0.5), ("three", [0.5, 0.4, 0.3])):
+        corners = [[0.3, 0.3, 0.3], [0.7, 0.7, 0.7]]
+        write_ngp(tmp_path / name, render_aabb=corners, scale=1, offset=offset)
+        region = load_scene(tmp_path / name).region
+        assert region is not None
+        assert region.box is not None
+        torch.testing.assert_close(region.box, torch.tensor(corners) - torch.tensor(offset))
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_lenses_of_cameras_without_images_do_not_count(tmp_path: Path, text: bool) -> None:
+    unread = {
+        3: ("OPENCV_FISHEYE", WIDTH, HEIGHT, [30.0, 30.0, 12.0, 8.0, *[0.1] * 4]),
+        4: ("THIN_PRISM_FISHEYE", WIDTH, HEIGHT, [30.0, 30.0, 12.0, 8.0, *[0.1] * 8]),
+    }
+    write_colmap(tmp_path, cameras={**unread, 1: PLAIN}, text=text)
+    assert load_scene(tmp_path).split("train")[0].camera.focal == (30, 30)
+
+
+def test_masks_of_instant_ngp(tmp_path: Path) -> None:
+    photos = write_ngp(tmp_path)
+    write_photos(
+        tmp_path / "images", [f"dynamic_mask_{shot.name}" for shot in photos[1:]], mode="L"
+    )
+    scene = load_scene(tmp_path)
+    assert not scene.split("train")[0].has_alpha
+    assert any("what moves" in note and "for 9 photos and not used" in note for note in scene.notes)
+    write_photos(tmp_path / "images", [f"{shot.name}.alpha.png" for shot in photos], mode="L")
+    assert load_scene(tmp_path).split("train")[0].has_alpha
+
+
+def test_masks_beside_photos_of_two_cameras(tmp_path: Path) -> None:
+    photos = shots(10)
+    for number, shot in enumerate(photos):
+        shot.name = f"cam{number % 2}/{number // 2}.png"
+    write_photos(tmp_path / "images", [shot.name for shot in photos])
+    write_model(tmp_path / "sparse" / "0", photos)
+    write_photos(tmp_path / "masks", [f"{number}.png" for number in range(5)], mode="L")
+    scene = load_scene(tmp_path)
+    assert not scene.split("train")[0].has_alpha
+    assert any("10 photos share theirs" in note for note in scene.notes)
+    write_photos(tmp_path / "masks", [shot.name for shot in photos], mode="L")
+    scene = load_scene(tmp_path)
+    masks = {view.name: view.image.mask for view in scene.split("train")}
+    assert {mask.parent.name for mask in masks.values() if mask} == {"cam0", "cam1"}
 
 
 def test_masks_of_idr_are_paired_by_order(tmp_path: Path) -> None:

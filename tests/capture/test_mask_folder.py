@@ -59,6 +59,28 @@ def test_missing_masks_are_named(tmp_path: Path) -> None:
         match_masks([tmp_path / "a.jpg"], tmp_path / "none")
 
 
+@pytest.mark.parametrize("written", ["cam0", ""])
+def test_masks_that_fit_photos_of_two_cameras_are_no_masks(tmp_path: Path, written: str) -> None:
+    photos = [tmp_path / "images" / f"cam{side}" / f"{i}.png" for i in range(3) for side in (0, 1)]
+    for number in range(3):
+        _mask(tmp_path / "cut" / written / f"{number}.png")
+    count = 3 if written else 6
+    with pytest.raises(SceneError, match=rf"cam1/0\.png.*\({count} in all\).*put their masks into"):
+        match_masks(photos, tmp_path / "cut")
+    for number in range(6):  # As many as photos: names that fit in part are no reason to guess.
+        _mask(tmp_path / "cut" / written / f"{number}.png")
+    with pytest.raises(SceneError, match=rf"\({count} in all\)"):
+        match_masks(photos, tmp_path / "cut")
+
+
+def test_photos_of_one_name_but_for_the_ending_have_their_own_masks(tmp_path: Path) -> None:
+    photos = [tmp_path / "a.jpg", tmp_path / "a.png"]
+    for photo in photos:
+        _mask(tmp_path / "cut" / f"{photo.name}.png")
+    found = match_masks(photos, tmp_path / "cut").files
+    assert [found[photo].stem for photo in photos] == ["a.jpg", "a.png"]
+
+
 def test_a_mask_of_another_size_is_refused(tmp_path: Path) -> None:
     room = write_room(tmp_path / "room", 9)
     for number in range(9):

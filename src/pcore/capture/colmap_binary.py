@@ -10,36 +10,35 @@ from typing import NoReturn
 import numpy as np
 
 from pcore.capture.colmap_records import (
-    ModelCamera,
     ModelImage,
     ModelPoints,
+    WrittenCamera,
     model_camera,
     model_points,
-    parameter_count,
 )
 from pcore.errors import SceneError
 
-_MODELS = [
-    "SIMPLE_PINHOLE",
-    "PINHOLE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-    "OPENCV_FISHEYE",
-    "FULL_OPENCV",
-    "FOV",
-    "SIMPLE_RADIAL_FISHEYE",
-    "RADIAL_FISHEYE",
-    "THIN_PRISM_FISHEYE",
-    "RAD_TAN_THIN_PRISM_FISHEYE",
-    "SIMPLE_DIVISION",
-    "DIVISION",
-    "SIMPLE_FISHEYE",
-    "FISHEYE",
-    "EUCM",
-    "EQUIRECTANGULAR",
-]
-"""Names by the numbers of binary files."""
+_MODELS = {
+    "SIMPLE_PINHOLE": 3,
+    "PINHOLE": 4,
+    "SIMPLE_RADIAL": 4,
+    "RADIAL": 5,
+    "OPENCV": 8,
+    "OPENCV_FISHEYE": 8,
+    "FULL_OPENCV": 12,
+    "FOV": 5,
+    "SIMPLE_RADIAL_FISHEYE": 4,
+    "RADIAL_FISHEYE": 5,
+    "THIN_PRISM_FISHEYE": 12,
+    "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+    "SIMPLE_DIVISION": None,
+    "DIVISION": None,
+    "SIMPLE_FISHEYE": None,
+    "FISHEYE": None,
+    "EUCM": None,
+    "EQUIRECTANGULAR": None,
+}
+"""Names by the numbers of binary files, and how many numbers a lens has; None: not looked up."""
 _PLACE = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 
 
@@ -85,14 +84,16 @@ class _Bytes:
         )
 
 
-def cameras(path: Path) -> Iterator[tuple[int, ModelCamera]]:
-    """Cameras with their numbers."""
-    file = _Bytes(path)
+def cameras(path: Path) -> Iterator[WrittenCamera]:
+    """Cameras, those that no image is of too."""
+    file, models = _Bytes(path), list(_MODELS)
     for _ in range(file.count(24)):
         number, kind, width, height = (int(one) for one in file.take("iiQQ"))
-        model = _MODELS[kind] if 0 <= kind < len(_MODELS) else f"number {kind}"
-        numbers = [float(one) for one in file.take(f"{parameter_count(model)}d")]
-        yield number, model_camera(path, model, (width, height), numbers)
+        model = models[kind] if 0 <= kind < len(models) else f"number {kind}"
+        length = _MODELS.get(model)
+        if length is None:  # Nobody knows where the next camera begins.
+            model_camera(path, model, (width, height), [])
+        yield number, model, (width, height), [float(one) for one in file.take(f"{length}d")]
 
 
 def images(path: Path) -> Iterator[ModelImage]:

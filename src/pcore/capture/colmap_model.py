@@ -9,7 +9,7 @@ import struct
 from pathlib import Path
 
 from pcore.capture import colmap_binary, colmap_text
-from pcore.capture.colmap_records import Model
+from pcore.capture.colmap_records import Model, model_camera
 from pcore.errors import SceneError
 
 
@@ -50,12 +50,13 @@ def read_model(folder: Path) -> Model:
     """Read a model.
 
     Raises:
-        SceneError: truncated or damaged files, a lens that is not read (by its name), no image.
+        SceneError: truncated or damaged files, no image, or one of a lens that is not read (by its
+            name).
     """
     paths = model_files(folder)
     read = colmap_binary if paths[0].suffix == ".bin" else colmap_text
-    cameras = dict(read.cameras(paths[0]))
-    if not cameras:
+    written = list(read.cameras(paths[0]))
+    if not written:
         raise SceneError(f"{paths[0]}: expected cameras, got none; export the model again")
     images = list(read.images(paths[1]))
     if not images:
@@ -63,6 +64,10 @@ def read_model(folder: Path) -> Model:
             f"{paths[1]}: expected registered images, got an empty model; run COLMAP's mapper "
             "again, or give the folder of another model"
         )
+    used = {one.camera for one in images}
+    cameras = {
+        number: model_camera(paths[0], *camera) for number, *camera in written if number in used
+    }
     lost = next((one.name for one in images if one.camera not in cameras), None)
     if lost is not None:
         raise SceneError(f"{paths[1]}: image {lost} is of a camera that {paths[0].name} lacks")

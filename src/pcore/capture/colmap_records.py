@@ -22,6 +22,10 @@ _PARAMETERS = {
 }
 
 
+WrittenCamera = tuple[int, str, tuple[int, int], list[float]]
+"""A camera as files have it, of a lens that may not be read: number, model, size, numbers."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ModelCamera:
     """A camera of a model: the size of its pictures and its lens in their pixels."""
@@ -63,7 +67,7 @@ class ModelPoints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Model:
-    """A whole model; images in the order of the file, points None where there is no such file."""
+    """Cameras that have images, images in the order of the file, points or None without a file."""
 
     cameras: dict[int, ModelCamera]
     images: list[ModelImage]
@@ -100,8 +104,3 @@ def model_points(rows: Sequence[tuple[int | float, ...]]) -> ModelPoints:
         colors=table[:, 4:7],
         errors=table[:, 7],
     )
-
-
-def parameter_count(model: str) -> int:
-    """How many numbers the lens of a model has; 0 for one that is not read."""
-    return len(_PARAMETERS.get(model, ()))

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from pcore.capture.colmap_records import (
-    ModelCamera,
     ModelImage,
     ModelPoints,
-    model_camera,
+    WrittenCamera,
     model_points,
 )
 from pcore.errors import SceneError
@@ -32,13 +31,13 @@ def _damaged(path: Path, line: str) -> SceneError:
     )
 
 
-def cameras(path: Path) -> Iterator[tuple[int, ModelCamera]]:
-    """Cameras with their numbers."""
+def cameras(path: Path) -> Iterator[WrittenCamera]:
+    """Cameras, those that no image is of too."""
     for line in filter(str.strip, _lines(path)):
         try:
             number, model, width, height, *numbers = line.split()
             size, values = (int(width), int(height)), [float(one) for one in numbers]
-            yield int(number), model_camera(path, model, size, values)
+            yield int(number), model, size, values
         except (ValueError, OverflowError) as problem:
             raise _damaged(path, line) from problem
 

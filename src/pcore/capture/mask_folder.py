@@ -7,6 +7,7 @@ the same thing.
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -45,8 +46,9 @@ class MatchedMasks:
 def scene_with_masks(scene: Scene, folder: Path) -> Scene:
     """Return a scene whose photos have the masks of a folder, in all its splits.
 
-    Masks are taken by name (`0001.png` of `0001.jpg`, also `0001.jpg.png`, also in the same
-    sub-folders); where no name fits, by order, if there are as many as photos.
+    Masks are taken by name (`0001.png` of `0001.jpg`, also `0001.jpg.png`), in the same sub-folders
+    where photos in several of them have one name; where no name fits, by order, if there are as
+    many as photos.
 
     Args:
         scene: as it was loaded; its photos' own alpha is kept beside the masks.
@@ -79,25 +81,31 @@ def match_masks(photos: Sequence[Path], folder: Path) -> MatchedMasks:
     for file in files:
         for key in {file.stem, Path(file.stem).stem if _is_image(Path(file.stem)) else file.stem}:
             names.setdefault(key, []).append(file)
-    found = {photo: _nearest(photo, names.get(photo.stem, [])) for photo in photos}
-    files_of = {photo: mask for photo, mask in found.items() if mask is not None}
+    fitting = {photo: names[photo.stem] for photo in photos if photo.stem in names}
+    files_of = _one_each(fitting)
     if len(files_of) == len(photos):
         return MatchedMasks(
             files=files_of,
             note=f"masks are taken from {folder.name}: {len(photos)} by name; white is object",
         )
-    if not files_of and len(files) == len(photos):
+    if not fitting and len(files) == len(photos):
         ordered = dict(zip(sorted(photos, key=_by_name), files, strict=True))
         return MatchedMasks(
             files=ordered,
             note=f"masks are taken from {folder.name}: no name is that of a photo, so by order "
             f"({files[0].name} for {min(photos, key=_by_name).name}, ...)",
         )
-    missing = [photo.name for photo in photos if photo not in files_of]
+    missing = [photo for photo in photos if photo not in files_of]
+    named = [f"{one.parent.name}/{one.name}" if one in fitting else one.name for one in missing]
+    hint = (
+        "; several photos have one name: put their masks into sub-folders called like those of the "
+        "photos"
+    )
     raise SceneError(
         f"masks {folder}: expected a mask for each of {len(photos)} photos, by name, or as many as "
-        f"photos, got {len(files)}; without one are {', '.join(missing[:_NAMED])}"
+        f"photos, got {len(files)}; without one are {', '.join(named[:_NAMED])}"
         f"{', ...' * (len(missing) > _NAMED)} ({len(missing)} in all)"
+        f"{hint * any(photo in fitting for photo in missing)}"
     )
 
 
@@ -168,16 +176,23 @@ def _by_name(path: Path) -> tuple[tuple[int, int | str], ...]:
     return natural_key(path.as_posix())
 
 
-def _nearest(photo: Path, masks: Sequence[Path]) -> Path | None:
-    """The mask whose folders are most like those of its photo."""
+def _one_each(fitting: Mapping[Path, Sequence[Path]]) -> dict[Path, Path]:
+    """The mask of each photo that is nearest, unless it is as near or nearer to another photo."""
+    wanted: dict[Path, list[Path]] = {}
+    for photo, masks in fitting.items():
+        nearest = max(masks, key=partial(_alike, photo))
+        wanted.setdefault(nearest, []).append(photo)
+    found: dict[Path, Path] = {}
+    for mask, photos in wanted.items():
+        best = max(_alike(photo, mask) for photo in photos)
+        nearest = [photo for photo in photos if _alike(photo, mask) == best]
+        if len(nearest) == 1:
+            found[nearest[0]] = mask
+    return found
 
-    def alike(mask: Path) -> int:
-        pairs = zip(reversed(photo.parts[:-1]), reversed(mask.parts[:-1]), strict=False)
-        count = 0
-        for ours, theirs in pairs:
-            if ours != theirs:
-                break
-            count += 1
-        return count
 
-    return max(masks, key=alike, default=None)
+def _alike(photo: Path, mask: Path) -> tuple[int, bool]:
+    """How many folders a photo and a mask have in common, from the inmost, and the whole name."""
+    pairs = zip(reversed(photo.parts[:-1]), reversed(mask.parts[:-1]), strict=False)
+    same = itertools.takewhile(lambda pair: pair[0] == pair[1], pairs)
+    return sum(1 for _ in same), mask.stem == photo.name

@@ -106,8 +106,8 @@ def find_named(finder: Finder, wanted: Wanted) -> Path | None:
 def with_masks(photos: Sequence[Photo], root: Path) -> tuple[Sequence[Photo], tuple[str, ...]]:
     """Photos with the masks that lie beside them, if all have one; a note about what was found.
 
-    Looked for are `masks/NAME.png`, `mask/NAME.png` (NAME with or without the photo's ending) and
-    `NAME.alpha.png` beside the photo. White is object.
+    Looked for are `masks/NAME.png`, `mask/NAME.png` and, beside the photo, `NAME.alpha.png` (NAME
+    with or without the photo's ending). White is object. A mask that fits several photos is none.
     """
     if any(photo.mask is not None for photo in photos):
         return photos, ()
@@ -116,10 +116,18 @@ def with_masks(photos: Sequence[Photo], root: Path) -> tuple[Sequence[Photo], tu
     if not found:
         return photos, ()
     example = next(iter(found.values())).relative_to(root.resolve()).as_posix()
-    if len(found) < len(there):
+    owners: dict[Path, set[Path | None]] = {}
+    for photo in there:
+        if photo.name in found:
+            owners.setdefault(found[photo.name], set()).add(photo.path)
+    shared = sum(len(paths) for paths in owners.values() if len(paths) > 1)
+    if shared or len(found) < len(there):
+        hint = (
+            f"; {shared} photos share theirs with one of another folder: put masks into sub-folders"
+        )
         return photos, (
             f"masks like {example} are there for {len(found)} of {len(there)} photos and not used; "
-            "give one for every photo",
+            f"give one for every photo{hint * (shared > 0)}",
         )
     masked = [replace(photo, mask=found.get(photo.name)) for photo in photos]
     return masked, (f"masks beside the photos are used, like {example}: white is object",)
@@ -129,10 +137,11 @@ def _mask_beside(photo: Photo, root: Path) -> Path | None:
     assert photo.path is not None, "photos without a file have no mask"
     below = Path(photo.name.replace("\\", "/")).parent
     plain = not below.is_absolute() and ".." not in below.parts
+    names = (photo.path.stem, photo.path.name)
     candidates = [
-        *mask_places(root, photo.path),
         *(mask_places(root, photo.path, below) if plain else []),
-        photo.path.with_name(f"{photo.path.stem}.alpha{photo.path.suffix}"),
+        *mask_places(root, photo.path),
+        *(photo.path.with_name(f"{name}.alpha{photo.path.suffix}") for name in names),
     ]
     path = next((path for path in candidates if is_file(path)), None)
     return None if path is None else inside(root, path)

@@ -16,7 +16,7 @@ import torch
 from pcore.capture.photo_folders import find_named
 from pcore.capture.photos import Capture, Photo, RawPoints
 from pcore.data.image_files import read_header
-from pcore.data.image_paths import Finder, Wanted
+from pcore.data.image_paths import Finder, Wanted, is_file
 from pcore.data.scene import Skipped
 from pcore.data.transforms import PosedFrame, Transforms, read_transforms
 from pcore.errors import InputError, SceneError
@@ -24,7 +24,8 @@ from pcore.geometry.lens_distortion import LensDistortion
 from pcore.geometry.object_region import Region, region_of_box
 
 _NGP_SCALE, _NGP_OFFSET = 0.33, 0.5
-"""instant-ngp's own world: coordinates times this plus that, then x, y, z <- y, z, x."""
+"""instant-ngp's own world: coordinates times `scale` plus `offset`, then x, y, z <- y, z, x; these
+where the file says nothing else."""
 REGION_KEY = "object_region"
 """Our own key: center and radius of the object, in the world of the file."""
 _SPLITS = ("train", "val", "test")
@@ -59,10 +60,22 @@ def read_transforms_capture(root: Path, path: Path, factor: int) -> Capture:
         sparse=_points(transforms, finder),
         region=_region(transforms.content, f"scene file {path}"),
         splits=_splits(transforms, [photo.name for photo in photos]),
-        notes=[*transforms.notes, *finder.notes(path.name)],
+        notes=[*transforms.notes, *finder.notes(path.name), *_moving(photos)],
         skipped=skipped,
         shrunk=shrunk,
     )
+
+
+def _moving(photos: Sequence[Photo]) -> list[str]:
+    """A note about instant-ngp's masks of what moves, whose white pixels it does not learn from."""
+    names = [one.path.with_name(f"dynamic_mask_{one.path.stem}.png") for one in photos if one.path]
+    there = [path.name for path in names if is_file(path)]
+    if not there:
+        return []
+    return [
+        f"masks of what moves, like {there[0]}, are there for {len(there)} photos and not used; "
+        "where the object stands still, give masks of it (white is object)"
+    ]
 
 
 class _NoMaskError(Exception):
@@ -194,13 +207,17 @@ def _region(content: Mapping[str, Any], where: str) -> Region | None:
     try:
         box = torch.tensor(content[given], dtype=torch.float64)
         if given == "render_aabb":
-            box = (box.roll(1, dims=-1) - _NGP_OFFSET) / _NGP_SCALE
+            scale = float(content.get("scale", _NGP_SCALE))
+            offset = torch.tensor(content.get("offset", _NGP_OFFSET), dtype=torch.float64)
+            box = (box.roll(1, dims=-1) - offset) / scale
         lower, upper = box
         return region_of_box(lower, upper)
-    except (TypeError, ValueError, RuntimeError, IndexError) as problem:
+    except (TypeError, ValueError, RuntimeError, IndexError, ZeroDivisionError) as problem:
+        others = {key: content[key] for key in ("scale", "offset") if key in content}
         raise SceneError(
-            f"{where}: expected two corners of a box in {given!r}, got {str(content[given])[:80]}; "
-            "mend it or remove the key"
+            f"{where}: expected two corners of a box in {given!r}, in a world of a number 'scale' "
+            f"and of 'offset', got {str(content[given])[:80]} in {str(others)[:80]}; mend it or "
+            f"remove {given!r}"
         ) from problem
 
 
