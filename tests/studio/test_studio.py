@@ -1,6 +1,7 @@
 """A whole page whose tab is not a browser: what its widgets wish, its files, its messages."""
 
 import json
+import shlex
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -11,7 +12,9 @@ from typing import Any, cast
 import pytest
 from objects import demo
 
+from pcore.cli.main import main
 from pcore.errors import EditError
+from pcore.geometry.orbit import orbit_around
 from pcore.studio.editor import Editor
 from pcore.studio.guard import Guard
 from pcore.studio.handle_pose import HandlePose
@@ -153,6 +156,44 @@ def test_save_goes_where_it_was_saved_last_and_the_command_names_that(
         )
         assert "other.json" in line
         assert f"--time {1 / 3!r}" in line
+
+
+def test_nothing_is_saved_over_what_is_no_edit_file(page: Studio, tmp_path: Path) -> None:
+    wish(page, "add", "twist")
+    other = tmp_path / "studio" / "mine.json"
+    other.write_text('{"frames": []}')
+    for name in ("autosave.json", "mine.json"):
+        wish(page, "save", name)
+        assert page._said.startswith("⚠"), name
+        assert not page.files.saved
+    assert other.read_text() == '{"frames": []}'
+    assert page.outputs.autosave.is_file()
+    for name in ("a.json", "b.json", "a.json"):
+        wish(page, "save", name)
+        assert page._said == f"Saved as {name}."
+
+
+def test_a_command_without_edits_reads_no_file_that_is_not_there(
+    page: Studio, run: Path, tmp_path: Path
+) -> None:
+    camera = orbit_around(demo().points, size=(16, 16))[0]
+    tab = cast("Any", SimpleNamespace(camera=lambda **_: camera, number=TAB))
+    page.perform(lambda: page.files.screenshot(tab, 16))
+    assert page.worker.wait(60)
+    line = page.files.line.split("```")[1].strip()
+    assert "Save first" not in page.files.line
+    program, command, _, *words = shlex.split(line)
+    assert program == "pcore"
+    output = tmp_path / "again"
+    assert main([command, str(run), *words[:-1], str(output)]) == 0
+    (again,) = output.glob("*.png")
+    assert again.read_bytes() == (page.outputs.folder / "picture_001.png").read_bytes()
+    wish(page, "add", "twist")
+    wish(page, "save", "edit.json")
+    page.outputs.edit.unlink()
+    page.perform(lambda: page.files.screenshot(tab, 16))
+    assert page.worker.wait(60)
+    assert "Save first" in page.files.line
 
 
 @pytest.mark.parametrize("how", ["edited", "saved"])

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pcore.editing.animation import load_animation
 from pcore.editing.autosave import read_session
 from pcore.errors import EditError, InputError, PcoreError
 from pcore.geometry.camera import Camera
@@ -85,11 +86,13 @@ class StudioFiles:
         """Write the edit file, by the name that the page gives; from now on it is the one saved.
 
         Raises:
-            InputError: a name that is none.
+            InputError: a name that is none, or of a file that is there and holds no edits.
             EditError: the file cannot be written.
         """
         outputs, editor = self._studio.outputs, self._studio.editor
         path = outputs.named(name, ".json")
+        if path not in (outputs.edit, self.edit) and path.exists():
+            _refuse_others(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._spare()  # The edit file is older than it only now.
         editor.session.save(path)
@@ -137,10 +140,9 @@ class StudioFiles:
         posed = studio.drawer.posed(editor.state, still=editor.shown.still)
         path, cameras = write_picture(studio.outputs, editor.asset, posed, camera)
         light = None if editor.shown.still or editor.asset.light is None else "baked"
-        line = studio.outputs.line(
-            "OUT", cameras, edit=self.edit, time=editor.session.time, light=light
-        )
-        self.line = self._told("picture", line)
+        edit = self.edit if editor.session.stack.edits else None
+        line = studio.outputs.line("OUT", cameras, edit=edit, time=editor.session.time, light=light)
+        self.line = self._told("picture", line, reads=edit is not None)
         studio.say(f"Wrote {path.name}.")
 
     def film(self, viewport: Viewport, count: int, width: int) -> None:
@@ -167,7 +169,7 @@ class StudioFiles:
         studio.actions.playing = False
         self._stopped.clear()
         self._filming = True
-        studio.worker.go_on(self._write_film(film, path, self._told("film", line)))
+        studio.worker.go_on(self._write_film(film, path, self._told("film", line, reads=True)))
 
     def _write_film(self, film: Film, path: Path, line: str) -> Iterator[None]:
         """Write a film, and say at its end what became of it."""
@@ -188,8 +190,10 @@ class StudioFiles:
             studio.panels.progress(None)
         studio.perform(lambda: studio.say(said))
 
-    def _told(self, what: str, line: str) -> str:
-        unsaved = "" if self.saved else "\n\nSave first: the command reads the saved edits."
+    def _told(self, what: str, line: str, *, reads: bool) -> str:
+        """What is said of a command; whether it reads the edit file, which may not be written."""
+        ready = not reads or (self.saved and self.edit.is_file())
+        unsaved = "" if ready else "\n\nSave first: the command reads the saved edits."
         return f"The same {what} on the command line:\n\n```\n{line}\n```{unsaved}"
 
     def stop(self) -> None:
@@ -221,3 +225,13 @@ class StudioFiles:
             raise InputError(f"picture: expected a width of 16 to {_LARGEST}, got {width}")
         height = max(16, round(width * camera.height / camera.width / 2) * 2)
         return camera.resized(round(width / 2) * 2, height)
+
+
+def _refuse_others(path: Path) -> None:
+    """Nothing is written over a file that is no edit file."""
+    try:
+        load_animation(path)
+    except EditError as error:
+        raise InputError(
+            f"save: {path.name} is there and is no edit file; take another name"
+        ) from error
