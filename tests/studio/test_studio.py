@@ -223,6 +223,81 @@ def test_a_cage_whose_file_is_gone_is_said_and_the_panel_goes_on(page: Studio) -
     assert not page.editor.session.stack.edits
 
 
+def test_a_cage_whose_file_is_gone_is_written_again_at_save(
+    page: Studio, tmp_path: Path, free_port: int
+) -> None:
+    wish(page, "add", "cage")
+    cage = page.outputs.folder / "cage_001.ply"
+    before = cage.read_bytes()
+    cage.unlink()
+    wish(page, "save", "edit.json")
+    assert page._said == "Saved as edit.json."
+    assert cage.read_bytes() == before
+    page.close()
+    with closing(opened(tmp_path, free_port)) as again:
+        assert again.worker.wait(60)
+        cage.unlink()
+        wish(again, "save", "other.json")
+        assert Editor(demo(), again.outputs.folder / "other.json").handles
+        assert cage.read_bytes() == before
+
+
+def test_a_save_says_which_files_of_others_are_gone(page: Studio, tmp_path: Path) -> None:
+    page.editor.add_cage(tmp_path / "theirs.ply", cells=1)
+    page.editor.add("twist")
+    page._refresh()
+    (tmp_path / "theirs.ply").unlink()
+    wish(page, "save", "edit.json")
+    assert page._said == "Saved as edit.json. ⚠ It names files that are gone: theirs.ply."
+    assert not (tmp_path / "theirs.ply").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        *((name, ("q",)) for name in ("gizmo", "overlay", "click", "mirror", "lock", "moving")),
+        *(("tool", ("q",)), ("compare", (1.5,)), ("compare", (float("nan"),))),
+        *(("selection", ("Nonsense",)), ("selection", ("Undo",))),
+        *(("add", ("nope",)), ("add", (None,)), ("order", (0, "Nonsense"))),
+        *(("slide", (0, "nope/3", 1.0)), ("slide", (0, "limits/2", 1.0))),
+        *(("slide", (0, "origin/3", 1.0)), ("slide", (0, "angle_deg/0", 1.0))),
+    ],
+)
+def test_what_is_none_of_the_choices_is_refused_and_changes_nothing(
+    page: Studio, name: str, values: tuple[Any, ...]
+) -> None:
+    wish(page, "add", "twist")
+    shown, stack = page.editor.shown, page.editor.session.stack
+    wish(page, name, *values)
+    assert page._said.startswith("⚠")
+    assert "see the terminal" not in page._said
+    assert page.editor.shown == shown
+    assert page.editor.session.stack is stack
+    assert not page.editor.sliding
+
+
+def test_what_was_opened_is_saved_until_it_changes_and_nothing_before_it_is_lost(
+    page: Studio,
+) -> None:
+    wish(page, "add", "twist")
+    wish(page, "save", "a.json")
+    page.files._written = time.monotonic() + 100
+    wish(page, "add", "bend")
+    wish(page, "open", "a.json")
+    assert page.files.saved
+    assert "1 edit, saved" in page._status()
+    kept = json.loads(page.outputs.autosave.read_text())
+    assert [one["type"] for one in kept["edits"][-1]["edits"]] == ["twist", "bend"]
+    wish(page, "undo")
+    assert len(page.editor.session.stack.edits) == 2
+    assert not page.files.saved
+    wish(page, "redo")
+    wish(page, "save", "a.json")
+    wish(page, "open", "a.json")
+    assert page.files.saved
+    assert not page.outputs.autosave.exists()
+
+
 def test_a_full_disk_at_a_picture_is_said(page: Studio) -> None:
     def full() -> None:
         raise OSError(28, "No space left on device", "/home/anna/picture_001.png")

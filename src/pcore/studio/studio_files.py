@@ -16,6 +16,7 @@ from pcore.render.picture import RenderCancelledError
 from pcore.studio.camera_keys import frames_of, keys_of, read_keys, write_keys
 from pcore.studio.filming import Film
 from pcore.studio.guard import plain
+from pcore.studio.mesh_files import MeshFiles
 from pcore.studio.outputs import write_cameras, write_picture
 from pcore.studio.viewport import Viewport
 
@@ -45,6 +46,19 @@ class StudioFiles:
         self._kept, self._written = False, -_EVERY
         self._later: threading.Timer | None = None
         self._stopped = threading.Event()
+        self._seen = self._number
+        self._meshes = MeshFiles(studio.outputs.folder)
+
+    @property
+    def _number(self) -> int:
+        return self._studio.editor.session.history.present.number
+
+    def note(self) -> None:
+        """Where edits changed: keep them, and what is in their files."""
+        self._meshes.see(self._studio.editor.session.stack)
+        if self._number != self._seen:
+            self._seen = self._number
+            self.autosave()
 
     def autosave(self) -> None:
         """Keep what would be lost, soon; a full disk is said and ends nothing."""
@@ -71,6 +85,7 @@ class StudioFiles:
         self._written = time.monotonic()
         try:
             self._spare()
+            self._meshes.mend(self._studio.editor.session.stack)
             self._studio.outputs.keep(self._studio.editor.session, frames_of(self.cameras))
         except (OSError, EditError) as error:
             self._studio.say(f"⚠ Autosave is not possible: {plain(str(error))}")
@@ -95,14 +110,18 @@ class StudioFiles:
             _refuse_others(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._spare()  # The edit file is older than it only now.
+        gone = self._meshes.mend(editor.session.stack)
         editor.session.save(path)
         write_keys(path, self.cameras)
         outputs.forget()
         self.saved, self.edit = True, path
-        self._studio.say(f"Saved as {path.name}.")
+        lacking = f" ⚠ It names files that are gone: {', '.join(gone)}." if gone else ""
+        self._studio.say(f"Saved as {path.name}.{lacking}")
 
     def open(self, name: str) -> None:
         """Take the edits of a file beside the edit file; undo brings the present ones back.
+
+        Those are kept first where they are not saved; what was opened is.
 
         Raises:
             InputError: a name that is none, or no such file.
@@ -116,8 +135,9 @@ class StudioFiles:
         if not path.is_file():
             raise InputError(f"open: expected an edit file in {path.parent.name}, got no {name}")
         cameras = read_keys(path)
+        self._keep()
         self._studio.editor.session.load(path)
-        self.cameras = cameras
+        self.cameras, self._seen, self.saved = cameras, self._number, True
         self._studio.editor.select(None)
         self.edit = path
         self._studio.say(f"Opened {name}.")
