@@ -14,13 +14,15 @@ from pcore.asset.asset import Asset
 from pcore.errors import EditError, InputError, PcoreError
 from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.orbit import orbit_around
-from pcore.studio.drawing import OVERLAYS, Drawer
+from pcore.studio.camera_keys import keys_file
+from pcore.studio.drawing import Drawer
 from pcore.studio.editor import Editor
 from pcore.studio.handle_pose import HandlePose
 from pcore.studio.named_selections import NamedSelections
 from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import PageFrame
 from pcore.studio.recording import record
+from pcore.studio.shown import OVERLAYS
 from pcore.studio.stroke import Stroke
 from pcore.studio.tabs import Tabs
 from pcore.studio.viewer_page import viewer_page
@@ -117,10 +119,31 @@ def outputs(folder: Path) -> Outputs:
 
 
 def test_names_of_a_page_stay_in_its_folder(tmp_path: Path) -> None:
-    for name in ("../x.json", "/etc/passwd", "a/b.json", "x.txt", "", ".json"):
+    for name in ("../x.json", "/etc/passwd", "a/b.json", "x.txt", "", ".json", "edit.JSON"):
         with pytest.raises(InputError, match="expected letters"):
             outputs(tmp_path).named(name, ".json")
     assert outputs(tmp_path).named("pose 2.json", ".json").parent == tmp_path / "studio"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("autosave.json", "Autosave.json", "autosave_001.json", "autosave_mine.json"),
+        *("edit.cameras.json", "edit.CAMERAS.json", "picture_001.json", "FILM_012.json"),
+    ],
+)
+def test_names_of_files_that_the_studio_writes_for_itself_are_refused(
+    tmp_path: Path, name: str
+) -> None:
+    with pytest.raises(InputError, match="keeps for itself"):
+        outputs(tmp_path).named(name, ".json")
+    with pytest.raises(InputError, match="keeps for itself"):
+        Outputs(folder=tmp_path, edit=tmp_path / name, run=tmp_path)
+
+
+def test_edit_files_of_other_endings_have_camera_keys_of_their_own(tmp_path: Path) -> None:
+    files = {keys_file(tmp_path / name).name for name in ("edit.json", "edit.JSON", "edit.txt")}
+    assert files == {"edit.cameras.json", "edit.JSON.cameras.json", "edit.txt.cameras.json"}
 
 
 def test_an_autosave_comes_back_with_its_history_and_not_for_another_object(

@@ -8,10 +8,11 @@ from tests.seeded_runs import write_runs
 import pcore
 from pcore.asset.asset import Asset
 from pcore.geometry.orbit import orbit_around
-from pcore.studio.drawing import OVERLAYS, Drawer
+from pcore.studio.drawing import Drawer
 from pcore.studio.editor import Editor
 from pcore.studio.packing import pack
 from pcore.studio.recording import record
+from pcore.studio.shown import OVERLAYS
 from pcore.studio.viewport import side_by_side
 
 

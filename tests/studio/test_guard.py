@@ -39,7 +39,13 @@ def test_a_socket_of_another_origin_is_refused(guard: Guard, origin: str) -> Non
     assert guard.refusal(headers(guard, origin=origin), "/", socket=True) == "another origin"
 
 
-@pytest.mark.parametrize("cookie", ["", "pcore-8123=", "pcore-8123=wrong", "a=b; ;;=", "\x00"])
+@pytest.mark.parametrize(
+    "cookie",
+    [
+        *("", "pcore-8123=", "pcore-8123=wrong", "a=b; ;;=", "\x00"),
+        b'pcore-8123="\xff\xfe"'.decode("ascii", "surrogateescape"),
+    ],
+)
 def test_without_the_cookie_it_is_refused(guard: Guard, cookie: str) -> None:
     assert guard.refusal(headers(guard, cookie=cookie), "/", socket=True) == "no token"
 

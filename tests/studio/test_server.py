@@ -79,6 +79,8 @@ def test_the_token_gives_the_cookie_and_the_cookie_the_page(guard: Guard) -> Non
 def test_without_a_token_there_is_no_page(guard: Guard) -> None:
     for path in ("/", "/?token=wrong", "/index.html"):
         assert get(guard, path)[0] == 403
+    strange = f'{guard.cookie_name}="\xff\xfe"'
+    assert get(guard, "/", Cookie=strange)[0] == 403, "bytes that are no text are no failure"
 
 
 def test_a_name_of_somebody_else_is_refused(guard: Guard) -> None:

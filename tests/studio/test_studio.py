@@ -1,6 +1,7 @@
 """A whole page whose tab is not a browser: what its widgets wish, its files, its messages."""
 
 import json
+import shlex
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -11,7 +12,9 @@ from typing import Any, cast
 import pytest
 from objects import demo
 
+from pcore.cli.main import main
 from pcore.errors import EditError
+from pcore.geometry.orbit import orbit_around
 from pcore.studio.editor import Editor
 from pcore.studio.guard import Guard
 from pcore.studio.handle_pose import HandlePose
@@ -155,6 +158,44 @@ def test_save_goes_where_it_was_saved_last_and_the_command_names_that(
         assert f"--time {1 / 3!r}" in line
 
 
+def test_nothing_is_saved_over_what_is_no_edit_file(page: Studio, tmp_path: Path) -> None:
+    wish(page, "add", "twist")
+    other = tmp_path / "studio" / "mine.json"
+    other.write_text('{"frames": []}')
+    for name in ("autosave.json", "mine.json"):
+        wish(page, "save", name)
+        assert page._said.startswith("⚠"), name
+        assert not page.files.saved
+    assert other.read_text() == '{"frames": []}'
+    assert page.outputs.autosave.is_file()
+    for name in ("a.json", "b.json", "a.json"):
+        wish(page, "save", name)
+        assert page._said == f"Saved as {name}."
+
+
+def test_a_command_without_edits_reads_no_file_that_is_not_there(
+    page: Studio, run: Path, tmp_path: Path
+) -> None:
+    camera = orbit_around(demo().points, size=(16, 16))[0]
+    tab = cast("Any", SimpleNamespace(camera=lambda **_: camera, number=TAB))
+    page.perform(lambda: page.files.screenshot(tab, 16))
+    assert page.worker.wait(60)
+    line = page.files.line.split("```")[1].strip()
+    assert "Save first" not in page.files.line
+    program, command, _, *words = shlex.split(line)
+    assert program == "pcore"
+    output = tmp_path / "again"
+    assert main([command, str(run), *words[:-1], str(output)]) == 0
+    (again,) = output.glob("*.png")
+    assert again.read_bytes() == (page.outputs.folder / "picture_001.png").read_bytes()
+    wish(page, "add", "twist")
+    wish(page, "save", "edit.json")
+    page.outputs.edit.unlink()
+    page.perform(lambda: page.files.screenshot(tab, 16))
+    assert page.worker.wait(60)
+    assert "Save first" in page.files.line
+
+
 @pytest.mark.parametrize("how", ["edited", "saved"])
 def test_what_nobody_restored_is_moved_aside_and_opened_later(
     page: Studio, tmp_path: Path, how: str
@@ -180,6 +221,81 @@ def test_a_cage_whose_file_is_gone_is_said_and_the_panel_goes_on(page: Studio) -
     assert str(page.outputs.folder) not in page._said
     wish(page, "order", 0, "Delete")
     assert not page.editor.session.stack.edits
+
+
+def test_a_cage_whose_file_is_gone_is_written_again_at_save(
+    page: Studio, tmp_path: Path, free_port: int
+) -> None:
+    wish(page, "add", "cage")
+    cage = page.outputs.folder / "cage_001.ply"
+    before = cage.read_bytes()
+    cage.unlink()
+    wish(page, "save", "edit.json")
+    assert page._said == "Saved as edit.json."
+    assert cage.read_bytes() == before
+    page.close()
+    with closing(opened(tmp_path, free_port)) as again:
+        assert again.worker.wait(60)
+        cage.unlink()
+        wish(again, "save", "other.json")
+        assert Editor(demo(), again.outputs.folder / "other.json").handles
+        assert cage.read_bytes() == before
+
+
+def test_a_save_says_which_files_of_others_are_gone(page: Studio, tmp_path: Path) -> None:
+    page.editor.add_cage(tmp_path / "theirs.ply", cells=1)
+    page.editor.add("twist")
+    page._refresh()
+    (tmp_path / "theirs.ply").unlink()
+    wish(page, "save", "edit.json")
+    assert page._said == "Saved as edit.json. ⚠ It names files that are gone: theirs.ply."
+    assert not (tmp_path / "theirs.ply").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        *((name, ("q",)) for name in ("gizmo", "overlay", "click", "mirror", "lock", "moving")),
+        *(("tool", ("q",)), ("compare", (1.5,)), ("compare", (float("nan"),))),
+        *(("selection", ("Nonsense",)), ("selection", ("Undo",))),
+        *(("add", ("nope",)), ("add", (None,)), ("order", (0, "Nonsense"))),
+        *(("slide", (0, "nope/3", 1.0)), ("slide", (0, "limits/2", 1.0))),
+        *(("slide", (0, "origin/3", 1.0)), ("slide", (0, "angle_deg/0", 1.0))),
+    ],
+)
+def test_what_is_none_of_the_choices_is_refused_and_changes_nothing(
+    page: Studio, name: str, values: tuple[Any, ...]
+) -> None:
+    wish(page, "add", "twist")
+    shown, stack = page.editor.shown, page.editor.session.stack
+    wish(page, name, *values)
+    assert page._said.startswith("⚠")
+    assert "see the terminal" not in page._said
+    assert page.editor.shown == shown
+    assert page.editor.session.stack is stack
+    assert not page.editor.sliding
+
+
+def test_what_was_opened_is_saved_until_it_changes_and_nothing_before_it_is_lost(
+    page: Studio,
+) -> None:
+    wish(page, "add", "twist")
+    wish(page, "save", "a.json")
+    page.files._written = time.monotonic() + 100
+    wish(page, "add", "bend")
+    wish(page, "open", "a.json")
+    assert page.files.saved
+    assert "1 edit, saved" in page._status()
+    kept = json.loads(page.outputs.autosave.read_text())
+    assert [one["type"] for one in kept["edits"][-1]["edits"]] == ["twist", "bend"]
+    wish(page, "undo")
+    assert len(page.editor.session.stack.edits) == 2
+    assert not page.files.saved
+    wish(page, "redo")
+    wish(page, "save", "a.json")
+    wish(page, "open", "a.json")
+    assert page.files.saved
+    assert not page.outputs.autosave.exists()
 
 
 def test_a_full_disk_at_a_picture_is_said(page: Studio) -> None:

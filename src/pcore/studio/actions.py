@@ -9,11 +9,11 @@ from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.picking import pick
 from pcore.errors import EditError
 from pcore.geometry.extent import size_of
-from pcore.studio.drawing import OVERLAYS
 from pcore.studio.edit_forms import AXES, CAGES
 from pcore.studio.handle_pose import HandlePose
 from pcore.studio.help_text import NO_PHOTOS, NO_SCALE, OVERLAY_LEGENDS
 from pcore.studio.scaling import Scaling, scaling_of
+from pcore.studio.shown import OVERLAYS
 from pcore.studio.time_actions import TimeActions
 from pcore.studio.viewport import Viewport
 
@@ -94,8 +94,10 @@ class Actions(TimeActions):
             self._editor.move(index, -1 if what == "Up" else 1)
         elif what == "Copy":
             self._editor.duplicate(index)
-        else:
+        elif what == "Delete":
             self._editor.remove(index)
+        else:
+            raise EditError(f"order: expected Up, Down, Copy or Delete, got {what!r}")
 
     def remove_handle(self) -> None:
         """Take the selected handle away."""

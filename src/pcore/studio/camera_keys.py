@@ -33,8 +33,8 @@ def keys_of(frames: Any) -> CameraKeys:
 
 
 def keys_file(edit: Path) -> Path:
-    """The file of the camera keys of an edit file: edit.cameras.json of edit.json."""
-    return edit.with_name(f"{edit.stem}.cameras.json")
+    """The file of the camera keys of an edit file: edit.cameras.json of edit.json alone."""
+    return edit.with_name(f"{edit.name.removesuffix('.json')}.cameras.json")
 
 
 def write_keys(edit: Path, keys: Sequence[tuple[float, Camera]]) -> None:

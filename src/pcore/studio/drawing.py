@@ -21,7 +21,6 @@ from pcore.render.image import Image
 from pcore.render.picture import RenderCancelledError
 from pcore.render.progressive import render_progressively
 
-OVERLAYS = ("none", "strain", "holes", "handles", "exposed", "frozen")
 FOLDED = torch.tensor([220, 30, 30], dtype=torch.uint8)
 CHOSEN = torch.tensor([214, 0, 160], dtype=torch.uint8)
 _FROZEN = torch.tensor([40, 110, 200], dtype=torch.uint8)

@@ -9,6 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from pcore.editing.regions import FALLOFF
+from pcore.errors import EditError
 from pcore.geometry.extent import size_of
 from pcore.geometry.point_cloud import extent_of
 
@@ -109,7 +110,12 @@ def new_edit(kind: str, points: Tensor, region: Mapping[str, Any] | None) -> dic
         kind: one of `NEW`.
         points: (N, 3) as they arrive at it, world units; it is made about their middle.
         region: where it acts; None is everywhere, for a part a ball in the middle.
+
+    Raises:
+        EditError: another kind.
     """
+    if kind not in NEW:
+        raise EditError(f"edit: expected one of {', '.join(NEW)}, got {kind!r}")
     low, high = extent_of(points)
     middle = [round(value, 6) for value in ((low + high) / 2).double().tolist()]
     edit: dict[str, Any] = {"type": kind}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,6 +21,8 @@ from pcore.studio.guard import is_file_name
 
 AUTOSAVE = "autosave.json"
 _SPARED = "autosave"
+_OWN = re.compile(r"autosave.*|.*\.cameras\.json|(picture|film)_\d+\.json", re.IGNORECASE)
+"""Names that this page gives to files of its own; capital letters are no difference."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,19 +39,26 @@ class Outputs:
     edit: Path
     run: Path
 
+    def __post_init__(self) -> None:
+        """Raise InputError where the edit file is one that the page writes for itself."""
+        if self.edit.parent.resolve() == self.folder.resolve():
+            _refuse_own(self.edit.name)
+
     def named(self, name: str, ending: str) -> Path:
         """Return a file beside the edit file, or that one, by the name that a page gives.
 
         Raises:
-            InputError: the name has folders in it, or another ending.
+            InputError: the name has folders in it or another ending, or is one that the page gives
+                to files of its own.
         """
         if name == self.edit.name:  # Whoever started the page named it, in letters of any kind.
             return self.edit
-        if not is_file_name(name) or not name.lower().endswith(ending):
+        if not is_file_name(name) or not name.endswith(ending):
             raise InputError(
                 f"name of a file: expected letters, numbers and - _ . that end in {ending}, got "
                 f"{name!r}"
             )
+        _refuse_own(name)
         return self.edit.parent / name
 
     def next(self, stem: str, ending: str) -> Path:
@@ -102,13 +112,22 @@ class Outputs:
             return False
 
     def line(
-        self, picture: str, cameras: Path, *, edit: Path, time: float, light: str | None
+        self, picture: str, cameras: Path, *, edit: Path | None, time: float, light: str | None
     ) -> str:
-        """The command that makes the same picture of the edits in a file."""
-        words = ["pcore", "render", str(self.run), "--edit", str(edit)]
-        words += ["--time", repr(time), "--cameras", str(cameras)]
+        """The command that makes the same picture of the edits in a file, or of none."""
+        words = ["pcore", "render", str(self.run)]
+        words += ["--edit", str(edit), "--time", repr(time)] if edit else []
+        words += ["--cameras", str(cameras)]
         words += ["--light", light] if light else []
         return shlex.join([*words, "-o", picture])
+
+
+def _refuse_own(name: str) -> None:
+    if _OWN.fullmatch(name):
+        raise InputError(
+            f"name of a file: {name} is one that the studio keeps for itself (autosaves, cameras, "
+            "pictures and films); take another, such as pose.json"
+        )
 
 
 def camera_frame(camera: Camera) -> dict[str, Any]:

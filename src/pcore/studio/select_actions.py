@@ -11,7 +11,6 @@ import torch
 from pcore.errors import EditError
 from pcore.studio.editor import Editor
 from pcore.studio.named_selections import NamedSelections
-from pcore.studio.shown import TOOLS
 from pcore.studio.stroke import Stroke
 from pcore.studio.stroke_nodes import HELD
 from pcore.studio.viewport import Viewport
@@ -54,7 +53,7 @@ class SelectActions:
 
     def tool(self, name: str) -> None:
         """Select with another tool."""
-        self._editor.shown = replace(self._editor.shown, tool=name if name in TOOLS else TOOLS[0])
+        self._editor.shown = replace(self._editor.shown, tool=name)
 
     def brush(self, share: float) -> None:
         """Select with a brush or a ball of another radius, in shares of the object's size."""
@@ -64,8 +63,10 @@ class SelectActions:
         """Invert, grow, shrink or clear the selection."""
         if what == "Clear":
             self._editor.choose(torch.zeros(len(self._editor.asset.points), dtype=torch.bool))
-        else:
+        elif what in ("Invert", "Grow", "Shrink"):
             getattr(self._editor, what.lower())()
+        else:
+            raise EditError(f"selection: expected Invert, Grow, Shrink or Clear, got {what!r}")
 
     def freeze(self) -> None:
         """Hold the selection."""

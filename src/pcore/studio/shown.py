@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pcore.errors import EditError
+from pcore.studio.edit_forms import AXES
+
+OVERLAYS = ("none", "strain", "holes", "handles", "exposed", "frozen")
 CLICKS = ("nothing", "handle", "pin")
 GIZMOS = ("all", "move", "turn", "scale")
 TOOLS = ("box", "brush", "lasso", "ball")
@@ -11,6 +15,10 @@ MOVING = {"splats": 0, "points": 0, "pictures, 100 pixels": 100, "pictures, 200 
 """What is shown while things move, and the pixels along a side where it is an exact picture."""
 MANY = 100_000
 """Points from which on a page begins with points: a splat takes 32 bytes per event, a point 15."""
+_CHOICES = {
+    **{"overlay": OVERLAYS, "click": CLICKS, "gizmo": GIZMOS, "tool": TOOLS, "moving": MOVING},
+    **{"mirror": ("off", *AXES), "lock": ("off", *AXES)},
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +29,7 @@ class Shown:
         selected: number of the edit whose handles and sliders are shown; None is none.
         handle: number of its handle that has the gizmo; None is none.
         chosen: numbers of the points that are selected.
-        overlay: "none", "strain", "holes" or "handles".
+        overlay: what is marked, one of `OVERLAYS`.
         still: the light stands still, where the object has one.
         mirror: "off", or the axis across which handles move in pairs: "x", "y" or "z".
         compare: share of the picture, from the left, that shows the object before the edits.
@@ -48,6 +56,14 @@ class Shown:
     brush: float = 0.05
     moving: str = "splats"
     rest: bool = True
+
+    def __post_init__(self) -> None:
+        """Raise EditError where a value is none of those that there are."""
+        for name, known in _CHOICES.items():
+            if (value := getattr(self, name)) not in (*known,):
+                raise EditError(f"{name}: expected one of {', '.join(known)}, got {value!r}")
+        if not 0 <= self.compare <= 1:
+            raise EditError(f"compare: expected a share, 0 to 1, got {self.compare!r}")
 
     @property
     def exact(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pcore.asset.asset import Asset
 from pcore.editing.script import EditScript
@@ -230,7 +230,10 @@ class StackEditor:
         if not last.isdecimal():
             return path, value
         whole = [0.0, 1.0] if parent == "limits" else [0.0, 0.0, 0.0]
-        whole = list(self.raw(index).get(parent, whole))
+        whole = self.raw(index).get(parent, whole)
+        if not isinstance(whole, list) or int(last) >= len(whole):
+            raise EditError(f'"{path}": expected a place within the edit, got none')
+        whole = list(cast("list[Any]", whole))
         whole[int(last)] = value
         return parent, whole
 

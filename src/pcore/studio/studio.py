@@ -82,7 +82,6 @@ class Studio(Gestures):
         self._guides, self._refreshed = GuideMaker(), 0
         self.wishes = self._wishes()
         self._showing = Showing(self.editor, self.drawer, self.frame)
-        self._seen = self.editor.session.history.present.number
         self.url = guard.url
         self.server = open_server(guard, label=title)
         self._wire()
@@ -254,11 +253,7 @@ class Studio(Gestures):
         self.worker.draw(self._move, self._rest)
 
     def _note(self) -> None:
-        """Where edits changed: keep them."""
-        number = self.editor.session.history.present.number
-        if number != self._seen:
-            self._seen = number
-            self.files.autosave()
+        self.files.note()
 
     def _show_drag(self) -> None:
         editor = self.editor

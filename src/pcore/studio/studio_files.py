@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pcore.editing.animation import load_animation
 from pcore.editing.autosave import read_session
 from pcore.errors import EditError, InputError, PcoreError
 from pcore.geometry.camera import Camera
@@ -15,6 +16,7 @@ from pcore.render.picture import RenderCancelledError
 from pcore.studio.camera_keys import frames_of, keys_of, read_keys, write_keys
 from pcore.studio.filming import Film
 from pcore.studio.guard import plain
+from pcore.studio.mesh_files import MeshFiles
 from pcore.studio.outputs import write_cameras, write_picture
 from pcore.studio.viewport import Viewport
 
@@ -44,6 +46,19 @@ class StudioFiles:
         self._kept, self._written = False, -_EVERY
         self._later: threading.Timer | None = None
         self._stopped = threading.Event()
+        self._seen = self._number
+        self._meshes = MeshFiles(studio.outputs.folder)
+
+    @property
+    def _number(self) -> int:
+        return self._studio.editor.session.history.present.number
+
+    def note(self) -> None:
+        """Where edits changed: keep them, and what is in their files."""
+        self._meshes.see(self._studio.editor.session.stack)
+        if self._number != self._seen:
+            self._seen = self._number
+            self.autosave()
 
     def autosave(self) -> None:
         """Keep what would be lost, soon; a full disk is said and ends nothing."""
@@ -70,6 +85,7 @@ class StudioFiles:
         self._written = time.monotonic()
         try:
             self._spare()
+            self._meshes.mend(self._studio.editor.session.stack)
             self._studio.outputs.keep(self._studio.editor.session, frames_of(self.cameras))
         except (OSError, EditError) as error:
             self._studio.say(f"⚠ Autosave is not possible: {plain(str(error))}")
@@ -85,21 +101,27 @@ class StudioFiles:
         """Write the edit file, by the name that the page gives; from now on it is the one saved.
 
         Raises:
-            InputError: a name that is none.
+            InputError: a name that is none, or of a file that is there and holds no edits.
             EditError: the file cannot be written.
         """
         outputs, editor = self._studio.outputs, self._studio.editor
         path = outputs.named(name, ".json")
+        if path not in (outputs.edit, self.edit) and path.exists():
+            _refuse_others(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._spare()  # The edit file is older than it only now.
+        gone = self._meshes.mend(editor.session.stack)
         editor.session.save(path)
         write_keys(path, self.cameras)
         outputs.forget()
         self.saved, self.edit = True, path
-        self._studio.say(f"Saved as {path.name}.")
+        lacking = f" ⚠ It names files that are gone: {', '.join(gone)}." if gone else ""
+        self._studio.say(f"Saved as {path.name}.{lacking}")
 
     def open(self, name: str) -> None:
         """Take the edits of a file beside the edit file; undo brings the present ones back.
+
+        Those are kept first where they are not saved; what was opened is.
 
         Raises:
             InputError: a name that is none, or no such file.
@@ -113,8 +135,9 @@ class StudioFiles:
         if not path.is_file():
             raise InputError(f"open: expected an edit file in {path.parent.name}, got no {name}")
         cameras = read_keys(path)
+        self._keep()
         self._studio.editor.session.load(path)
-        self.cameras = cameras
+        self.cameras, self._seen, self.saved = cameras, self._number, True
         self._studio.editor.select(None)
         self.edit = path
         self._studio.say(f"Opened {name}.")
@@ -137,10 +160,9 @@ class StudioFiles:
         posed = studio.drawer.posed(editor.state, still=editor.shown.still)
         path, cameras = write_picture(studio.outputs, editor.asset, posed, camera)
         light = None if editor.shown.still or editor.asset.light is None else "baked"
-        line = studio.outputs.line(
-            "OUT", cameras, edit=self.edit, time=editor.session.time, light=light
-        )
-        self.line = self._told("picture", line)
+        edit = self.edit if editor.session.stack.edits else None
+        line = studio.outputs.line("OUT", cameras, edit=edit, time=editor.session.time, light=light)
+        self.line = self._told("picture", line, reads=edit is not None)
         studio.say(f"Wrote {path.name}.")
 
     def film(self, viewport: Viewport, count: int, width: int) -> None:
@@ -167,7 +189,7 @@ class StudioFiles:
         studio.actions.playing = False
         self._stopped.clear()
         self._filming = True
-        studio.worker.go_on(self._write_film(film, path, self._told("film", line)))
+        studio.worker.go_on(self._write_film(film, path, self._told("film", line, reads=True)))
 
     def _write_film(self, film: Film, path: Path, line: str) -> Iterator[None]:
         """Write a film, and say at its end what became of it."""
@@ -188,8 +210,10 @@ class StudioFiles:
             studio.panels.progress(None)
         studio.perform(lambda: studio.say(said))
 
-    def _told(self, what: str, line: str) -> str:
-        unsaved = "" if self.saved else "\n\nSave first: the command reads the saved edits."
+    def _told(self, what: str, line: str, *, reads: bool) -> str:
+        """What is said of a command; whether it reads the edit file, which may not be written."""
+        ready = not reads or (self.saved and self.edit.is_file())
+        unsaved = "" if ready else "\n\nSave first: the command reads the saved edits."
         return f"The same {what} on the command line:\n\n```\n{line}\n```{unsaved}"
 
     def stop(self) -> None:
@@ -221,3 +245,13 @@ class StudioFiles:
             raise InputError(f"picture: expected a width of 16 to {_LARGEST}, got {width}")
         height = max(16, round(width * camera.height / camera.width / 2) * 2)
         return camera.resized(round(width / 2) * 2, height)
+
+
+def _refuse_others(path: Path) -> None:
+    """Nothing is written over a file that is no edit file."""
+    try:
+        load_animation(path)
+    except EditError as error:
+        raise InputError(
+            f"save: {path.name} is there and is no edit file; take another name"
+        ) from error
