@@ -15,7 +15,6 @@ from tests.cli.toys import CONFIG, toy_cameras, toy_cloud
 import pcore
 from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
-from pcore.asset.neural_points import NeuralPoints
 from pcore.asset.saving import asset_of
 from pcore.deform.simple import uniform_scale
 from pcore.errors import InputError
@@ -139,11 +138,12 @@ def test_a_pose_of_the_same_object_with_another_look(kind: str, camera: Camera) 
     dark = first.over((0.0, 0.0, 0.0))
     own = dark.render(dark.pose(uniform_scale(1.2)), camera)
     assert torch.equal(dark.render(posed, camera).rgb, own.rgb)
-    shown, content = first.render(posed, camera).rgb, first.content
+    shown = first.render(posed, camera).rgb
+    content: Any = first.content
     assert torch.equal(made(kind).render(posed, camera).rgb, shown)
-    if isinstance(content, NeuralPoints):
+    if kind == "neural points":
         cloud = replace(content.cloud, features=content.cloud.features + 1.0)
-        colored: Any = replace(content, cloud=cloud)
+        colored = replace(content, cloud=cloud)
     else:
         gaussians = content.gaussians
         colored = replace(content, gaussians=replace(gaussians, sh=gaussians.sh + 1.0))
@@ -186,7 +186,8 @@ def test_what_is_no_camera(asset: Asset, cameras: Any, message: str) -> None:
 def test_what_the_interpreter_shows_is_one_line(asset: Asset, camera: Camera) -> None:
     kind = type(asset.content).__name__
     assert repr(asset) == f"Asset({kind}, 40 points, no light)"
-    lit: Any = replace(asset.content, read_light=lambda: pytest.fail("it is not read for that"))
+    content: Any = asset.content
+    lit = replace(content, read_light=lambda: pytest.fail("it is not read for that"))
     assert repr(replace(asset, content=lit)) == f"Asset({kind}, 40 points, a light)"
     assert repr(asset.render(None, camera)) == "Image(8 x 8 pixels)"
     assert repr(asset.render(None, Camera.stack([camera] * 3))) == "Image(3 x 8 x 8 pixels)"

@@ -22,7 +22,7 @@ def check_samples(what: str, samples: Any) -> int:
     Raises:
         InputError: it does not.
     """
-    whole = isinstance(samples, Integral) and not isinstance(samples, bool)
+    whole = type(samples) is not bool and isinstance(samples, Integral)
     if not whole or samples < 1 or math.isqrt(samples) ** 2 != samples:
         raise InputError(
             f"{what}: expected rays per pixel that make a square grid (1, 4, 9, ...), got "
