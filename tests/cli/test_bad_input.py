@@ -262,7 +262,7 @@ CASES = [
     ),
     # --- deform
     Case(DEFORM.replace("points.npy", "absent.npy"), "absent.npy: no such file; expected a .npy"),
-    Case(DEFORM.replace("points.npy", "edit.json"), "edit.json: expected a file of points that"),
+    Case(DEFORM.replace("points.npy", "edit.json"), "edit.json: expected points (.npy, .ply) or"),
     Case(DEFORM.replace("new.npy", "new.obj"), "new.obj: expected a file of points that ends in"),
     Case(DEFORM.replace("new.npy", "points.npy"), "points.npy: expected an output other than the"),
     Case(DEFORM.replace("new.npy", "no/folder/new.npy"), "no/folder/new.npy: expected an existing"),
