@@ -262,6 +262,8 @@ def test_another_run_is_not_overwritten(
         (("--points", "0"), "expected points >= 1, got 0"),
         (("--init", "absent.ply"), "absent.ply: no such file"),
         (("--init", "hul"), "expected a file of points that ends in .npy or .ply"),
+        (("--init", "sparse"), "--init sparse: expected an option of PAPR"),
+        (("--init", "views"), "--init views: expected an option of PAPR"),
         (("--preset", "paper"), "LPIPS"),
         (("--lpips-weight", "0.1", "--lpips-trunk", "alex"), "lin_alex.pth"),
         (("--lpips-weight", "nan"), "lpips_weight to be a finite number of 0 or more, got nan"),

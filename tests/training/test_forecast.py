@@ -143,7 +143,13 @@ def test_every_preset_has_a_forecast(box: Scene, monkeypatch: pytest.MonkeyPatch
     assert 0 < days[0] < days[1] < days[2]
     assert all(one.memory is not None and one.memory > 0.5e9 for one in found.values())
     assert found["papr", "tiny"].quality.startswith("23 to 32 dB of the object")
+    assert found["papr", "tiny"].quality.endswith(
+        "photos of a house of 200 x 150 pixels had 14 to 17"
+    )
     assert found["papr", "paper"].quality == "not recorded"
+    said = forecast._quality("papr", box, masked=False)
+    assert said.startswith("7 to 13 dB with the background")
+    assert "take Gaussians" in said
 
 
 def test_the_speed_of_gaussians_is_measured_once(

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from pcore.errors import InputError
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.presets import preset
 from pcore.training.schedule import reduction_at
 from pcore.training.speed import Speed, speed_from
-from pcore.training.time_plan import Photos, plan_gaussians, plan_papr
+from pcore.training.time_plan import Photos, ShortPromiseError, plan_gaussians, plan_papr
 
 SPEED = Speed(fixed=4e-3, pixel=8e-7, gaussian=1.4e-6)
 PHOTOS = Photos(width=800, height=800, count=100, coverage=0.2)
@@ -70,8 +69,11 @@ def test_photos_are_divided_by_what_divides_both_sides() -> None:
 
 
 def test_too_little_time_is_refused_with_what_is_needed() -> None:
-    with pytest.raises(InputError, match="promise more minutes"):
-        plan_gaussians(PHOTOS, SPEED, 1.0, GaussianConfig())
+    for seconds in (1.0, 0.001, -20.0):
+        with pytest.raises(ShortPromiseError, match=r"200 steps, which take \d+ seconds") as caught:
+            plan_gaussians(PHOTOS, SPEED, seconds, GaussianConfig())
+        needed = caught.value.needed
+        assert plan_gaussians(PHOTOS, SPEED, 1.01 * needed, GaussianConfig()).config.steps == 202
 
 
 def test_a_model_of_the_speed_is_found_again_in_what_it_says() -> None:
@@ -92,5 +94,5 @@ def test_papr_gets_finer_photos_when_there_are_steps_for_them() -> None:
     assert plans[2].config.levels is not None
     assert plans[2].config.points > plans[1].config.points == base.points
     assert plan_papr(PHOTOS, step, 180, base, factor=2).factor == 2
-    with pytest.raises(InputError, match="promise more minutes"):
+    with pytest.raises(ShortPromiseError, match=r"which take 40 seconds .*promise more minutes"):
         plan_papr(PHOTOS, step, 10, base)

@@ -66,7 +66,9 @@ def read_model(folder: Path) -> Model:
         )
     used = {one.camera for one in images}
     cameras = {
-        number: model_camera(paths[0], *camera) for number, *camera in written if number in used
+        number: model_camera(paths[0], model, size, numbers)
+        for number, model, size, numbers in written
+        if number in used
     }
     lost = next((one.name for one in images if one.camera not in cameras), None)
     if lost is not None:

@@ -123,11 +123,14 @@ def with_masks(photos: Sequence[Photo], root: Path) -> tuple[Sequence[Photo], tu
     shared = sum(len(paths) for paths in owners.values() if len(paths) > 1)
     if shared or len(found) < len(there):
         hint = (
-            f"; {shared} photos share theirs with one of another folder: put masks into sub-folders"
+            f"{shared} photos share theirs with one of another folder, so put masks into the same "
+            "sub-folders"
+            if shared
+            else "give one for every photo"
         )
         return photos, (
             f"masks like {example} are there for {len(found)} of {len(there)} photos and not used; "
-            f"give one for every photo{hint * (shared > 0)}",
+            f"{hint}",
         )
     masked = [replace(photo, mask=found.get(photo.name)) for photo in photos]
     return masked, (f"masks beside the photos are used, like {example}: white is object",)

@@ -73,8 +73,8 @@ def _moving(photos: Sequence[Photo]) -> list[str]:
     if not there:
         return []
     return [
-        f"masks of what moves, like {there[0]}, are there for {len(there)} photos and not used; "
-        "where the object stands still, give masks of it (white is object)"
+        f"masks of what moves, like {there[0]}, are there for {len(there)} photos and not used: "
+        "what moves is learned, too"
     ]
 
 

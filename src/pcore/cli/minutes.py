@@ -30,6 +30,8 @@ _SURFACE_STEPS = 1.0
 """What the surface over PAPR's points costs, in steps per patch of the photos."""
 _WORTH_MEASURING = 200
 """Trainings of fewer steps are over before they are measured."""
+_MARGIN = 1.2
+"""What is told to be needed, over what was measured: the next measurement is another one."""
 _OF_PAPR = ("steps", "points", "levels", "seconds")
 _OF_GAUSSIANS = (*_OF_PAPR, "density")
 """Settings that a promise decides on."""
@@ -61,6 +63,8 @@ def promised(
     Raises:
         InputError: an option that the promise decides on, or too little time.
     """
+    from pcore.training.time_plan import ShortPromiseError
+
     _check(command)
     if command.resume:
         going = _recorded(command, base)
@@ -68,9 +72,13 @@ def promised(
             return *going, "as the run was planned"
     planner = _planner(scene, base, device)
     factor = 1 if command.factor > 1 else None
-    plan = planner.plan(promise.seconds_left, factor)
-    # Once more, since what comes after the last step depends on what was chosen.
-    plan = planner.plan(_left(promise, planner.after(plan)), plan.factor)
+    try:
+        plan = planner.plan(promise.seconds_left, factor)
+        # Once more, since what comes after the last step depends on what was chosen.
+        plan = planner.plan(_left(promise, planner.after(plan)), plan.factor)
+    except ShortPromiseError as problem:
+        least = _least_minutes(planner, factor, problem.needed, promise)
+        raise InputError(f"{problem}: about {least:.1f}") from problem
     scene = _divided(command, scene, plan.factor)
     return scene, plan.config, _in_words(scene, plan.config, promise)
 
@@ -146,6 +154,15 @@ def _left(promise: Promise, reserve: float) -> float:
     """Seconds for the training itself; a tenth of what is left at least, which is then too much."""
     left = promise.seconds_left
     return max(left - reserve, 0.1 * left, 1.0)
+
+
+def _least_minutes(planner: _Planner, factor: int | None, needed: float, promise: Promise) -> float:
+    """Minutes of a promise that leaves so many seconds for the training itself, and some more."""
+    needed *= _MARGIN
+    gone = 60 * promise.minutes - promise.seconds_left
+    after = planner.after(planner.plan(needed, factor))
+    # As `_left` has it: a tenth of what is left is always the training's.
+    return (gone + min(needed + after, 10 * needed)) / 60
 
 
 def _in_words(scene: Scene, config: GaussianConfig | PretrainConfig, promise: Promise) -> str:

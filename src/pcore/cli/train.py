@@ -144,6 +144,7 @@ def train(command: TrainCommand, console: Console) -> None:
     from pcore.files.run_place import check_place
 
     began = time.monotonic()
+    _refuse_foreign(command)
     prepare_torch(command.threads)
     device = pick_device(command.device)
     if is_first():
@@ -214,15 +215,19 @@ def trained(
     )
 
 
+def _refuse_foreign(command: TrainCommand) -> None:
+    given = "--flat" if command.flat else f"--init {command.init}"
+    if command.flat or command.init in ("sparse", "views"):
+        raise InputError(
+            f"{given}: expected an option of PAPR (--model papr), got one that only Gaussians "
+            "have; leave it out, or train with --model gaussians"
+        )
+
+
 def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainConfig:
     """Return the preset with what the command changes."""
     from pcore.training.presets import preset
 
-    if command.flat:
-        raise InputError(
-            "--flat: expected an option of PAPR (--model papr), got one that only Gaussians have; "
-            "leave it out, or train with --model gaussians"
-        )
     changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
     for name in ("steps", "points", "background", "origin", "exposure"):
         if getattr(command, name) is not None:

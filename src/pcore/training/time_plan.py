@@ -37,6 +37,18 @@ _START_SHARE = 0.25
 """Gaussians at the start, of those at the end."""
 
 
+class ShortPromiseError(InputError):
+    """Too little time for any training; `needed` are the seconds that its fewest steps take."""
+
+    def __init__(self, seconds: float, step_seconds: float) -> None:
+        self.needed = _FEWEST_STEPS * step_seconds
+        super().__init__(
+            f"training: expected time for at least {_FEWEST_STEPS} steps, which take "
+            f"{self.needed:.0f} seconds on this machine, got {max(seconds, 0):.0f} seconds besides "
+            "reading, saving and the light; promise more minutes"
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Photos:
     """What a plan asks of the training photos.
@@ -104,15 +116,15 @@ def plan_gaussians(
         factor: by which photos are divided; None chooses it.
 
     Raises:
-        InputError: less time than the smallest training takes.
+        ShortPromiseError: less time than the smallest training takes.
     """
     factors = photos.factors() if factor is None else [factor]
-    for one in factors:
-        plan = _at(photos, speed, seconds, base, one)
+    for one in factors:  # The last one is kept where none has steps enough.
+        plan, step_seconds = _at(photos, speed, seconds, base, one)
         if plan.config.steps >= _LEAST_STEPS:
             return plan
-    plan = _at(photos, speed, seconds, base, factors[-1])
-    _check_steps(plan.config.steps, seconds)
+    if plan.config.steps < _FEWEST_STEPS:
+        raise ShortPromiseError(seconds, step_seconds)
     return plan
 
 
@@ -138,10 +150,11 @@ def plan_papr(
         factor: by which photos are divided; None chooses it.
 
     Raises:
-        InputError: less time than the smallest training takes.
+        ShortPromiseError: less time than the smallest training takes.
     """
     steps = max(1, int(seconds / step_seconds))
-    _check_steps(steps, seconds)
+    if steps < _FEWEST_STEPS:
+        raise ShortPromiseError(seconds, step_seconds)
     longest = max(photos.width, photos.height)
     side = _PAPR_SIDE * math.sqrt(max(1.0, steps / _PAPR_STEPS))
     factors = photos.factors() if factor is None else [factor]
@@ -159,22 +172,10 @@ def plan_papr(
     return TimePlan(factor=chosen, config=config)
 
 
-def _check_steps(steps: int, seconds: float) -> None:
-    if steps < _FEWEST_STEPS:
-        if seconds > 0 and steps > 0:
-            needed = f", which take {seconds * _FEWEST_STEPS / steps:.0f} seconds on this machine"
-        else:
-            needed = ""
-        raise InputError(
-            f"training: expected time for at least {_FEWEST_STEPS} steps{needed}, got "
-            f"{max(seconds, 0):.0f} seconds besides reading, saving and the light; promise more "
-            "minutes"
-        )
-
-
 def _at(
     photos: Photos, speed: Speed, seconds: float, base: GaussianConfig, factor: int
-) -> TimePlan[GaussianConfig]:
+) -> tuple[TimePlan[GaussianConfig], float]:
+    """The plan for photos of one size, and the seconds of its steps in the mean."""
     reductions = _reductions(max(photos.width, photos.height) / factor)
     shares = _LEVEL_SHARES[len(reductions)]
     covered = photos.pixels(factor) * photos.coverage
@@ -196,17 +197,15 @@ def _at(
     for one, share in zip(reductions[:-1], shares[:-1], strict=True):
         end += share
         levels.append(Level(until=round(end, 6), reduction=one))
-    return TimePlan(
-        factor=factor,
-        config=replace(
-            base,
-            steps=max(1, int(seconds / mean_cost(limit))),
-            points=max(1000, int(_START_SHARE * limit)),
-            density=replace(base.density, limit=limit, last=0.5 if not levels else 0.75),
-            levels=tuple(levels) or None,
-            seconds=seconds,
-        ),
+    config = replace(
+        base,
+        steps=max(1, int(seconds / mean_cost(limit))),
+        points=max(1000, int(_START_SHARE * limit)),
+        density=replace(base.density, limit=limit, last=0.5 if not levels else 0.75),
+        levels=tuple(levels) or None,
+        seconds=seconds,
     )
+    return TimePlan(factor=factor, config=config), mean_cost(limit)
 
 
 def _reductions(longest: float) -> list[int]:
