@@ -28,7 +28,7 @@ from tiny_scene import write_scene
 MODEL = replace(
     TINY.model,
     neighbours=4,
-    feature_size=8,
+    feature_size=16,
     key=replace(TINY.model.key, width=16, size=16),
     query=replace(TINY.model.query, width=16, size=16),
     value=replace(TINY.model.value, width=16, size=8),

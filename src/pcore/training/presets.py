@@ -47,12 +47,13 @@ def _small_model(*, neighbours: int, across: int, width: int, unet: int) -> Papr
     return PaprConfig(
         neighbours=neighbours,
         octaves=Octaves(along=0, across=across, direction=1),
-        feature_size=width // 2,
+        feature_size=width // 2 + 8,
         key=MlpConfig(layers=3, width=width, size=width),
         query=MlpConfig(layers=3, width=width, size=width),
         value=MlpConfig(layers=4, width=width, size=32),
         unet_channels=(unet, 2 * unet, 4 * unet),
         point_colors=True,
+        color_degree=1,
         cutoff=0.12,
         samples=4,
     )
