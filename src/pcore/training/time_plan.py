@@ -119,10 +119,12 @@ def plan_gaussians(
         ShortPromiseError: less time than the smallest training takes.
     """
     factors = photos.factors() if factor is None else [factor]
-    for one in factors:  # The last one is kept where none has steps enough.
-        plan, step_seconds = _at(photos, speed, seconds, base, one)
+    *finer, coarsest = factors
+    for one in finer:
+        plan, _ = _at(photos, speed, seconds, base, one)
         if plan.config.steps >= _LEAST_STEPS:
             return plan
+    plan, step_seconds = _at(photos, speed, seconds, base, coarsest)
     if plan.config.steps < _FEWEST_STEPS:
         raise ShortPromiseError(seconds, step_seconds)
     return plan
