@@ -61,7 +61,7 @@ def test_the_light_of_what_was_posed_last_is_shown(runs: dict[str, Path]) -> Non
 
 def test_a_session_of_another_object_is_not_shown(asset: Asset) -> None:
     other = pcore.EditSession(torch.zeros(3, 3) + torch.arange(3.0).unsqueeze(1))
-    with pytest.raises(InputError, match="splats: expected positions"):
+    with pytest.raises(InputError, match="points of this asset, got edits of 3 others"):
         asset.splats(other, EYE)
 
 
