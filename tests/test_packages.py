@@ -3,7 +3,6 @@
 import ast
 import sys
 import tomllib
-from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -39,13 +38,3 @@ def test_every_extra_that_is_named_exists() -> None:
                 }
     assert len(named) > 5
     assert named <= extras
-
-
-def test_no_file_name_stands_twice_outside_the_command_line() -> None:
-    """A file of the command line has the name of its verb; any other name says where to look."""
-    source = REPOSITORY / "src" / "pcore"
-    files = [path for path in source.rglob("*.py") if "cli" not in path.relative_to(source).parts]
-    counts = Counter(path.name for path in files)
-    assert counts["render.py"] == 1  # Of Gaussians: they are really counted.
-    twice = {name for name, count in counts.items() if count > 1} - {"__init__.py"}
-    assert not twice

@@ -15,6 +15,7 @@ from torch import Tensor
 from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.saving import asset_of
+from pcore.editing.script import EditScript
 from pcore.fitting.anchor_motion import rotation_matrices
 from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.camera import Camera
@@ -115,3 +116,10 @@ def write_photos(folder: Path, asset: Asset, posed: Posed | None, places: Sequen
     content = {"camera_angle_x": angle, "frames": frames}
     (folder / "transforms_train.json").write_text(json.dumps(content))
     return folder
+
+
+def error_from_aside(asset: Asset, true: Asset, edit: EditScript) -> float:
+    """Mean error of an edited object's colours from a camera that no photo was taken by."""
+    (camera,) = cameras(1, elevation=0.6)
+    pictures = (one.render(one.pose(edit), camera).rgb for one in (asset, true))
+    return float(torch.sub(*pictures).abs().mean())

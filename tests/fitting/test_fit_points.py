@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from banded_rod import cameras, neural_rod, write_photos
+from banded_rod import cameras, error_from_aside, neural_rod, write_photos
 from test_fit import TWELVE, a_pose, views_of
 
 import pcore
@@ -167,12 +167,7 @@ def test_looks_follow_the_photos_and_places_stay(asset: Asset, tmp_path: Path) -
     }
     assert changed == {"attention"}
     assert torch.equal(painted.points, asset.points)
-    (unseen,) = cameras(1, elevation=0.6)
-    true = other.render(other.pose(edit), unseen).rgb
-    errors = [
-        float((one.render(one.pose(edit), unseen).rgb - true).abs().mean())
-        for one in (asset, painted)
-    ]
+    errors = [error_from_aside(one, other, edit) for one in (asset, painted)]
     assert errors[1] < 0.7 * errors[0]
     again = pcore.load(painted.save(tmp_path / "painted").path)
     assert torch.equal(again.content.cloud.features, painted.content.cloud.features)

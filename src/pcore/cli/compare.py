@@ -121,10 +121,8 @@ def compare(command: CompareCommand, console: Console) -> None:
         from pcore.cli.export_field import export_field
 
         refuse_ranks("--export-field")
-        assets, given = (
-            [one.asset for one in runs],
-            named_paths("--points", command.points),
-        )
+        assets = [one.asset for one in runs]
+        given = named_paths("--points", command.points)
         export_field(console, command.export_field, assets, given, (places, states))
         return
     with joined_ranks(device, learns=False) as ranks:

@@ -208,7 +208,7 @@ def _lit(
     except EditError as error:
         # What may be carried with a note may be too folded to be lit.
         return file, [f"the light of the photos is baked in, for no light can be told: {error}"]
-    gains = asset.content.gains_of(posed.content)
+    gains = asset.gains_of(posed)
     if gains is None:
         return file, ["the light of the photos is baked in: `pcore light` estimates it"]
     # A piece of a split Gaussian is lit as the whole.

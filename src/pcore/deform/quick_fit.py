@@ -12,8 +12,10 @@ from pcore.geometry.matrix_tuples import (
     UNIT,
     Nine,
     cofactors,
+    determinant,
     inner,
     mixed,
+    nine,
     polar_factors,
     times_transposed,
 )
@@ -76,10 +78,10 @@ def quick_fit(
             _put(upright, p, _upright(cross))
         turns = polar_factors(upright[:size])
         for p in range(size):
-            i, turn = start + p, _nine(turns, p)
-            found = _pulled(_nine(spreads, p), _nine(crosses, p), turn, scales[i])
+            i, turn = start + p, nine(turns[p])
+            found = _pulled(nine(spreads[p]), nine(crosses[p]), turn, scales[i])
             length = math.sqrt(inner(found, found) / 3.0)
-            bad[i] = not _determinant(found, cofactors(found)) > singular * length * length * length
+            bad[i] = not determinant(found, cofactors(found)) > singular * length * length * length
             _put(linear, i, mixed(scales[i], turn, 0.0, turn) if bad[i] else found)
     return linear, bad
 
@@ -147,7 +149,7 @@ def _pulled(spread: Nine, cross: Nine, turn: Nine, scale: float) -> Nine:
     firm = mixed(1.0, spread, ridge, UNIT)
     other = cofactors(firm)
     whole = times_transposed(mixed(1.0, cross, ridge * scale, turn), other)
-    share = 1.0 / _determinant(firm, other)
+    share = 1.0 / determinant(firm, other)
     size, most = share * math.sqrt(inner(whole, whole) / 3.0), _LONGEST * scale
     return mixed(share * min(1.0, most / size), whole, 0.0, whole)
 
@@ -161,19 +163,7 @@ def _upright(matrix: Nine) -> Nine:
     """
     other, size = cofactors(matrix), math.sqrt(inner(matrix, matrix))
     filled = mixed(1.0, matrix, math.sqrt(2.0) / max(size, _TINY), other)
-    return filled if _determinant(filled, cofactors(filled)) > 0 else UNIT
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _determinant(matrix: Nine, other: Nine) -> float:
-    """By its cofactors."""
-    return matrix[0] * other[0] + matrix[1] * other[1] + matrix[2] * other[2]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _nine(rows: FloatArray, i: int) -> Nine:
-    row = rows[i]
-    return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8]
+    return filled if determinant(filled, cofactors(filled)) > 0 else UNIT
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -58,11 +58,9 @@ class EasedEdit(Edit):
     def notes(self, setting: Setting, step: Deformation) -> tuple[str, ...]:
         """See `Edit.notes`: shapes of very different sizes are seldom in the same units."""
         first, second = (size_of(places) for places in self.shapes())
-        said = super().notes(setting, step)
         if max(first, second) <= UNLIKE * min(first, second):
-            return said
+            return ()
         return (
-            *said,
             f'"before" is {first:.3g} large and "after" {second:.3g}, world units; are both files '
             "in the same units?",
         )

@@ -33,6 +33,18 @@ def cofactors(m: Nine) -> Nine:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
+def determinant(m: Nine, other: Nine) -> float:
+    """By its cofactors."""
+    return m[0] * other[0] + m[1] * other[1] + m[2] * other[2]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def nine(row: NDArray[np.float64]) -> Nine:
+    """The numbers (9,) of an array."""
+    return row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def inner(m: Nine, o: Nine) -> float:
     """Sum of the products of entries."""
     first = m[0] * o[0] + m[1] * o[1] + m[2] * o[2]
@@ -94,11 +106,11 @@ def _newton_step(block: NDArray[np.float64]) -> float:
         g, h, i = block[6 * _BLOCK + p], block[7 * _BLOCK + p], block[8 * _BLOCK + p]
         old = (a, b, c, d, e, f, g, h, i)
         other = cofactors(old)
-        determinant, squares = a * other[0] + b * other[1] + c * other[2], inner(old, old)
-        sound = abs(determinant) > _FLATTEST * squares * math.sqrt(squares) + _TINY
-        gain = math.sqrt(math.sqrt(inner(other, other) / squares) / abs(determinant))
+        volume, squares = a * other[0] + b * other[1] + c * other[2], inner(old, old)
+        sound = abs(volume) > _FLATTEST * squares * math.sqrt(squares) + _TINY
+        gain = math.sqrt(math.sqrt(inner(other, other) / squares) / abs(volume))
         here = 0.5 * gain if sound else 0.0
-        there = 0.5 / (gain * determinant) if sound else 0.0
+        there = 0.5 / (gain * volume) if sound else 0.0
         new = mixed(1.0, mixed(here, old, there, other), 0.0 if sound else 1.0, UNIT)
         way = mixed(1.0, new, -1.0, old)
         total += inner(way, way)
@@ -126,12 +138,10 @@ def products(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[n
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def uprightnesses(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     """Determinants (N,) of matrices (N, 3, 3) over those of scalings of the same Frobenius norm."""
-    found = np.empty(len(matrices))
-    for n in range(len(matrices)):
-        a, b, c = matrices[n]
-        m = (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
-        other, size = cofactors(m), math.sqrt(inner(m, m) / 3.0)
-        determinant = m[0] * other[0] + m[1] * other[1] + m[2] * other[2]
+    found, rows = np.empty(len(matrices)), matrices.reshape(-1, 9)
+    for n in range(len(rows)):
+        m = nine(rows[n])
+        size = math.sqrt(inner(m, m) / 3.0)
         scale = size * size * size
-        found[n] = determinant / scale if scale > _TINY else 0.0
+        found[n] = determinant(m, cofactors(m)) / scale if scale > _TINY else 0.0
     return found

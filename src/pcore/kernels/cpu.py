@@ -11,7 +11,8 @@ import torch
 from numba import prange
 from torch import Tensor
 
-from pcore.kernels.numba_bridge import as_float32, use_torch_threads
+from pcore.geometry.torch_threads import use_torch_threads
+from pcore.kernels.numba_bridge import as_float32
 from pcore.kernels.reference import LENGTH_GUARD, per_pair, scaling
 
 

@@ -14,10 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pcore.geometry.torch_threads import use_torch_threads
 from pcore.kernels import cpu_attention_loops as loops
 from pcore.kernels.cpu_networks import Chunk, Kept, Network, chunks_of, recall, widest
 from pcore.kernels.networks import Layers
-from pcore.kernels.numba_bridge import use_torch_threads
 
 
 def attention_scores(

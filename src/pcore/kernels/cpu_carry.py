@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pcore.geometry.matrix_tuples import polar_factors, times_transposed
+from pcore.geometry.matrix_tuples import nine, polar_factors, times_transposed
 
 
 def carried_shapes(
@@ -39,10 +39,8 @@ def _carry(
 ) -> None:
     turns = polar_factors(local_maps)
     for n in range(len(local_maps)):
-        j, s = local_maps[n], covariances[n]
-        local = (j[0], j[1], j[2], j[3], j[4], j[5], j[6], j[7], j[8])
-        shape = (s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8])
-        moved = times_transposed(times_transposed(local, shape), local)
+        local = nine(local_maps[n])
+        moved = times_transposed(times_transposed(local, nine(covariances[n])), local)
         for k in range(9):
             shapes[n, k] = moved[k]
         x, y, z = directions[n]

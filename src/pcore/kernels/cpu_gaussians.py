@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pcore.geometry.torch_threads import use_torch_threads
 from pcore.kernels.cpu_gaussian_lists import Lists, listed
 from pcore.kernels.cpu_gaussian_loops import blend, blend_backward, sum_pairs
 from pcore.kernels.cpu_gaussian_meets import Discs, Splats
-from pcore.kernels.numba_bridge import use_torch_threads
 
 
 def blended(

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
-from pcore.kernels.numba_bridge import as_float32, use_torch_threads
+from pcore.geometry.torch_threads import use_torch_threads
+from pcore.kernels.numba_bridge import as_float32
 
 
 def first_layer(

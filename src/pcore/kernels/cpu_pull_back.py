@@ -12,7 +12,8 @@ from numba import prange
 from torch import Tensor
 
 from pcore.geometry.rays import RayBundle
-from pcore.kernels.numba_bridge import as_float32, use_torch_threads
+from pcore.geometry.torch_threads import use_torch_threads
+from pcore.kernels.numba_bridge import as_float32
 from pcore.kernels.reference import SHORTEST
 from pcore.kernels.sorted_keys import PLACE, key_of, sift
 

@@ -23,8 +23,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pcore.geometry.torch_threads import use_torch_threads
 from pcore.kernels.line_bundles import LEAF, as_lines, cut, enclose, split
-from pcore.kernels.numba_bridge import as_float32, use_torch_threads
+from pcore.kernels.numba_bridge import as_float32
 from pcore.kernels.sorted_keys import PLACE, key_of, sift
 
 _SHRINK = 3

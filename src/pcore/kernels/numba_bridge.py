@@ -1,14 +1,10 @@
-"""Torch's tensors and threads, as the kernels by numba see them."""
+"""Torch's tensors, as the kernels by numba see them."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
 from torch import Tensor
-
-from pcore.geometry.torch_threads import use_torch_threads
-
-__all__ = ["as_float32", "use_torch_threads"]
 
 
 def as_float32(tensor: Tensor) -> np.ndarray:

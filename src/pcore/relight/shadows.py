@@ -12,7 +12,8 @@ from torch import Tensor
 
 from pcore.geometry.rays import perpendicular
 from pcore.geometry.surfels import known_normals
-from pcore.kernels.numba_bridge import as_float32, use_torch_threads
+from pcore.geometry.torch_threads import use_torch_threads
+from pcore.kernels.numba_bridge import as_float32
 from pcore.relight.relight_config import DEFAULT, RelightConfig
 
 _REACH = 2

@@ -97,17 +97,18 @@ class Gestures(Tabs):
             self.perform(lambda: self.editor.select_handle(number))
 
     def _scaled(self, tab: int, phase: str, share: float) -> None:
-        if tab != self._owner:
-            return
-        if phase == "end":
-            self.perform(self.actions.settle)
-        else:
-            self.newest("scale", lambda: self.actions.scale(share), light=True)
+        self._pulled(tab, phase, "scale", lambda: self.actions.scale(share), self.actions.settle)
 
     def _dragged(self, tab: int, phase: str, pose: HandlePose) -> None:
+        self._pulled(tab, phase, "drag", lambda: self.actions.drag(pose), self.actions.drop)
+
+    def _pulled(
+        self, tab: int, phase: str, name: str, show: Callable[[], None], keep: Callable[[], None]
+    ) -> None:
+        """Show what the tab that edits pulls at, of which the newest counts; at its end keep it."""
         if tab != self._owner:
             return
         if phase == "end":
-            self.perform(self.actions.drop)
+            self.perform(keep)
         else:
-            self.newest("drag", lambda: self.actions.drag(pose), light=True)
+            self.newest(name, show, light=True)

@@ -83,8 +83,7 @@ def turn_of_degrees(degrees: Sequence[float]) -> Quat:
 
 def is_turned(before: HandlePose, after: HandlePose) -> bool:
     """Whether a handle was turned by more than the rounding of a page."""
-    cosine = sum(a * b for a, b in zip(before.turn, after.turn, strict=True))
-    return abs(cosine) < 1 - _SAME
+    return _cosine(before, after) < 1 - _SAME
 
 
 def way_between(one: HandlePose, other: HandlePose) -> str:
@@ -92,9 +91,14 @@ def way_between(one: HandlePose, other: HandlePose) -> str:
     away = float((triple(one.place) - triple(other.place)).norm())
     said = [f"{away:.2g}"] if away > _SAME else []
     if is_turned(one, other):
-        cosine = abs(sum(a * b for a, b in zip(one.turn, other.turn, strict=True)))
-        said.append(f"{math.degrees(2 * math.acos(min(1.0, cosine))):.0f}\N{DEGREE SIGN}")
+        angle = 2 * math.acos(min(1.0, _cosine(one, other)))
+        said.append(f"{math.degrees(angle):.0f}\N{DEGREE SIGN}")
     return " and ".join(said)
+
+
+def _cosine(one: HandlePose, other: HandlePose) -> float:
+    """Of half the angle between two turns."""
+    return abs(sum(a * b for a, b in zip(one.turn, other.turn, strict=True)))
 
 
 def way_of(raw: dict[str, Any], before: HandlePose, after: HandlePose) -> Tensor:
