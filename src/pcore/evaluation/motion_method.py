@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 from pcore.asset.asset import WHITE, Asset, Posed
@@ -108,12 +108,8 @@ def motion_entries(
             tag = f"{folder_of(state.name)}-{hashlib.sha256(depends).hexdigest()[:12]}"
             path = folder / f"motion-{name}-{tag}.safetensors"
             views = end_views(places, state.name)
-            found: list[Motion] = []
-            spent = kept_cost(
-                path.with_suffix(".json"),
-                lambda: found.append(kept_motion(path, content.papr, content.cloud, views, config)),
-            )
-            return found[0], spent
+            make = partial(kept_motion, path, content.papr, content.cloud, views, config)
+            return kept_cost(path.with_suffix(".json"), make)
 
         for number, title in STAGES.items():
             method = MotionMethod(name=title, asset=asset, stage=number, learn=learn)

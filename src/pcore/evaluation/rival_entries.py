@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -125,15 +124,8 @@ class Workshop:
         run = self.folder / f"{kind}-{self._tag(setting, seed)}{part}"
         if not finished(run):
             self.note(f"{'flat ' * flat}Gaussians, {setting}, seed {seed}{part}")
-        found: list[Asset] = []
-
         config = self._config(setting, seed, share, run, flat=flat)
-
-        def make() -> None:
-            found.append(self._trained(config, run, light=share == 1.0))
-
-        spent = kept_cost(run.with_suffix(".json"), make)
-        return found[0].over(WHITE), spent
+        return self._trained(config, run, light=share == 1.0)
 
     def neural_points(self, seed: int) -> tuple[Asset, Spent | None]:
         """Train PAPR for equal time, or read it.
@@ -144,19 +136,13 @@ class Workshop:
         run = self.folder / f"points-{self._tag('time', seed)}"
         if not finished(run):
             self.note(f"PAPR, time, seed {seed}")
-        found: list[Asset] = []
-
         config = replace(self.points, seed=seed)
         if begun(run):
             config = as_begun(config, run, "pretrain")
         else:
             fit = partial(pretrain, self.scene, device=self.device)
             config = with_seconds(config, self.seconds, fit)
-        spent = kept_cost(
-            run.with_suffix(".json"),
-            lambda: found.append(self._trained(config, run, light=True)),
-        )
-        return found[0].over(WHITE), spent
+        return self._trained(config, run, light=True)
 
     def _tag(self, setting: Setting, seed: int) -> str:
         asked = self.primitives if setting == "primitives" else self.seconds
@@ -181,9 +167,8 @@ class Workshop:
                 )
             return mesh[0], mesh[1], *coarse_cage(fused)
 
-        found: list[Mesh] = []
-        spent = kept_cost(path.with_suffix(".json"), lambda: found.append(kept_mesh(path, make)))
-        return found[0], [first, spent]
+        found, spent = kept_cost(path.with_suffix(".json"), partial(kept_mesh, path, make))
+        return found, [first, spent]
 
     def _bound(self, setting: Setting, seed: int) -> Contestant:
         (vertices, faces, *_), first = self.mesh(setting, seed)
@@ -194,14 +179,8 @@ class Workshop:
         if setting == "time" and not path.is_file():
             fit = partial(fit_bound, self.scene, vertices, faces)
             config = with_seconds(config, self.seconds / 2, fit)
-        found: list[Any] = []
-        spent = kept_cost(
-            path.with_suffix(".json"),
-            lambda: found.append(
-                kept_bound(path, lambda: fit_bound(self.scene, vertices, faces, config))
-            ),
-        )
-        bound = found[0]
+        make = partial(fit_bound, self.scene, vertices, faces, config)
+        bound, spent = kept_cost(path.with_suffix(".json"), partial(kept_bound, path, make))
         content = GaussianContent(
             gaussians=bound.gaussians, footprint=bound.footprint, background=WHITE
         )
@@ -217,15 +196,9 @@ class Workshop:
         path = self.folder / f"voxels-{self._tag('time', seed)}.safetensors"
         if not path.is_file():
             self.note(f"voxels, seed {seed}")
-        found: list[Any] = []
         config = replace(self.voxels, seed=seed)
-        spent = kept_cost(
-            path.with_suffix(".json"),
-            lambda: found.append(
-                kept_voxels(path, lambda: fit_voxels(self.scene, config, seconds=self.seconds))
-            ),
-        )
-        field_ = found[0]
+        make = partial(fit_voxels, self.scene, config, seconds=self.seconds)
+        field_, spent = kept_cost(path.with_suffix(".json"), partial(kept_voxels, path, make))
         method = VoxelMethod(name=VOXELS, field=field_, cage=(cage[0], cage[1]))
         # The cage is made of the mesh; the field itself needs no Gaussians.
         both = [one for one in (first[1], spent) if one is not None]
@@ -255,8 +228,11 @@ class Workshop:
         found = with_seconds(full, share * self.seconds, partial(fit_gaussians, self.scene))
         return replace(found, points=config.points)
 
-    def _trained(self, config: GaussianConfig | PretrainConfig, run: Path, *, light: bool) -> Asset:
-        return train(
+    def _trained(
+        self, config: GaussianConfig | PretrainConfig, run: Path, *, light: bool
+    ) -> tuple[Asset, Spent | None]:
+        learn = partial(
+            train,
             self.scene,
             config,
             folder=run,
@@ -264,6 +240,8 @@ class Workshop:
             device=self.device,
             options=RunOptions(resume=begun(run), light=light),
         )
+        asset, spent = kept_cost(run.with_suffix(".json"), learn)
+        return asset.over(WHITE), spent
 
 
 def _at_rest(asset: Asset, camera: Camera) -> Image:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from safetensors import SafetensorError
@@ -21,6 +22,8 @@ from pcore.gaussians.render import Footprint
 from pcore.rivals.bound_fit import BoundGaussians
 from pcore.rivals.voxels import VoxelField, VoxelGrid
 
+Made = TypeVar("Made")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Spent:
@@ -30,24 +33,23 @@ class Spent:
     megabytes: float | None
 
 
-def kept_cost(path: Path, train: Callable[[], None]) -> Spent | None:
-    """Train unless it was done, and remember the cost in a file; None where nobody knows it.
+def kept_cost(path: Path, train: Callable[[], Made]) -> tuple[Made, Spent | None]:
+    """Train, and remember the cost in a file; None where nobody knows it.
 
     Args:
         path: of the file with the cost.
-        train: leaves a finished training as it is.
+        train: reads a finished training.
     """
     if path.is_file():
-        train()
-        return _read_cost(path)
+        return train(), _read_cost(path)
     begin = time.process_time()
     _reset_peak()
-    train()
+    made = train()
     spent = Spent(seconds=time.process_time() - begin, megabytes=_peak())
     record = {"seconds": spent.seconds, "megabytes": spent.megabytes}
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, json.dumps(record).encode())
-    return spent
+    return made, spent
 
 
 def _read_cost(path: Path) -> Spent | None:
