@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import statistics
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -11,7 +9,7 @@ from typing import Any
 
 from pcore.evaluation.contest import Cost, Outcome, Setting
 from pcore.evaluation.runner import Value, mean
-from pcore.evaluation.tables import jsonable, shown
+from pcore.evaluation.tables import csv_of, jsonable, shown
 
 COMPARE_FILE = "compare.json"
 METRICS = (
@@ -128,12 +126,10 @@ def contest_record(
 
 def contest_csv(lines: Sequence[Line]) -> bytes:
     """One line per method and state, with all metrics, spreads, cost, and why there are none."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
     spreads = [f"{metric}_spread" for metric in METRICS]
     cost = [*Cost.__dataclass_fields__]
     heads = ["method", "setting", "seeds", "state", *METRICS, *spreads, *cost, "milliseconds"]
-    writer.writerow([*heads, "failed"])
+    rows: list[list[object]] = []
     for line in lines:
         for state in [*line.cells, *(one for one in line.failed if one not in line.cells)]:
             cells = line.cells.get(state, {})
@@ -141,28 +137,19 @@ def contest_csv(lines: Sequence[Line]) -> bytes:
             figures += [cells[m].spread if m in cells else None for m in METRICS]
             figures += [getattr(line.cost, name) for name in cost] + [line.milliseconds]
             first = [line.name, line.setting, line.seeds, state]
-            writer.writerow(
-                [
-                    *first,
-                    *("" if f is None else repr(f) for f in figures),
-                    line.failed.get(state, ""),
-                ]
-            )
-    return text.getvalue().encode()
+            rows.append([*first, *figures, line.failed.get(state, "")])
+    return csv_of([*heads, "failed"], rows)
 
 
 def images_csv(outcomes: Sequence[Outcome]) -> bytes:
     """One line per picture: method, setting, seed, state, view and all scores."""
     columns = list(dict.fromkeys(k for one in outcomes for row in one.rows for k in row.scores))
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*_IMAGE_KEYS, *columns])
+    rows: list[list[object]] = []
     for one in outcomes:
         for row in one.rows:
             where = [one.name, one.setting, one.seed, row.state, row.kind, row.protocol, row.view]
-            values = [row.scores.get(name) for name in columns]
-            writer.writerow([*where, *("" if v is None else repr(v) for v in values)])
-    return text.getvalue().encode()
+            rows.append([*where, *(row.scores.get(name) for name in columns)])
+    return csv_of([*_IMAGE_KEYS, *columns], rows)
 
 
 def quality_rows(

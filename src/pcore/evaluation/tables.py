@@ -28,12 +28,21 @@ def csv_bytes(rows: Sequence[ImageRow]) -> bytes:
     Infinity is written as `inf`; numbers have all their digits.
     """
     columns = list(dict.fromkeys(name for row in rows for name in row.scores))
+    lines = [
+        [getattr(row, key) for key in _KEYS] + [row.scores.get(name) for name in columns]
+        for row in rows
+    ]
+    return csv_of([*_KEYS, *columns], lines)
+
+
+def csv_of(heads: Sequence[str], lines: Sequence[Sequence[object]]) -> bytes:
+    """A table as a CSV file; None and NaN are empty fields, numbers have all their digits."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*_KEYS, *columns])
-    for row in rows:
-        values = [row.scores.get(name) for name in columns]
-        writer.writerow([*(getattr(row, key) for key in _KEYS), *map(_field, values)])
+    writer.writerow(heads)
+    for line in lines:
+        unknown = [isinstance(value, float) and math.isnan(value) for value in line]
+        writer.writerow([None if no else value for value, no in zip(line, unknown, strict=True)])
     return text.getvalue().encode()
 
 
@@ -127,12 +136,6 @@ def shown(value: Value, digits: int = 2, *, percent: bool = False) -> str:
     if float(text) == 0:
         text = text.removeprefix("-")
     return text.replace("-", "−") + (" %" if percent else "")  # noqa: RUF001
-
-
-def _field(value: Value) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return ""
-    return repr(value)
 
 
 def _mean(record: dict[str, Any]) -> StateMean:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from pcore.evaluation.runner import Value
-from pcore.evaluation.tables import write_json
+from pcore.evaluation.tables import csv_of, write_json
 from pcore.files.atomic import write_atomically
 from pcore.files.provenance import pcore_version
 from pcore.sweep.spread import PairedDifference, Spread, VariantMean
@@ -92,13 +90,10 @@ def _with_intervals(figures: Mapping[str, Spread]) -> dict[str, Any]:
 def _csv(
     keys: Sequence[str], rows: Sequence[tuple[Mapping[str, Any], Mapping[str, Value]]]
 ) -> bytes:
-    """One line per row; an empty field is a figure that is not defined; all digits."""
+    """One line per row."""
     columns = list(dict.fromkeys(name for _, figures in rows for name in figures))
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*keys, *columns])
-    for names, figures in rows:
-        values = [figures.get(name) for name in columns]
-        told = ["" if value is None else repr(value) for value in values]
-        writer.writerow([*(names[key] for key in keys), *told])
-    return text.getvalue().encode()
+    lines = [
+        [names[key] for key in keys] + [figures.get(name) for name in columns]
+        for names, figures in rows
+    ]
+    return csv_of([*keys, *columns], lines)
