@@ -184,10 +184,12 @@ def test_what_is_no_camera(asset: Asset, cameras: Any, message: str) -> None:
 
 
 def test_what_the_interpreter_shows_is_one_line(asset: Asset, camera: Camera) -> None:
-    kind = type(asset.content).__name__
-    assert repr(asset) == f"Asset({kind}, 40 points, no light)"
     content: Any = asset.content
+    size = " x ".join(f"{float(side):.3g}" for side in asset.points.amax(0) - asset.points.amin(0))
+    told = f"{type(content).__name__}(40 points, {size}, no light)"
+    assert repr(content) == told
+    assert repr(asset) == f"Asset({told})"
     lit = replace(content, read_light=lambda: pytest.fail("it is not read for that"))
-    assert repr(replace(asset, content=lit)) == f"Asset({kind}, 40 points, a light)"
+    assert repr(replace(asset, content=lit)) == f"Asset({told.replace('no light', 'a light')})"
     assert repr(asset.render(None, camera)) == "Image(8 x 8 pixels)"
     assert repr(asset.render(None, Camera.stack([camera] * 3))) == "Image(3 x 8 x 8 pixels)"

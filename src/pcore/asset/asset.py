@@ -58,8 +58,7 @@ class Asset:
         return len(self.points)
 
     def __repr__(self) -> str:
-        light = "no light" if self.content.read_light is None else "a light"
-        return f"Asset({type(self.content).__name__}, {len(self)} points, {light})"
+        return f"Asset({self.content!r})"
 
     @property
     def points(self) -> Tensor:

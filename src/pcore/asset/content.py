@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -187,8 +188,8 @@ class Content(Protocol[P]):
         ...
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Lit:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Lit(ABC):
     """What photos may have told the light of.
 
     Attributes:
@@ -196,6 +197,17 @@ class Lit:
     """
 
     read_light: Callable[[], Relighting] | None = None
+
+    def __repr__(self) -> str:
+        points = self.points
+        size = " x ".join(f"{side:.3g}" for side in (points.amax(dim=0) - points.amin(dim=0)))
+        light = "no light" if self.read_light is None else "a light"
+        return f"{type(self).__name__}({len(points)} points, {size}, {light})"
+
+    @property
+    @abstractmethod
+    def points(self) -> Tensor:
+        """See `Content.points`."""
 
     @property
     def light(self) -> Relighting | None:

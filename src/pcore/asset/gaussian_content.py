@@ -71,7 +71,7 @@ class MovedGaussians:
     maps: LocalMaps | None = None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GaussianContent(Lit):
     """Gaussians at rest, and how they meet pixels.
 

@@ -41,7 +41,7 @@ from pcore.render.picture import FAST_THRESHOLD, render, render_rays
 from pcore.render.raster import film_detail
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class NeuralPoints(Lit):
     """Networks and canonical points; posed, they are a `PosedCloud`.
 

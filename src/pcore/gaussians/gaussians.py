@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE
+from pcore.geometry.brief import Brief
 
 THINNEST = 1e-4
 """Third scale of a flat Gaussian as a share of its smaller one, in files that have three."""
@@ -18,8 +19,8 @@ _UNIT = 1e-3
 """How far from 1 the length of a quaternion may be; single precision keeps 1e-6."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Gaussians:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Gaussians(Brief):
     """N Gaussians in world space.
 
     Attributes:

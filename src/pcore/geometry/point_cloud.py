@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
+from pcore.geometry.brief import Brief
 
 
-@dataclass(frozen=True, kw_only=True)
-class PointCloud:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PointCloud(Brief):
     """Extent-free neural points at rest: what is learned.
 
     Attributes:

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.errors import InputError
+from pcore.geometry.brief import Brief
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.visibility import cloud_spacing
@@ -24,8 +25,8 @@ _UNIT = 1e-3
 _KNOWN = 0.25
 
 
-@dataclass(frozen=True, kw_only=True)
-class Surfels:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Surfels(Brief):
     """Small pieces of surface, one over each of N points.
 
     A model knows normals and heights at rest; the rest follows from where the points are.

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
+from pcore.geometry.brief import Brief
 from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
 from pcore.relight.lamps import Light, falling_of
@@ -26,8 +27,8 @@ NO_GRADIENT = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Relighting:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Relighting(Brief):
     """What it takes to light posed points anew.
 
     Attributes:
