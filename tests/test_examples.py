@@ -48,7 +48,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
         features=torch.randn(300, config.feature_size),
         influence=torch.ones(300),
     )
-    came = provenance_of(cloud, config, scene="box", stage="pretrain", step=1)
+    came = provenance_of(cloud.positions, config.background, scene="box", stage="pretrain", step=1)
     path = tmp_path_factory.mktemp("examples") / "model.safetensors"
     save_model(path, Papr(config).state_dict(), cloud, config, came)
     return path

@@ -137,7 +137,9 @@ def write_run(
         positions=positions, features=torch.randn(60, 4), influence=1 + torch.rand(60)
     )
     with RunFolder.create(path, stage=stage, scene=str(scene), config=config) as run:
-        came = provenance_of(cloud, CONFIG, scene=scene.name, stage=stage, step=1)
+        came = provenance_of(
+            cloud.positions, CONFIG.background, scene=scene.name, stage=stage, step=1
+        )
         normals = torch.nn.functional.normalize(positions, dim=1)
         over = Surfels.at_rest(positions, normals, torch.full((60,), 0.01)) if surfels else None
         run.save_model(Papr(CONFIG).state_dict(), cloud, CONFIG, came, over)

@@ -44,7 +44,9 @@ def test_info_tells_stage_points_settings_and_scores(
 ) -> None:
     path = tmp_path / "run"
     with RunFolder.create(path, stage="finetune", scene="lego", config={"lambda_geo": 3}) as run:
-        came = provenance_of(cloud, CONFIG, scene="lego", stage="finetune", step=500)
+        came = provenance_of(
+            cloud.positions, CONFIG.background, scene="lego", stage="finetune", step=500
+        )
         run.save_model(Papr(CONFIG).state_dict(), cloud, CONFIG, came)
         run.update(status="finished", scores={"psnr": 25.5})
     assert main(["info", str(path), "--settings"]) == 0

@@ -110,7 +110,9 @@ def write_run(
     """
     papr, cloud = Papr(config).requires_grad_(False).eval(), toy_cloud(points)
     with RunFolder.create(path, stage="pretrain", scene=scene, config=settings) as run:
-        came = provenance_of(cloud, config, scene="toy", stage="pretrain", step=7)
+        came = provenance_of(
+            cloud.positions, config.background, scene="toy", stage="pretrain", step=7
+        )
         over = toy_surfels(cloud.positions) if surfels else None
         run.save_model(papr.state_dict(), cloud, config, came, over)
         run.update(status="finished", step=7)

@@ -43,7 +43,9 @@ def make_cloud(points: int = 5) -> PointCloud:
 @pytest.fixture
 def saved(tmp_path: Path) -> tuple[Path, Papr, PointCloud]:
     papr, cloud, path = Papr(CONFIG), make_cloud(), tmp_path / "model.safetensors"
-    provenance = provenance_of(cloud, CONFIG, scene="lego", stage="pretrain", step=70)
+    provenance = provenance_of(
+        cloud.positions, CONFIG.background, scene="lego", stage="pretrain", step=70
+    )
     save_model(path, papr.state_dict(), cloud, CONFIG, provenance)
     return path, papr, cloud
 
@@ -87,7 +89,9 @@ def test_colours_that_depend_on_the_side_come_back(tmp_path: Path) -> None:
     config = replace(CONFIG, feature_size=12, point_colors=True, color_degree=1)
     papr, path = Papr(config), tmp_path / "model.safetensors"
     cloud = replace(make_cloud(), features=torch.randn(5, 12))
-    provenance = provenance_of(cloud, config, scene="lego", stage="pretrain", step=70)
+    provenance = provenance_of(
+        cloud.positions, config.background, scene="lego", stage="pretrain", step=70
+    )
     save_model(path, papr.state_dict(), cloud, config, provenance)
     assert load_model(path).config == config
     with safe_open(path, framework="pt") as file:
@@ -172,7 +176,9 @@ def test_the_surface_comes_back_bitwise_where_it_is_known(tmp_path: Path) -> Non
     normals = torch.nn.functional.normalize(torch.randn(5, 3), dim=1)
     normals[2] = 0
     surfels = Surfels.at_rest(cloud.positions, normals, torch.rand(5))
-    came = provenance_of(cloud, CONFIG, scene="lego", stage="pretrain", step=70)
+    came = provenance_of(
+        cloud.positions, CONFIG.background, scene="lego", stage="pretrain", step=70
+    )
     save_model(path, papr.state_dict(), cloud, CONFIG, came, surfels)
     found = load_model(path).surfels
     assert found is not None
@@ -232,7 +238,9 @@ def test_a_header_whose_length_looks_like_a_pickle_is_read(tmp_path: Path, lengt
     starts = set()
     for extra in range(length * 32, length * 32 + 32, 8):
         scene = "s" * extra
-        provenance = provenance_of(cloud, CONFIG, scene=scene, stage="pretrain", step=1)
+        provenance = provenance_of(
+            cloud.positions, CONFIG.background, scene=scene, stage="pretrain", step=1
+        )
         save_model(path, papr.state_dict(), cloud, CONFIG, provenance)
         starts.add(path.read_bytes()[0])
         assert load_model(path).provenance.scene == scene
@@ -244,7 +252,9 @@ def test_a_diverged_model_never_replaces_a_good_one(
 ) -> None:
     path, papr, cloud = saved
     before = path.read_bytes()
-    provenance = provenance_of(cloud, CONFIG, scene="lego", stage="pretrain", step=71)
+    provenance = provenance_of(
+        cloud.positions, CONFIG.background, scene="lego", stage="pretrain", step=71
+    )
     bad = PointCloud(
         positions=cloud.positions, features=cloud.features, influence=cloud.influence / 0.0 * 0.0
     )
@@ -264,7 +274,9 @@ def test_a_full_disk_leaves_the_old_file(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(*((atomic.os, "fsync") if call == "fsync" else (Path, "replace")), full)
-    provenance = provenance_of(cloud, CONFIG, scene="lego", stage="pretrain", step=71)
+    provenance = provenance_of(
+        cloud.positions, CONFIG.background, scene="lego", stage="pretrain", step=71
+    )
     with pytest.raises(OSError, match="No space left"):
         save_model(path, papr.state_dict(), cloud, CONFIG, provenance)
     assert path.read_bytes() == before

@@ -11,7 +11,7 @@ from pcore.asset.content import Color
 from pcore.asset.saving import load
 from pcore.files.gaussian_file import SavedGaussians, save_gaussians
 from pcore.files.official import load_official
-from pcore.files.provenance import Provenance, pcore_version, provenance_of
+from pcore.files.provenance import provenance_of
 from pcore.files.records import to_dict
 from pcore.files.run_folder import RunFolder, write_guard
 from pcore.files.run_place import bytes_needed
@@ -48,7 +48,9 @@ def import_papr(
     config = replace(official.config, reference=reference)
     scene, step = str(official.provenance["scene"]), int(official.provenance["step"] or 0)
     numbers = sum(value.numel() for value in official.state.values())
-    came = provenance_of(official.cloud, config, scene=scene, stage="import", step=step)
+    came = provenance_of(
+        official.cloud.positions, config.background, scene=scene, stage="import", step=step
+    )
     with RunFolder.create(
         Path(folder),
         stage="import",
@@ -87,14 +89,8 @@ def save_imported(
         TrainingError: it cannot be written.
     """
     name, folder = str(scene or file), Path(folder)
-    lower, upper = gaussians.means.amin(dim=0).tolist(), gaussians.means.amax(dim=0).tolist()
-    provenance = Provenance(
-        scene=name,
-        stage="import",
-        step=0,
-        background=background or WHITE,
-        extent=((lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])),
-        pcore=pcore_version(),
+    provenance = provenance_of(
+        gaussians.means, background or WHITE, scene=name, stage="import", step=0
     )
     source = {"file": str(file), "footprint": to_dict(footprint)}
     known = {} if scene is None else {"factor": factor}

@@ -98,7 +98,9 @@ def asset_of(
             surfels=None if surfels is None else surfels.to("cpu"),
             read_light=light and (lambda: light),
         ),
-        provenance=provenance_of(cloud, papr.config, scene=scene, stage=stage, step=step),
+        provenance=provenance_of(
+            cloud.positions, papr.config.background, scene=scene, stage=stage, step=step
+        ),
         record=RunRecord(stage=stage),
         read_skinning=skinning and (lambda: skinning),
     )

@@ -14,7 +14,7 @@ from torch import Tensor
 from pcore.capture.opened import Opened, UnusableError, open_photo
 from pcore.capture.photos import HELD_OUT, Capture, RawPoints, natural_key
 from pcore.data.images import AlphaOfSplit, ImageCache
-from pcore.data.poses import check_poses
+from pcore.data.poses import are_far, check_poses
 from pcore.data.scene import Scene, Skipped, Split, SplitsOnDemand
 from pcore.data.sparse import Sightings, SparsePoints
 from pcore.errors import SceneError
@@ -68,12 +68,13 @@ def _take(capture: Capture, factor: int, cache: ImageCache) -> tuple[list[Opened
     taken: list[Opened] = []
     skipped = list(capture.skipped)
     known: set[str] = set()
+    far = are_far([photo.world_from_camera for photo in capture.photos])
     for row, photo in enumerate(capture.photos):
         try:
             if photo.name in known:
                 raise UnusableError("named twice; the first is used")
             known.add(photo.name)
-            taken.append(open_photo(row, photo, factor, cache))
+            taken.append(open_photo(row, photo, factor, cache, far=far))
         except UnusableError as problem:
             skipped.append(Skipped(name=photo.name, reason=str(problem)))
     return taken, skipped

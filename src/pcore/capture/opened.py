@@ -40,8 +40,12 @@ class UnusableError(Exception):
     """Why a photo is not used."""
 
 
-def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache) -> Opened:
-    """View of one photo; raises UnusableError with the reason where there is none."""
+def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache, *, far: bool) -> Opened:
+    """View of one photo, with its exact pose where that is far from the origin.
+
+    Raises:
+        UnusableError: there is none; says why.
+    """
     if photo.path is None:
         raise UnusableError("no file in the folder")
     if photo.size is not None and min(photo.size) < 1:
@@ -81,7 +85,8 @@ def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache) -> Opened
         lens=None if lens.is_straight else lens,
         crop=crop,
     )
-    view = View(name=photo.name, camera=camera, image=image)
+    exact = pose if far else None
+    view = View(name=photo.name, camera=camera, image=image, exact_pose=exact)
     return Opened(
         row=row,
         photo=replace(photo, world_from_camera=pose),

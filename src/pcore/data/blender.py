@@ -12,7 +12,7 @@ import torch
 from pcore.data.image_files import ImageHeader, read_header
 from pcore.data.image_paths import Finder, Wanted, is_file, mask_places
 from pcore.data.images import AlphaOfSplit, ImageCache, ImageSource, check_factor
-from pcore.data.poses import check_poses
+from pcore.data.poses import are_far, check_poses
 from pcore.data.scene import Split, SplitsOnDemand, View
 from pcore.data.transforms import PosedFrame, Transforms, read_transforms
 from pcore.errors import SceneError
@@ -96,6 +96,7 @@ def load_split(
     images = finder.find_all(_wanted(frames))
     masks = _masks(frames, finder, transforms.path)
     alpha = AlphaOfSplit()
+    far = are_far([frame.world_from_camera for frame in frames])
     views: list[View] = []
     first: tuple[int, int] | None = None
     turned = 0
@@ -117,7 +118,8 @@ def load_split(
             alpha=alpha,
         )
         camera = transforms.camera(frame, (full[0] // factor, full[1] // factor), full)
-        views.append(View(name=frame.name, camera=camera, image=source))
+        exact = frame.world_from_camera if far else None
+        views.append(View(name=frame.name, camera=camera, image=source, exact_pose=exact))
     alpha.sources = [view.image for view in views]
     notes = [note, *transforms.notes, *finder.notes(transforms.path.name)]
     notes += _notes(views, turned, root)

@@ -21,6 +21,8 @@ _REFUSED, _TOLD = 6e-5, 6e-6
 """Rounding of places as a share of the scene: a twentieth and a two-hundredth of a pixel of
 pictures 800 pixels wide. Photos 50 pixels wide, 120 steps: 21.8 dB at the origin, 21.5, 20.9 and
 21.1 dB moved away by 100, 1,000 and 10,000 times the cameras' distance, 18.2 dB in UTM."""
+_EXACT = 1e-6
+"""Rounding of places, as a share of the scene, above which poses are kept as files have them."""
 _ONE_PLACE, _NEAR = 1e-7, 100.0
 """Cameras closer together than that share of their coordinates, or that cannot be told apart and
 are nearer to the origin than that, stand at one place; all others are far away."""
@@ -42,6 +44,29 @@ def closest_to_axes(poses: Tensor) -> Tensor | None:
         return None
     right = (across @ poses[:, :3, 3:]).mean(dim=0)[:, 0]
     return torch.linalg.solve(system, right)
+
+
+def are_far(poses: Sequence[Tensor]) -> bool:
+    """Whether cameras stand so far from the origin that single precision rounds their places.
+
+    Args:
+        poses: (4, 4) float64 world_from_camera, as in the file; those with NaN do not count.
+    """
+    known = [pose for pose in poses if bool(torch.isfinite(pose).all())]
+    point = closest_to_axes(torch.stack(known)) if known else None
+    if point is None:
+        return False
+    scale, rounding = _scale_and_rounding(torch.stack(known), point)
+    return rounding > _EXACT * scale
+
+
+def _scale_and_rounding(poses: Tensor, point: Tensor) -> tuple[float, float]:
+    """How large a scene is by its cameras, and how much single precision rounds their places."""
+    centers = poses[:, :3, 3]
+    scale = max(
+        float((centers - place).norm(dim=-1).mean()) for place in (centers.mean(dim=0), point)
+    )
+    return scale, float(centers.abs().max()) * _HALF_STEP
 
 
 def seen_radius(camera: Camera, pose: Tensor, point: Tensor) -> float:
@@ -108,11 +133,8 @@ def check_poses(poses: Tensor, cameras: Sequence[Camera], names: Sequence[str], 
 
 def _check_precision(poses: Tensor, cameras: Sequence[Camera], point: Tensor, where: str) -> str:
     """Refuse cameras at one place, or too far from the origin; a note where it gets coarse."""
-    centers = poses[:, :3, 3]
-    middle = centers.mean(dim=0)
-    scale = max(float((centers - place).norm(dim=-1).mean()) for place in (middle, point))
-    farthest = float(centers.abs().max())
-    rounding = farthest * _HALF_STEP
+    middle, farthest = poses[:, :3, 3].mean(dim=0), float(poses[:, :3, 3].abs().max())
+    scale, rounding = _scale_and_rounding(poses, point)
     if rounding <= _TOLD * scale:
         return ""
     coarse = rounding > _REFUSED * scale

@@ -27,11 +27,14 @@ class View:
         name: unique within its split; safe as a file name.
         camera: pose and intrinsics of the (down-scaled) image.
         image: where the pixels come from.
+        exact_pose: (4, 4) float64 world_from_camera as in the file, of a scene so far from the
+            origin that the camera's is rounded; None elsewhere.
     """
 
     name: str
     camera: Camera
     image: ImageSource
+    exact_pose: Tensor | None = None
 
     @property
     def has_alpha(self) -> bool:

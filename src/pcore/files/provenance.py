@@ -8,8 +8,7 @@ from typing import Literal
 from torch import Tensor
 
 import pcore
-from pcore.geometry.point_cloud import PointCloud
-from pcore.model.papr_config import PaprConfig
+from pcore.geometry.point_cloud import extent_of
 
 Stage = Literal["pretrain", "finetune", "import"]
 """What makes weights."""
@@ -41,20 +40,15 @@ class Provenance:
 
 
 def provenance_of(
-    cloud: PointCloud,
-    config: PaprConfig,
-    *,
-    scene: str,
-    stage: Stage,
-    step: int,
+    points: Tensor, background: Vector, *, scene: str, stage: Stage, step: int
 ) -> Provenance:
-    """Describe the canonical `cloud` and what made it, as this version of pcore."""
-    lower, upper = (_vector(corner) for corner in cloud.extent())
+    """Describe canonical points (N, 3) and what made them, as this version of pcore."""
+    lower, upper = (_vector(corner) for corner in extent_of(points))
     return Provenance(
         scene=scene,
         stage=stage,
         step=step,
-        background=config.background,
+        background=background,
         extent=(lower, upper),
         pcore=pcore_version(),
     )

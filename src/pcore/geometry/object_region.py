@@ -16,9 +16,9 @@ class Region:
     """The region of an object, world units.
 
     Attributes:
-        center: (3,) float32 middle of the sphere.
+        center: (3,) middle of the sphere, float32; float64 far from the origin.
         radius: of the sphere; positive.
-        box: (2, 3) float32 lower and upper corner of a box along the axes that the object lies in
+        box: (2, 3) lower and upper corner of a box along the axes that the object lies in
             beside the sphere; None where only the sphere is known.
     """
 

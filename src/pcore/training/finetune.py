@@ -18,6 +18,7 @@ from pcore.training.held_out import validate
 from pcore.training.loop import autocast, run_loop
 from pcore.training.loop_plan import Plan
 from pcore.training.losses import Losses, mean_of, perceptual_loss
+from pcore.training.near_origin import moved_trained, near_origin
 from pcore.training.objective import Objective
 from pcore.training.patches import draw_patch
 from pcore.training.random_motion import skinning_to_train
@@ -57,11 +58,14 @@ def finetune(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     where = torch.device(device)
+    scene, origin = near_origin(scene)
+    base = base if origin is None else moved_trained(base, -origin)
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     perceptual = perceptual_loss(config.lpips_weight, config.lpips_trunk, where)
     check_images(scene.split("train"))
     anchor = _moved(base, where)
     work = _work(anchor, config)
+    work.origin = origin
     if compiled:
         compile_networks(where, work.papr.unet, perceptual)
     objective = Objective(config, work, anchor, perceptual)

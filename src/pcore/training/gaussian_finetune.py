@@ -14,6 +14,7 @@ from pcore.training.gaussian_start import camera_distance
 from pcore.training.held_out import scores_by_view
 from pcore.training.loop import run_loop
 from pcore.training.loop_plan import Plan
+from pcore.training.near_origin import moved_gaussians, near_origin
 from pcore.training.trainable_gaussians import TrainedGaussians, trainable_gaussians
 
 _LOGIT = 1e-6
@@ -46,9 +47,11 @@ def finetune_gaussians(
         DependencyError: on a GPU without gsplat.
         KeyboardInterrupt: Ctrl-C, after saving.
     """
+    scene, origin = near_origin(scene)
+    gaussians = base.gaussians if origin is None else moved_gaussians(base.gaussians, -origin)
     check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
-    start = base.gaussians.detached().to(torch.device(device))
+    start = gaussians.detached().to(torch.device(device))
     inside = start.opacities.clamp(_LOGIT, 1 - _LOGIT)
     work = trainable_gaussians(
         start.each(lambda one: inside if one is start.opacities else one),
@@ -57,6 +60,7 @@ def finetune_gaussians(
         backdrop=config.background,
         seed=config.seed,
         stage="finetune",
+        origin=origin,
     )
     budget = None
     if config.largest_loss is not None and validation:

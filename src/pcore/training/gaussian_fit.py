@@ -24,6 +24,7 @@ from pcore.training.gaussian_start import camera_distance, start_gaussians
 from pcore.training.loop import run_loop
 from pcore.training.loop_plan import Plan
 from pcore.training.losses import Losses, mean_of
+from pcore.training.near_origin import moved_gaussians, near_origin
 from pcore.training.pace import Clock, Leg, Pace
 from pcore.training.ranks import Ranks, current_ranks
 from pcore.training.reduced_view import Photo, PhotosInTurn
@@ -154,13 +155,17 @@ def _fit(
     clock: Clock,
 ) -> _Fit:
     """Make everything ready for the first step; arguments are those of `fit_gaussians`."""
+    # What Gaussians hang on is in the world.
+    scene, origin = near_origin(scene) if bound is None else (scene, None)
     check_images(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     if bound is not None:
         start = bound.start
-    if start is None:
+    elif start is None:
         generator = torch.Generator().manual_seed(config.seed)
-        start = start_gaussians(scene, views, config, generator)
+        start = start_gaussians(scene, views, config, generator, origin)
+    elif origin is not None:
+        start = moved_gaussians(start, -origin)
     exposure = ViewExposure(len(views), where) if config.exposure else None
     work = trainable_gaussians(
         start.to(where),
@@ -171,6 +176,7 @@ def _fit(
         place=None if bound is None else bound.place,
         cameras=[view.camera for view in views],
         fits_exposure=exposure is not None,
+        origin=origin,
     )
     return _Fit(
         work=work,

@@ -17,6 +17,7 @@ from pcore.errors import InputError
 from pcore.gaussians.gaussians import THINNEST, Gaussians
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.hull import hull_points
+from pcore.training.near_origin import moved
 from pcore.training.photo_consistency import consistent_points
 
 _NEIGHBOURS = 3
@@ -55,7 +56,11 @@ def chosen_start(scene: Scene, start: str) -> str:
 
 
 def start_gaussians(
-    scene: Scene, views: Sequence[View], config: GaussianConfig, generator: torch.Generator
+    scene: Scene,
+    views: Sequence[View],
+    config: GaussianConfig,
+    generator: torch.Generator,
+    origin: Tensor | None = None,
 ) -> Gaussians:
     """Gaussians of the distance to their neighbours, coloured as the photos show them.
 
@@ -66,6 +71,7 @@ def start_gaussians(
         views: training views that are not held out.
         config: how many and where.
         generator: of the draws.
+        origin: (3,) float64 of the scene's coordinates in the world, in which files are; None: 0.
 
     Raises:
         InputError: "hull" without masks, or a bad file of points.
@@ -93,6 +99,7 @@ def start_gaussians(
         from pcore.data.points import load_points
 
         positions = load_points(Path(start))
+        positions = positions if origin is None else moved(positions, -origin)
     spacing = _spacing(positions).clamp_min(1e-6 * distance)
     count, coefficients = len(positions), (config.degree + 1) ** 2
     sh = torch.zeros(count, coefficients, 3)

@@ -164,7 +164,8 @@ def _coarse(
     if region is not None:
         center, half = region.center, region.radius
         count = _VOXELS if region.box is None else _VOXELS_OF_BOX
-    return _voxels(center @ axes - half, center @ axes + half, count)
+    middle = center.to(axes) @ axes
+    return _voxels(middle - half, middle + half, count)
 
 
 def coarse_hull(

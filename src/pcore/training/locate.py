@@ -16,6 +16,7 @@ from pcore.errors import InputError
 from pcore.geometry.capture_axes import capture_axes
 from pcore.geometry.object_region import Region, region_of_box
 from pcore.training.hull import coarse_hull
+from pcore.training.near_origin import moved, moved_region, near_origin
 
 Source = Literal["box", "files", "masks", "points", "axes"]
 
@@ -61,6 +62,18 @@ def locate(scene: Scene, box: Tensor | None = None) -> Located:
         InputError: a box without extent, or one that no training camera sees.
         SceneError: nothing tells where the object is.
     """
+    near_scene, origin = near_origin(scene)
+    if origin is None:
+        return _located(scene, box)
+    near = _located(near_scene, None if box is None else box.double() - origin)
+    region, points = near.scene.region, near.points
+    # In double precision, for the training that takes it near the origin again.
+    region = region and moved_region(region, origin, torch.float64)
+    points = None if points is None else moved(points, origin)
+    return replace(near, scene=replace(scene, region=region), points=points)
+
+
+def _located(scene: Scene, box: Tensor | None) -> Located:
     views = scene.split("train")
     if box is not None:
         return Located(scene=replace(scene, region=_boxed(box, views)), source="box")

@@ -23,6 +23,7 @@ from pcore.training.config import PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.gaussian_fit import picture_losses
 from pcore.training.gaussian_start import camera_distance, start_gaussians
+from pcore.training.near_origin import near_origin
 from pcore.training.pace import Clock
 from pcore.training.pretrain import begin, patch_losses
 from pcore.training.reduced_view import Photo, reduced
@@ -80,12 +81,13 @@ def measured_speed(
         InputError: as `start_gaussians`.
     """
     where = torch.device(device)
+    scene, origin = near_origin(scene)
     views = _some(scene.split("train"))
     longest = max(max(view.camera.width, view.camera.height) for view in views)
     fine = max(1, round(longest / _SIDE))
     samples: list[tuple[float, float, float]] = []
     generator = torch.Generator().manual_seed(config.seed)
-    start = start_gaussians(scene, views, replace(config, points=_START), generator)
+    start = start_gaussians(scene, views, replace(config, points=_START), generator, origin)
     for parts in _PARTS:
         work = _prepared(scene, _in_parts(start, parts, generator), config, where)
         for reduction in (fine, 2 * fine):
@@ -122,9 +124,10 @@ def papr_step(
         device: that will train.
         clock: tells the time.
     """
+    scene, origin = near_origin(scene)
     views = _decoded(_some(scene.split("train")))
     where = torch.device(device)
-    work = begin(scene, views, config, where)
+    work = begin(scene, views, config, where, origin)
     took: list[float] = []
     kept: dict[int, int] = {}
     uneven = config.model.cutoff is not None and all(view.has_alpha for view in views)

@@ -33,6 +33,7 @@ from pcore.training.losses import (
     photometric,
     training_image,
 )
+from pcore.training.near_origin import moved_config, near_origin
 from pcore.training.pace import Clock, Pace
 from pcore.training.patches import draw_patch
 from pcore.training.population import growth_mixture, growth_sites, replace_rows
@@ -78,10 +79,11 @@ def pretrain(
     """
     where = torch.device(device)
     perceptual = perceptual_loss(config.lpips_weight, config.lpips_trunk, where)
+    scene, origin = near_origin(scene)
     check_images(scene.split("train"))
     check_masks(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
-    work = begin(scene, views, config, where)
+    work = begin(scene, views, config, where, origin)
     pace = Pace(
         config.steps,
         validate_every=config.validate_every,
@@ -145,16 +147,20 @@ def patch_losses(
 
 
 def begin(
-    scene: Scene, views: Sequence[View], config: PretrainConfig, device: torch.device
+    scene: Scene,
+    views: Sequence[View],
+    config: PretrainConfig,
+    device: torch.device,
+    origin: Tensor | None = None,
 ) -> Trainable:
-    """Networks and points before the first step."""
-    model = _model_config(config, scene)
+    """Networks and points before the first step; see `Trainable` for the origin of the scene."""
+    model = _model_config(config, scene, origin)
     # Weights come from torch's global generator; fork it so that the library leaves it alone.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         papr = Papr(model)
         generator = torch.Generator().manual_seed(config.seed)
-        positions = start_positions(scene, views, config, model.frame, generator)
+        positions = start_positions(scene, views, config, model.frame, generator, origin)
         features = torch.randn(len(positions), papr.config.feature_size, generator=generator)
     features = config.feature_spread * features
     if model.point_colors:
@@ -165,10 +171,12 @@ def begin(
         features=features.to(device),
         influence=torch.full((len(positions),), config.influence_start, device=device),
     )
-    return trainable("pretrain", papr.to(device), cloud, seed=config.seed + 1)
+    work = trainable("pretrain", papr.to(device), cloud, seed=config.seed + 1)
+    work.origin = origin
+    return work
 
 
-def _model_config(config: PretrainConfig, scene: Scene) -> PaprConfig:
+def _model_config(config: PretrainConfig, scene: Scene, origin: Tensor | None) -> PaprConfig:
     color = (0.0, 0.0, 0.0) if config.background == "black" else (1.0, 1.0, 1.0)
     reference = None
     if config.origin == "reference":
@@ -178,7 +186,14 @@ def _model_config(config: PretrainConfig, scene: Scene) -> PaprConfig:
     widths = [view.camera.pixel_width(scene.center) for view in scene.split("train")]
     pixel = statistics.median(widths) if config.model.samples > 1 else None
     model = dataclasses.replace(config.model, background=color, reference=reference, pixel=pixel)
-    return model if model.frame is not None else in_frame(model, network_frame(scene))
+    if model.frame is None:
+        return in_frame(model, network_frame(scene))
+    # What a user gives is in the world.
+    return (
+        model
+        if origin is None
+        else dataclasses.replace(model, frame=moved_config(model, -origin).frame)
+    )
 
 
 def _due(step: int, when: PruneConfig | GrowConfig) -> bool:

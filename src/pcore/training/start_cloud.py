@@ -15,6 +15,7 @@ from pcore.errors import InputError
 from pcore.model.papr_config import NetworkFrame
 from pcore.training.config import PretrainConfig
 from pcore.training.hull import grid_points, hull_points
+from pcore.training.near_origin import moved
 
 _GRID_HALF_SIDE = 1.2
 _TRACE = 0.05
@@ -48,8 +49,9 @@ def start_positions(
     config: PretrainConfig,
     frame: NetworkFrame | None,
     generator: torch.Generator,
+    origin: Tensor | None = None,
 ) -> Tensor:
-    """Points (N, 3) float32 that training begins with, world units.
+    """Points (N, 3) float32 that training begins with, in the coordinates of the scene.
 
     Args:
         scene: says where the object is.
@@ -57,6 +59,7 @@ def start_positions(
         config: how many and where.
         frame: that of the networks, in which the original's grid stands; None: world coordinates.
         generator: of the draws.
+        origin: (3,) float64 of the scene's coordinates in the world, in which files are; None: 0.
 
     Raises:
         InputError: a bad file, no masks for a visual hull, or points that no camera sees.
@@ -76,6 +79,7 @@ def start_positions(
         center, half = torch.tensor(middle), _GRID_HALF_SIDE * unit
         return grid_points(config.points, center - half, center + half)
     points = start_from_file(Path(config.start))
+    points = points if origin is None else moved(points, -origin)
     check_start(points, views, config.start)
     return points
 

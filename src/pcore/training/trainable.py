@@ -22,6 +22,7 @@ from pcore.render.surfel_fit import Observed, observe
 from pcore.training.config import Background, Rates
 from pcore.training.events import Listener, SurfaceReport
 from pcore.training.held_out import validate
+from pcore.training.near_origin import moved_trained
 from pcore.training.schedule import Schedule
 from pcore.training.trained import Trained
 
@@ -45,6 +46,8 @@ class Trainable:
         best: figures of the best validation, and its weights where they are kept.
         observed: what training views say about the points of the result, when it is complete.
         fits_exposure: whether figures are also given under a fitted map of colours.
+        origin: (3,) float64 what the points' coordinates, and the views', count from, world units;
+            None: they are the world's.
     """
 
     stage: str
@@ -57,6 +60,7 @@ class Trainable:
     best: dict[str, Any] = field(default_factory=dict[str, Any])
     observed: Observed | None = None
     fits_exposure: bool = False
+    origin: Tensor | None = None
 
     @property
     def points(self) -> int:
@@ -84,17 +88,22 @@ class Trainable:
         self.optimizer.param_groups[0]["lr"] *= config.unit / config.coord_scale
 
     def result(self, weights: Mapping[str, Tensor] | None = None) -> Trained:
-        """Networks and points to hand over: of `weights`, or as they are."""
-        chosen = weights or self.weights()
-        found = rebuild(self.papr, chosen, self.step, skinning=self.skinning)
+        """Networks and points to hand over, in the world: of `weights`, or as they are."""
+        found = self._near(weights)
+        if self.origin is not None:
+            found = moved_trained(found, self.origin)
         if self.observed is None:
             return found
         return replace(found, surfels=self.observed.surfels(found.cloud), observed=self.observed)
 
+    def _near(self, weights: Mapping[str, Tensor] | None) -> Trained:
+        """Networks and points in the coordinates of the training."""
+        return rebuild(self.papr, weights or self.weights(), self.step, skinning=self.skinning)
+
     def complete(self, views: Sequence[View], listener: Listener) -> None:
         """See, when all steps are done, what training views say of the points of the result."""
         listener(SurfaceReport(stage=self.stage, step=self.step, views=len(views)))
-        found = self.result(self.best.get("weights"))
+        found = self._near(self.best.get("weights"))
         self.observed = observe(found.papr, found.cloud, views)
 
     def scores(
@@ -104,15 +113,15 @@ class Trainable:
         weights: Mapping[str, Tensor] | None = None,
     ) -> dict[str, float]:
         """Figures on held-out training views, see `held_out.validate`."""
-        return validate(self.result(weights), views, background, fitted=self.fits_exposure)
+        return validate(self._near(weights), views, background, fitted=self.fits_exposure)
 
     def save(self, folder: RunFolder, scene: str) -> list[str]:
         """Write the weights that validation accepted last, where those are kept, else the last."""
         result = self.result(self.best.get("weights"))
         config = result.papr.config
         provenance = provenance_of(
-            result.cloud,
-            config,
+            result.cloud.positions,
+            config.background,
             scene=scene,
             stage="pretrain" if self.stage == "pretrain" else "finetune",
             step=self.best.get("kept_step", self.step),

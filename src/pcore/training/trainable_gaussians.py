@@ -13,7 +13,7 @@ from pcore.data.images import background_color, composite
 from pcore.data.scene import View
 from pcore.errors import CheckpointError
 from pcore.files.gaussian_file import SavedGaussians, save_gaussians
-from pcore.files.provenance import Provenance, Stage, pcore_version
+from pcore.files.provenance import Provenance, Stage, provenance_of
 from pcore.files.run_folder import RunFolder, write_guard
 from pcore.files.training_state import TrainingState, generator_states, restore_generators
 from pcore.gaussians.gaussians import Gaussians
@@ -22,6 +22,7 @@ from pcore.gaussians.wide_pixels import pixel_width
 from pcore.geometry.camera import Camera
 from pcore.training.config import Background
 from pcore.training.held_out import mean_scores
+from pcore.training.near_origin import moved_gaussians
 from pcore.training.population import replace_rows
 from pcore.training.schedule import Schedule
 
@@ -83,6 +84,7 @@ class TrainableGaussians:
         step: steps done.
         best: figures of the best validation.
         fits_exposure: whether figures are also given under a fitted map of colours.
+        origin: (3,) float64 what means and views count from, world units; None: the world's.
     """
 
     raw: dict[str, nn.Parameter]
@@ -99,6 +101,7 @@ class TrainableGaussians:
     step: int = 0
     best: dict[str, Any] = field(default_factory=dict[str, Any])
     fits_exposure: bool = False
+    origin: Tensor | None = None
 
     @property
     def points(self) -> int:
@@ -145,13 +148,15 @@ class TrainableGaussians:
         self.slopes, self.seen = torch.zeros(2, self.points, device=keep.device).unbind()
 
     def result(self, weights: Mapping[str, Tensor] | None = None) -> TrainedGaussians:
-        """Gaussians to hand over."""
+        """Gaussians to hand over, in the world."""
         with torch.no_grad():
             gaussians = self.gaussians(weights=weights).each(lambda tensor: tensor.detach().clone())
         footprint = self.footprint
         if self.cameras:
             widest = max(pixel_width(gaussians, camera) for camera in self.cameras)
             footprint = replace(footprint, pixel=widest)
+        if self.origin is not None:
+            gaussians = moved_gaussians(gaussians, self.origin)
         color = background_color("black" if self.backdrop == "black" else "white").tolist()
         return TrainedGaussians(
             gaussians=gaussians,
@@ -241,6 +246,7 @@ def trainable_gaussians(
     cameras: Sequence[Camera] = (),
     stage: Stage = "pretrain",
     fits_exposure: bool = False,
+    origin: Tensor | None = None,
 ) -> TrainableGaussians:
     """Return Gaussians made ready to train, with Adam, on the device where they are."""
     rows = {
@@ -268,19 +274,14 @@ def trainable_gaussians(
         cameras=cameras,
         stage=stage,
         fits_exposure=fits_exposure,
+        origin=origin,
     )
 
 
 def provenance_of_gaussians(found: TrainedGaussians, scene: str) -> Provenance:
     """Describe where trained Gaussians come from, as this version of pcore."""
-    means = found.gaussians.means
-    return Provenance(
-        scene=scene,
-        stage=found.stage,
-        step=found.step,
-        background=found.background,
-        extent=(_vector(means.amin(dim=0)), _vector(means.amax(dim=0))),
-        pcore=pcore_version(),
+    return provenance_of(
+        found.gaussians.means, found.background, scene=scene, stage=found.stage, step=found.step
     )
 
 
@@ -292,8 +293,3 @@ def photo_on(view: View, color: Tensor, device: torch.device) -> Tensor:
 def valid_only(rgb: Tensor, photo: Tensor, valid: Tensor | None) -> Tensor:
     """(1, H, W, 3) a rendering, with the photo where that shows nothing: there nothing is wrong."""
     return rgb if valid is None else torch.where(valid.to(rgb.device)[..., None], rgb, photo)
-
-
-def _vector(tensor: Tensor) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in tensor)
-    return x, y, z
