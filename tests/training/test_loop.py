@@ -378,3 +378,22 @@ def test_killed_between_the_files_of_a_save(
     assert torch.equal(saved.cloud.features, expected.cloud.features)
     assert saved.provenance.step == 6
     assert RunFolder.open(path).notes["status"] == "finished"
+
+
+def test_a_state_that_counts_from_elsewhere_is_refused(tmp_path: Path) -> None:
+    path, away = tmp_path / "run", torch.tensor([2000.0, 0.0, 0.0], dtype=torch.float64)
+    work = box_work()
+    work.origin = away
+    with open_folder(path) as run:
+        moved = run_loop(work, plan(), pull(work), folder=run, listener=Heard())
+    near = work.cloud.positions.detach().double() + away
+    assert torch.equal(moved.cloud.positions, near.float())
+    assert torch.equal(load_model(path).cloud.positions, near.float())
+
+    again = box_work()
+    again.origin = away
+    with open_folder(path, resume=True) as run:
+        result = run_loop(again, plan(), pull(again), folder=run, listener=Heard())
+        assert torch.equal(result.cloud.positions, moved.cloud.positions)
+        with pytest.raises(CheckpointError, match=r"count from the origin, got them from \[2000"):
+            run_loop(work := box_work(), plan(), pull(work), folder=run, listener=Heard())

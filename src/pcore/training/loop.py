@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from pcore.errors import TrainingError
+from pcore.errors import CheckpointError, TrainingError
 from pcore.files.run_folder import RunFolder
 from pcore.files.training_state import TrainingState
 from pcore.training.budget import Budget, largest_part
@@ -66,6 +66,7 @@ def run_loop(
     Raises:
         TrainingError: the loss is not finite, networks cannot be compiled, or the folder cannot be
             written.
+        CheckpointError: the folder's state is of another stage, architecture or origin.
         KeyboardInterrupt: after Ctrl-C, with everything saved.
     """
     if budget is not None:
@@ -214,10 +215,25 @@ def _result(work: Work[Result]) -> Result:
 
 def _resume(work: Work[Any], plan: Plan, pace: Pace, state: TrainingState | None) -> None:
     if state is not None:
+        _check_origin(work, state)
         work.restore(state)
         pace.restore(state.optimisers.get("pace", {}), work.step)
         if plan.exposure is not None:
             plan.exposure.restore(state.optimisers.get("exposure", {}))
+
+
+def _check_origin(work: Work[Any], state: TrainingState) -> None:
+    """Raise CheckpointError where a state counts places from elsewhere (`near_origin`)."""
+    known, own = state.optimisers.get("origin", {}).get("at"), _origin(work)
+    if known != own:
+        raise CheckpointError(
+            f"training state: expected places that count from {own or 'the origin'}, got them from "
+            f"{known or 'the origin'}; it is of other poses or of an older version: train anew"
+        )
+
+
+def _origin(work: Work[Any]) -> list[float] | None:
+    return None if work.origin is None else work.origin.tolist()
 
 
 def _save(
@@ -233,7 +249,7 @@ def _save(
     if folder is None:
         return
     state = work.state()
-    more = {"pace": pace.state()}
+    more: dict[str, Any] = {"pace": pace.state(), "origin": {"at": _origin(work)}}
     if plan.exposure is not None:
         more["exposure"] = plan.exposure.state()
     folder.save_state(replace(state, optimisers={**state.optimisers, **more}))

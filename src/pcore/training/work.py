@@ -25,12 +25,14 @@ class Work(Protocol[Result]):
         step: steps done.
         optimizer: has one group with a `name` per learning rate.
         best: figures of the best validation, and its weights where they are kept.
+        origin: (3,) float64 what its places count from, world units; None: they are the world's.
     """
 
     stage: str
     step: int
     optimizer: torch.optim.Optimizer
     best: dict[str, Any]
+    origin: Tensor | None
 
     @property
     def points(self) -> int:
