@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from pcore.editing.animation import Animation, load_animation, parse_animation
+from pcore.editing.animation import Animation, load_animation
 from pcore.editing.script import load_edit, parse_edit
 from pcore.errors import EditError, InputError
 
@@ -19,7 +19,7 @@ def track(*keys: list, **more) -> dict:
 
 def animation(angle: object, **more) -> Animation:
     edit = {"type": "twist", "axis": "z", "angle_deg": angle}
-    return parse_animation({"version": 2, "edits": [edit], **more}, source="edit.json")
+    return Animation({"version": 2, "edits": [edit], **more}, source="edit.json")
 
 
 def angle_at(made: Animation, time: float) -> float:
@@ -39,7 +39,7 @@ def test_easings(easing: str, quarter: float):
 
 def test_several_keys_and_several_tracks():
     hand = {"shape": "sphere", "center": track([0, [0, 0, 0]], [4, [0, 0, 2]]), "radius": 1}
-    made = parse_animation(
+    made = Animation(
         {
             "version": 2,
             "freeze": [{**hand, "radius": track([0, 1], [8, 2])}],
@@ -84,7 +84,7 @@ def test_at_a_time_it_is_an_edit_file_without_keyframes(tmp_path: Path):
 
 def test_what_is_given_can_be_changed_afterwards():
     data = {"version": 2, "edits": [{"type": "scale", "factor": track([0, 1], [1, 3])}]}
-    made = parse_animation(data)
+    made = Animation(data)
     data["edits"].clear()
     assert made.at(1).edits[0].factor == 3
 
@@ -92,7 +92,7 @@ def test_what_is_given_can_be_changed_afterwards():
 @pytest.mark.parametrize("time", [math.nan, math.inf])
 def test_times_that_are_none(time: float):
     with pytest.raises(EditError, match=f"expected a finite time, got {time}"):
-        parse_animation({"version": 2, "edits": []}).at(time)
+        Animation({"version": 2, "edits": []}).at(time)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_where_a_bad_track_is():
 def test_a_value_that_only_some_frames_have_is_checked_at_the_keys():
     data = {"version": 2, "edits": [{"type": "scale", "factor": track([0, 1], [1, -1])}]}
     with pytest.raises(EditError, match=r'at time 1: edit 1 .scale.: key "factor": expected a fin'):
-        parse_animation(data)
+        Animation(data)
 
 
 def test_a_film_has_a_frame():
@@ -180,7 +180,7 @@ def test_times_that_are_checked_hold_all_keys():
 def test_keyframes_of_the_rest_shape_lead_to_the_amount(kind: str):
     edit = {"type": kind, "before": track([0, "a.ply"], [1, "b.ply"]), "after": "b.ply"}
     with pytest.raises(EditError, match=r'edit 1: key "before": .* got keyframes; .*"amount": '):
-        parse_animation({"version": 2, "edits": [edit]})
+        Animation({"version": 2, "edits": [edit]})
 
 
 def test_shapes_go_straight_from_key_to_key(tmp_path: Path):
@@ -217,17 +217,17 @@ def test_shapes_go_straight_from_key_to_key(tmp_path: Path):
 def test_the_vertices_of_a_mesh_can_be_keyed_themselves():
     first, second = [[0, 0, 1], [1, 0, 0]], [[0, 2, 1], [1, 0, 0]]
     edit = {"type": "mesh", "before": "a.ply", "after": track([0, first], [1, second])}
-    made = parse_animation({"version": 2, "edits": [edit]})
+    made = Animation({"version": 2, "edits": [edit]})
     assert made.at(0.5).edits[0].after == ((0, 1, 1), (1, 0, 0))
     edit["after"] = track([0, first], [1, "b.ply"])
     with pytest.raises(EditError, match="expected a value of the same kind as the first"):
-        parse_animation({"version": 2, "edits": [edit]})
+        Animation({"version": 2, "edits": [edit]})
 
 
 def test_turns_go_the_shorter_way_round_at_one_speed():
     start, end = [2.0, 0, 0, 0], [-math.cos(0.6), 0, 0, -math.sin(0.6)]  # 1.2 radians about z.
     edit = {"type": "rigid", "rotation": track([0, start], [1, end])}
-    made = parse_animation({"version": 2, "edits": [edit]})
+    made = Animation({"version": 2, "edits": [edit]})
     points = torch.rand(10, 3)
     for time in (0.0, 0.25, 0.5, 1.0):
         by_angle = {"type": "rigid", "axis": "z", "angle_deg": math.degrees(1.2 * time)}

@@ -12,7 +12,7 @@ import trimesh
 from tests.cli.toys import write_run
 
 import pcore
-from pcore.editing.animation import parse_animation
+from pcore.editing.animation import Animation
 from pcore.editing.session import EditSession
 
 JSON_BLOCK = re.compile(r"```json\n(.*?)```", re.DOTALL)
@@ -55,7 +55,7 @@ def test_every_example_of_the_guide_works(here: torch.Tensor):
     whole = [json.loads(one) for text in texts for one in JSON_BLOCK.findall(text)]
     assert len(whole) == 3
     for content in [*whole, *({"version": 2, "edits": [edit]} for edit in edits)]:
-        animation = parse_animation(content)
+        animation = Animation(content)
         moved = animation.at(animation.end).bind(here)(here)
         way = (moved - here).norm(dim=-1)
         assert float(way.max()) > 0.05

@@ -10,7 +10,7 @@ import trimesh
 
 from pcore.deform.cage import Cage
 from pcore.editing import cage_edit as cages
-from pcore.editing.animation import parse_animation
+from pcore.editing.animation import Animation
 from pcore.editing.script import EditScript, load_edit, parse_edit
 from pcore.editing.session import EditSession
 from pcore.errors import EditError
@@ -359,7 +359,7 @@ def test_a_share_of_an_edit_from_a_file(edit: dict):
 
 def test_amounts_are_animated_and_checked():
     edit = {**KINDS[2], "amount": {"keyframes": [[0, 0], [2, 1]]}}
-    made = parse_animation({"version": 2, "edits": [edit]})
+    made = Animation({"version": 2, "edits": [edit]})
     half = made.at(1).bind(cloud())(cloud())
     whole = made.at(2).bind(cloud())(cloud())
     torch.testing.assert_close(half, 0.5 * (cloud() + whole))

@@ -9,7 +9,7 @@ import torch
 from objects import TWIST, demo
 
 from pcore.cli.main import main
-from pcore.editing.animation import parse_animation
+from pcore.editing.animation import Animation
 from pcore.editing.stack import Stack
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
@@ -21,7 +21,7 @@ from pcore.studio.outputs import write_cameras
 
 pytest.importorskip("av", reason="the extra video is not installed")
 
-STACK = Stack.of(parse_animation(TWIST))
+STACK = Stack.of(Animation(TWIST))
 
 
 def cameras(count: int = 4) -> list[Camera]:

@@ -5,7 +5,7 @@ import pytest
 import torch
 from objects import TWIST, demo
 
-from pcore.editing.animation import parse_animation
+from pcore.editing.animation import Animation
 from pcore.studio.packing import Packed, pack
 from pcore.studio.recording import Recording, record
 
@@ -14,7 +14,7 @@ PLENTY = 10**8
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    asset, animation = demo(), parse_animation(TWIST)
+    asset, animation = demo(), Animation(TWIST)
     return record(asset, [asset.pose(animation, time=t) for t in (0.0, 0.4, 0.7, 1.0)])
 
 

@@ -11,7 +11,7 @@ import torch
 from objects import TWIST, demo
 from PIL import Image
 
-from pcore.editing.animation import parse_animation
+from pcore.editing.animation import Animation
 from pcore.geometry.orbit import orbit_around
 from pcore.studio.recording import record
 from pcore.studio.viewer_page import viewer_page
@@ -22,7 +22,7 @@ BARS = {0.0: 45.0, 0.5: 32.0, 1.0: 45.0}
 
 
 def test_its_pictures_are_ours(browser: Any, tmp_path: Path) -> None:
-    asset, animation = demo(), parse_animation(TWIST)
+    asset, animation = demo(), Animation(TWIST)
     frames = [asset.pose(animation, time=t) for t in torch.linspace(0, 1, 4).tolist()]
     path = tmp_path / "toy.html"
     path.write_bytes(viewer_page(record(asset, frames), title="toy").content)
@@ -48,7 +48,7 @@ def test_its_pictures_are_ours(browser: Any, tmp_path: Path) -> None:
 
 
 def test_it_turns_and_plays(browser: Any, tmp_path: Path) -> None:
-    asset, animation = demo(), parse_animation(TWIST)
+    asset, animation = demo(), Animation(TWIST)
     frames = [asset.pose(animation, time=t) for t in (0.0, 1.0)]
     path = tmp_path / "toy.html"
     path.write_bytes(viewer_page(record(asset, frames), title="toy", seconds=0.5).content)

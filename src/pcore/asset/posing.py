@@ -13,7 +13,7 @@ from pcore.asset.content import Motion, MovedPoints
 from pcore.asset.posed_asset import same_points
 from pcore.deform.base import Deformation
 from pcore.editing.anchors import AnchorRig
-from pcore.editing.animation import Animation, load_animation, parse_animation
+from pcore.editing.animation import Animation, load_animation
 from pcore.editing.binding import Bound
 from pcore.editing.script import EditScript
 from pcore.editing.session import EditSession
@@ -82,7 +82,7 @@ def animation_of(edit: str | Path | Mapping[str, Any] | Animation) -> Animation:
     """
     if isinstance(edit, Animation):
         return edit
-    return parse_animation(edit) if isinstance(edit, Mapping) else load_animation(edit)
+    return Animation(edit) if isinstance(edit, Mapping) else load_animation(edit)
 
 
 def bind_motion(

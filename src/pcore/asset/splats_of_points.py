@@ -113,13 +113,12 @@ def splats_of_points(
     )
 
 
-def flat_gaussians(asset: Asset, colors: Tensor, degree: int = 3) -> Gaussians:
+def flat_gaussians(asset: Asset, colors: Tensor) -> Gaussians:
     """Gaussians (N) on the surface over an object's points, across its normals flat.
 
     Args:
         asset: the object at rest; without surfels they are round.
-        colors: (N, 3) in [0, 1].
-        degree: of their harmonics, which are 0 but for the colour.
+        colors: (N, 3) in [0, 1]; the other harmonics, up to degree 3, are 0.
     """
     positions = asset.points.float()
     surfels = asset.content.surfels or Surfels.at_rest(
@@ -134,7 +133,7 @@ def flat_gaussians(asset: Asset, colors: Tensor, degree: int = 3) -> Gaussians:
     axes = torch.stack([first, torch.linalg.cross(up, first), up], dim=-1)
     scales = torch.full((len(positions), 3), _WIDE * spacing)
     scales[:, 2] = torch.where(known, _FLAT, _WIDE) * spacing
-    sh = torch.zeros(len(positions), (degree + 1) ** 2, 3)
+    sh = torch.zeros(len(positions), 16, 3)
     sh[:, 0] = (colors - 0.5) / _CONSTANT
     return Gaussians(
         means=surfels.places.float(),

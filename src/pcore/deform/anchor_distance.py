@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import torch
-from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 from torch import Tensor
 
@@ -16,6 +15,8 @@ from pcore.geometry.neighbours import as_points, nearest_in, neighbour_graph, pa
 
 _QUERIES_AT_ONCE = 4096
 _ENTRY_POINTS = 4
+_NEIGHBOURS = 8
+"""Anchors per point (paper: K_nn)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,21 +114,16 @@ class PathDistance:
         return KDTree(as_points(self.points))
 
 
-def path_distance(
-    points: Tensor, indices: Tensor, *, links: int = 8, graph: csr_array | None = None
-) -> PathDistance:
+def path_distance(points: Tensor, indices: Tensor, *, links: int = 8) -> PathDistance:
     """Measure all paths from a cloud's points (N, 3) to the anchors among them.
 
     Args:
         points: the canonical cloud, world units.
         indices: (M,) which points are anchors, from `farthest_points`.
         links: neighbours per point in the graph.
-        graph: the graph of the points when it is known already.
     """
-    known = neighbour_graph(points, links) if graph is None else graph
-    return PathDistance(
-        points=points.detach().clone(), indices=indices, lengths=path_lengths(known, indices)
-    )
+    lengths = path_lengths(neighbour_graph(points, links), indices)
+    return PathDistance(points=points.detach().clone(), indices=indices, lengths=lengths)
 
 
 def anchor_spacing(between: Tensor) -> float:
@@ -136,17 +132,16 @@ def anchor_spacing(between: Tensor) -> float:
     return float(others.amin(dim=1).mean())
 
 
-def distance_weigher(distance: AnchorDistance, *, sigma: float, neighbours: int = 8) -> Weigher:
+def distance_weigher(distance: AnchorDistance, *, sigma: float) -> Weigher:
     """Gaussian weights by distance: the baseline of the paper, and its variant over the graph.
 
     Args:
         distance: `StraightDistance` (baseline) or `PathDistance`.
         sigma: of exp(-d^2 / 2 sigma^2), world units; the baseline has 1.
-        neighbours: anchors per point (paper: K_nn = 8).
     """
 
     def weigh(points: Tensor) -> SkinningWeights:
-        found = distance.candidates(points, neighbours)
+        found = distance.candidates(points, _NEIGHBOURS)
         return softmax_weights(found.anchors, gaussian_logits(found.distances, sigma))
 
     return weigh

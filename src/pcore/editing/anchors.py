@@ -69,7 +69,7 @@ class AnchorGraph:
         return anchor_spacing(self.between)
 
 
-def anchor_graph(rest: Tensor, between: Tensor, *, links: int = _LINKS) -> AnchorGraph:
+def anchor_graph(rest: Tensor, between: Tensor) -> AnchorGraph:
     """Link every anchor to its nearest ones along the cloud, in one piece.
 
     Links weigh exp(-(d / 2s)^2) with path length d and mean spacing s. A minimum spanning tree
@@ -78,7 +78,6 @@ def anchor_graph(rest: Tensor, between: Tensor, *, links: int = _LINKS) -> Ancho
     Args:
         rest: (M, 3) world units.
         between: (M, M) path lengths, finite.
-        links: neighbours per anchor.
 
     Raises:
         InputError: fewer than two anchors, or lengths of another shape.
@@ -90,7 +89,7 @@ def anchor_graph(rest: Tensor, between: Tensor, *, links: int = _LINKS) -> Ancho
             f"{tuple(rest.shape)} and {tuple(between.shape)}"
         )
     lengths = between.double().numpy()
-    near = np.argsort(lengths, axis=1, kind="stable")[:, 1 : 1 + links]
+    near = np.argsort(lengths, axis=1, kind="stable")[:, 1 : 1 + _LINKS]
     linked = np.zeros((count, count), dtype=bool)
     np.put_along_axis(linked, near, values=True, axis=1)
     tree = minimum_spanning_tree(csr_array(lengths)).toarray() > 0

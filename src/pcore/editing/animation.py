@@ -26,8 +26,20 @@ class Animation:
         end: time of the last key.
     """
 
-    def __init__(self, data: Any, *, source: str, folder: Path | str | None = None) -> None:
-        """Check parsed JSON at all its keys; see `parse_animation`."""
+    def __init__(
+        self, data: Any, *, source: str = "edit script", folder: Path | str | None = None
+    ) -> None:
+        """Check the content of an edit file with or without keyframes.
+
+        Args:
+            data: the object of the file.
+            source: what messages call it.
+            folder: where relative paths in it begin; None is the working directory.
+
+        Raises:
+            EditError: keyframes that are out of order or not numbers, or edits that are not valid
+                at one of the keys.
+        """
         content = check_top(data, source)
         self.source, self._folder = source, folder
         self._data = copy.deepcopy(content)
@@ -124,24 +136,7 @@ def load_animation(path: Path | str) -> Animation:
     """Read an edit file with or without keyframes.
 
     Raises:
-        EditError: as for `parse_animation`, or not a file in JSON.
+        EditError: as for `Animation`, or not a file in JSON.
     """
     path = Path(path)
     return Animation(read_edit_file(path), source=str(path), folder=path.parent)
-
-
-def parse_animation(
-    data: Any, *, source: str = "edit script", folder: Path | str | None = None
-) -> Animation:
-    """Check the content of an edit file with or without keyframes.
-
-    Args:
-        data: the object of the file.
-        source: what messages call it.
-        folder: where relative paths in it begin; None is the working directory.
-
-    Raises:
-        EditError: keyframes that are out of order or not numbers, or edits that are not valid at
-            one of the keys.
-    """
-    return Animation(data, source=source, folder=folder)

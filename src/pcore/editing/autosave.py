@@ -11,7 +11,7 @@ from typing import Any, cast
 from torch import Tensor
 
 from pcore.editing.anchors import AnchorRig
-from pcore.editing.animation import parse_animation
+from pcore.editing.animation import Animation
 from pcore.editing.contents import content_of
 from pcore.editing.history import History, Moment
 from pcore.editing.reading import read_edit_file
@@ -88,7 +88,7 @@ def read_session(path: Path | str, points: Tensor, *, rig: AnchorRig | None = No
         same = content["points"] == fingerprint(points)
         if content["version"] != _VERSION:
             raise ValueError("another version")
-        stacks = [Stack.of(parse_animation(edits)) for edits in content["edits"]]
+        stacks = [Stack.of(Animation(edits)) for edits in content["edits"]]
         moments = tuple(
             Moment(
                 stack=stacks[cast("int", number)].from_source(str(source)),

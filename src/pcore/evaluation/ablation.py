@@ -82,7 +82,7 @@ class AblationFigure:
         if taken.state == self._state:
             self._deformed = taken
 
-    def pixels(self, methods: Sequence[str], *, cell: int = 240) -> Pixels:
+    def pixels(self, methods: Sequence[str]) -> Pixels:
         """Columns Canonical and every method, rows Rendering and Depth Map.
 
         The canonical column is vanilla PAPR's. Depth maps of the state share one colour scale,
@@ -90,7 +90,6 @@ class AblationFigure:
 
         Args:
             methods: names in the order of the columns; vanilla PAPR first.
-            cell: width of a picture on the sheet in pixels.
 
         Raises:
             InputError: the scene has no test view of that number.
@@ -104,9 +103,8 @@ class AblationFigure:
         photos = [self._deformed.photos[name] for name in methods]
         colors = [color_pixels(photo.rgb) for photo in (first, *photos)]
         depths = [_depth(first, first), *(_depth(photo, photos[-1]) for photo in photos)]
-        return sheet(
-            ["Canonical", *methods], [("Rendering", colors), ("Depth Map", depths)], cell=cell
-        )
+        rows = [("Rendering", colors), ("Depth Map", depths)]
+        return sheet(["Canonical", *methods], rows, cell=240)
 
 
 def _depth(photo: Image, scale: Image) -> Pixels:

@@ -15,7 +15,7 @@ from pcore.asset.content import LightName, RaysName
 from pcore.asset.gaussian_content import GaussianContent
 from pcore.asset.neural_points import NeuralPoints
 from pcore.data.scene import Scene
-from pcore.evaluation.asset_method import AssetMethod, Draw, draw_asset
+from pcore.evaluation.asset_method import AssetMethod
 from pcore.evaluation.contest import Contestant, Cost, Entry, Setting
 from pcore.evaluation.gaussian_method import (
     GaussianMethod,
@@ -91,8 +91,6 @@ def given_entries(
     runs: Sequence[Given],
     scene: Scene,
     wanted: Sequence[MethodName],
-    *,
-    take: Draw = draw_asset,
 ) -> list[Entry]:
     """Entries of runs; those that differ in their seed alone are one method of several seeds.
 
@@ -100,7 +98,6 @@ def given_entries(
         runs: from `open_subject`.
         scene: theirs; its training views say what was never seen.
         wanted: names of methods.
-        take: takes the pictures of neural points.
     """
     found: list[Entry] = []
     for run, alike in zip(runs, _alike(runs), strict=True):
@@ -117,7 +114,7 @@ def given_entries(
                 suffix=tuned + alike,
             )
         else:
-            found += _point_entries(run, scene, wanted, alike, take)
+            found += _point_entries(run, scene, wanted, alike)
     return found
 
 
@@ -217,12 +214,12 @@ def seed_of(asset: Asset) -> int:
 
 
 def _point_entries(
-    run: Given, scene: Scene, wanted: Sequence[MethodName], alike: str, take: Draw
+    run: Given, scene: Scene, wanted: Sequence[MethodName], alike: str
 ) -> list[Entry]:
     """Neural points: plain rays, aware rays, and those with a light."""
     asset = run.asset
     entries: list[Entry] = []
-    for method in methods_of([asset], scene, rays="both", light=None, take=take):
+    for method in methods_of([asset], scene, rays="both", light=None):
         key: MethodName = "papr" if method.rays == "plain" else "aware"
         key = "light" if method.light == "still" else key
         if key in wanted:

@@ -22,6 +22,8 @@ from pcore.geometry.camera import Camera
 
 TRUTH = "truth"
 Window = tuple[slice, slice]
+_MARGIN = 0.12
+"""Room around an object on every side, as a fraction of its longer side."""
 
 
 def shared_range(taken: Taken, names: Sequence[str]) -> Range | None:
@@ -75,7 +77,7 @@ def unseen_maps(taken: Taken, names: Sequence[str]) -> list[Pixels | None]:
     return [None, *(None if mask is None else tinted_pixels(rgb, mask) for rgb, mask in shown)]
 
 
-def comparison_sheet(taken: Taken, names: Sequence[str], *, cell: int = 220) -> Pixels:
+def comparison_sheet(taken: Taken, names: Sequence[str]) -> Pixels:
     """One sheet: truth and methods in columns; colours, depth, and what may be going wrong.
 
     A state without a truth has no column for it.
@@ -90,16 +92,12 @@ def comparison_sheet(taken: Taken, names: Sequence[str], *, cell: int = 220) -> 
     ]
     shown = [(title, row) for title, row in rows if any(picture is not None for picture in row)]
     if taken.rgba is None:
-        return sheet(names, [(title, row[1:]) for title, row in shown], cell=cell)
-    return sheet([TRUTH, *names], shown, cell=cell)
+        return sheet(names, [(title, row[1:]) for title, row in shown])
+    return sheet([TRUTH, *names], shown)
 
 
-def object_window(taken: Taken, *, margin: float = 0.12) -> Window:
+def object_window(taken: Taken) -> Window:
     """Rows and columns of a square around the true object, as large as the image at most.
-
-    Args:
-        taken: the pictures of a shot.
-        margin: room on every side, as a fraction of the object's longer side.
 
     Raises:
         InputError: a state without a truth.
@@ -112,7 +110,7 @@ def object_window(taken: Taken, *, margin: float = 0.12) -> Window:
     if not spans[0].size:
         return slice(0, size[0]), slice(0, size[1])
     longest = max(int(span[-1] - span[0]) + 1 for span in spans)
-    side = min(round(longest * (1 + 2 * margin)), *size)
+    side = min(round(longest * (1 + 2 * _MARGIN)), *size)
     starts = [
         min(max(0, (int(span[0] + span[-1]) + 1 - side) // 2), length - side)
         for span, length in zip(spans, size, strict=True)

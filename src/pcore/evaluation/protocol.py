@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from pcore.metrics.image_metrics import (
@@ -100,10 +99,7 @@ class ImageScores:
 
 
 def load_perceptual(
-    trunks: Sequence[TrunkName] = ("alex", "vgg"),
-    *,
-    folder: Path | None = None,
-    device: torch.device | str = "cpu",
+    trunks: Sequence[TrunkName] = ("alex", "vgg"), *, folder: Path | None = None
 ) -> Perceptual:
     """Load the LPIPS networks whose weights are on this machine and say which are not.
 
@@ -116,7 +112,7 @@ def load_perceptual(
         if find_weights(trunk, folder) is None:
             missing[trunk] = missing_weights(trunk, folder) or ""
         else:
-            loaded[trunk] = load_lpips(trunk, folder=folder, device=device)
+            loaded[trunk] = load_lpips(trunk, folder=folder)
     return Perceptual(loaded=loaded, missing=missing)
 
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from pcore.deform.skinning import AnchorPose, pose_of
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.anchors_edit import AnchorsEdit, HandleEdit
-from pcore.editing.animation import Animation, parse_animation
+from pcore.editing.animation import Animation
 from pcore.editing.regions import Setting
 from pcore.editing.script import EditScript
 from pcore.fitting.anchor_motion import rotation_vectors
@@ -115,7 +115,7 @@ def keyframed(scripts: Sequence[EditScript], times: Sequence[float]) -> Animatio
         }
         handles.append({"anchor": number, **keys})
     entry = {key: value for key, value in edit.items() if key in ("type", "count", "seed")}
-    return parse_animation({"version": 2, "edits": [{**entry, "handles": handles}]})
+    return Animation({"version": 2, "edits": [{**entry, "handles": handles}]})
 
 
 def _turning_on(script: EditScript) -> list[tuple[list[float], Tensor]]:

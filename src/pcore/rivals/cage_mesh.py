@@ -9,6 +9,9 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.render.distance_grid import DistanceGrid
 
+_CELLS = 7
+"""Voxels along the longest side of an object in a cage."""
+
 
 def largest_piece(grid: DistanceGrid) -> tuple[Tensor, Tensor]:
     """The largest closed piece of a surface: vertices (V, 3) float32 and faces (F, 3).
@@ -28,15 +31,11 @@ def largest_piece(grid: DistanceGrid) -> tuple[Tensor, Tensor]:
     return found, torch.from_numpy(np.array(largest.faces)).long()
 
 
-def coarse_cage(grid: DistanceGrid, *, cells: int = 7) -> tuple[Tensor, Tensor]:
+def coarse_cage(grid: DistanceGrid) -> tuple[Tensor, Tensor]:
     """A closed cage around the object: vertices (V, 3) and faces (F, 3).
 
     As Deforming-NeRF makes them: the object in voxels, marching cubes, ten steps of smoothing by
     0.2. It is one voxel wider all around, so that nothing is left outside.
-
-    Args:
-        grid: the object.
-        cells: voxels along its longest side.
 
     Raises:
         InputError: nothing is inside.
@@ -48,7 +47,7 @@ def coarse_cage(grid: DistanceGrid, *, cells: int = 7) -> tuple[Tensor, Tensor]:
     if not len(places):
         raise InputError("cage: expected an object inside, got none")
     low, high = places.amin(dim=0), places.amax(dim=0)
-    step = float((high - low).max()) / cells
+    step = float((high - low).max()) / _CELLS
     index = ((places - low) / step).floor().long()
     filled = torch.zeros(*(index.amax(dim=0) + 5).tolist())
     filled[tuple((index + 2).T)] = 1.0

@@ -76,9 +76,9 @@ def snail(step: float = 0.0115) -> PaintedMesh:
     )
 
 
-def _gradient(points: Array, width: float = 2e-3) -> Array:
+def _gradient(points: Array) -> Array:
     """Gradient (M, 3) of the field from its values at the four corners of a tetrahedron."""
-    corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    width, corners = 2e-3, np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     values = np.stack([_field(points + width * corner) for corner in corners], axis=1)
     return values @ corners / (4 * width)
 

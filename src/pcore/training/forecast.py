@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -171,9 +170,7 @@ def gaussian_forecast(scene: Scene, config: GaussianConfig, speed: Speed) -> For
     )
 
 
-def papr_forecast(
-    scene: Scene, config: PretrainConfig, clock: Callable[[], float] = time.process_time
-) -> Forecast:
+def papr_forecast(scene: Scene, config: PretrainConfig) -> Forecast:
     """Predict a training of PAPR, with the most points that it will have.
 
     A step of large patches is scaled from one of small patches: networks see every ray alone.
@@ -189,9 +186,10 @@ def papr_forecast(
     points = config.points if config.grow is None else config.grow.limit
     probe = replace(config, patch=replace(config.patch, side=probed, views=1), points=points)
     times = config.patch.views * _area(camera, side) / _area(camera, probed)
-    cost = papr_step(scene, probe, clock=clock)
+    cost = papr_step(scene, probe, clock=time.process_time)
     if spreads:
-        met = papr_step(scene, replace(probe, model=replace(probe.model, cutoff=None)), clock=clock)
+        free = replace(probe, model=replace(probe.model, cutoff=None))
+        met = papr_step(scene, free, clock=time.process_time)
         cost = StepCost(seconds=0.5 * (cost.seconds + met.seconds), memory=met.memory)
     return Forecast(
         model="papr",
