@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE
-from pcore.geometry.brief import Brief
+from pcore.geometry.tensors import Tensors
 
 THINNEST = 1e-4
 """Third scale of a flat Gaussian as a share of its smaller one, in files that have three."""
@@ -20,7 +19,7 @@ _UNIT = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Gaussians(Brief):
+class Gaussians(Tensors):
     """N Gaussians in world space.
 
     Attributes:
@@ -59,22 +58,6 @@ class Gaussians(Brief):
 
     def __len__(self) -> int:
         return self.means.shape[0]
-
-    def to(
-        self, device: torch.device | str | None = None, dtype: torch.dtype | None = None
-    ) -> Gaussians:
-        """Return the same on a device, in a floating-point type; None leaves either as it is."""
-        return self.each(lambda tensor: tensor.to(device=device, dtype=dtype))
-
-    def detached(self) -> Gaussians:
-        """Return the same, cut off from the autograd graph."""
-        return self.each(lambda tensor: tensor.detach())
-
-    def each(self, change: Callable[[Tensor], Tensor]) -> Gaussians:
-        """Return the same with every tensor changed; rows may be chosen so, too."""
-        return replace(
-            self, **{field.name: change(getattr(self, field.name)) for field in fields(self)}
-        )
 
     def checked(self, where: str) -> Gaussians:
         """Return the same after a look at every value; for what comes from files and users.

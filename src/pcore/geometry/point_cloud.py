@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from pcore.errors import InputError
-from pcore.geometry.brief import Brief
+from pcore.geometry.tensors import Tensors
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class PointCloud(Brief):
+class PointCloud(Tensors):
     """Extent-free neural points at rest: what is learned.
 
     Attributes:
@@ -46,24 +46,6 @@ class PointCloud(Brief):
 
     def __len__(self) -> int:
         return self.positions.shape[0]
-
-    def detached(self) -> PointCloud:
-        """Return a copy cut off from the autograd graph."""
-        return self.each(lambda tensor: tensor.detach())
-
-    def to(self, device: torch.device | str) -> PointCloud:
-        """Return the same points on a device; this very cloud when it is there already."""
-        if self.positions.device == torch.device(device):
-            return self
-        return self.each(lambda tensor: tensor.to(device))
-
-    def each(self, change: Callable[[Tensor], Tensor]) -> PointCloud:
-        """Return the same with every tensor changed."""
-        return PointCloud(
-            positions=change(self.positions),
-            features=change(self.features),
-            influence=change(self.influence),
-        )
 
     def extent(self) -> tuple[Tensor, Tensor]:
         """Lower and upper corner of the bounding box, (3,) each."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,13 +11,14 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.errors import InputError
+from pcore.geometry.tensors import Tensors
 
 _UNIT = 1e-3
 """By so much the length of a direction may be off."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RayBundle:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class RayBundle(Tensors):
     """Rays x(s) = origin + s direction, world units.
 
     Attributes:
@@ -89,14 +89,6 @@ class RayBundle:
             directions=self.directions.reshape(-1, samples, 3),
             samples=samples,
         )
-
-    def each(self, change: Callable[[Tensor], Tensor]) -> RayBundle:
-        """Return the same with both tensors changed."""
-        return replace(self, origins=change(self.origins), directions=change(self.directions))
-
-    def to(self, device: torch.device | str) -> RayBundle:
-        """Return the same rays on a device."""
-        return self.each(lambda tensor: tensor.to(device))
 
     def at(self, distances: Tensor) -> Tensor:
         """Places (..., 3) at distances (...) along the rays, world units; NaN where those are NaN.

@@ -6,7 +6,6 @@ that is where it is deep, where light falls on it, and where both change at an e
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -14,9 +13,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.errors import InputError
-from pcore.geometry.brief import Brief
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.neighbours import nearest
+from pcore.geometry.tensors import Tensors
 from pcore.geometry.visibility import cloud_spacing
 
 _BESIDE = 16
@@ -26,7 +25,7 @@ _KNOWN = 0.25
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Surfels(Brief):
+class Surfels(Tensors):
     """Small pieces of surface, one over each of N points.
 
     A model knows normals and heights at rest; the rest follows from where the points are.
@@ -120,20 +119,6 @@ class Surfels(Brief):
             beside=self.beside.to(positions.device),
             spacing=self.spacing * local_maps.followed_growth,
         )
-
-    def each(self, change: Callable[[Tensor], Tensor]) -> Surfels:
-        """Return the same with every tensor changed."""
-        return replace(
-            self,
-            places=change(self.places),
-            normals=change(self.normals),
-            heights=change(self.heights),
-            beside=change(self.beside),
-        )
-
-    def to(self, device: torch.device | str) -> Surfels:
-        """Return the same on a device."""
-        return self.each(lambda tensor: tensor.to(device))
 
 
 def determinants(matrices: Tensor) -> Tensor:

@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
-from pcore.geometry.brief import Brief
 from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
+from pcore.geometry.tensors import Tensors
 from pcore.relight.lamps import Light, falling_of
 from pcore.relight.relight_config import DEFAULT, RelightConfig
 from pcore.relight.shadows import Shadows, shadows_of
@@ -28,7 +28,7 @@ NO_GRADIENT = (
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Relighting(Brief):
+class Relighting(Tensors):
     """What it takes to light posed points anew.
 
     Attributes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Literal
 
 from pcore.contrib.learned_skinning import SkinningConfig
@@ -33,13 +33,7 @@ class Rates:
 
     def named(self) -> dict[str, Schedule]:
         """Schedules by parameter group."""
-        return {
-            "points": self.points,
-            "attention": self.attention,
-            "features": self.features,
-            "influence": self.influence,
-            "unet": self.unet,
-        }
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 
@@ -15,14 +16,12 @@ from pcore.training.compiling import compile_networks
 from pcore.training.config import FinetuneConfig
 from pcore.training.events import Listener, silent
 from pcore.training.held_out import validate
-from pcore.training.loop import autocast, run_loop
+from pcore.training.loop import run_loop
 from pcore.training.loop_plan import Plan
-from pcore.training.losses import Losses, mean_of, perceptual_loss
+from pcore.training.losses import perceptual_loss
 from pcore.training.near_origin import moved_trained, near_origin
 from pcore.training.objective import Objective
-from pcore.training.patches import draw_patch
 from pcore.training.random_motion import skinning_to_train
-from pcore.training.ranks import current_ranks
 from pcore.training.trainable import Trainable, trainable
 from pcore.training.trained import Trained
 
@@ -69,26 +68,11 @@ def finetune(
     if compiled:
         compile_networks(where, work.papr.unet, perceptual)
     objective = Objective(config, work, anchor, perceptual)
-
-    def losses() -> Losses:
-        batch = [
-            (
-                draw_patch(views, config.patch, config.background, work.generator, where),
-                objective.field(),
-            )
-            for _ in range(config.patch.views)
-        ]
-        found: list[Losses] = []
-        for patch, field in current_ranks().share(batch):
-            with autocast(where, enabled=config.mixed_precision):
-                found.append(objective(patch, field))
-        return mean_of(found, of=len(batch))
-
     rates = {} if config.skinning is None else {"skinning": config.skinning.rate}
     return run_loop(
         work,
         Plan.of(config, validation, scene.name, rates=rates),
-        losses,
+        partial(objective.of_step, views),
         budget=_budget(anchor, work, validation, config),
         finish=lambda tell: work.complete(scene.split("train"), tell),
         folder=folder,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
@@ -35,14 +35,7 @@ class GaussianRates:
 
     def named(self) -> dict[str, Schedule]:
         """Schedules by parameter group."""
-        return {
-            "means": self.means,
-            "scales": self.scales,
-            "quats": self.quats,
-            "opacities": self.opacities,
-            "colors": self.colors,
-            "harmonics": self.harmonics,
-        }
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     def times(self, factor: float) -> GaussianRates:
         """Return `factor` times these rates."""

@@ -249,14 +249,7 @@ def _pace(config: GaussianConfig, scene: Scene, clock: Clock) -> Pace:
         )
         for level in (*(config.levels or ()), Level(until=1.0, reduction=1))
     ]
-    return Pace(
-        config.steps,
-        validate_every=config.validate_every,
-        save_every=config.save_every,
-        seconds=config.seconds,
-        legs=legs,
-        clock=clock,
-    )
+    return Pace.of(config, seconds=config.seconds, legs=legs, clock=clock)
 
 
 def _degree(progress: float, config: GaussianConfig) -> int:

@@ -72,9 +72,7 @@ def run_loop(
     if budget is not None:
         work.best = {"weights": {k: t.clone() for k, t in budget.before.items()}, "kept_step": 0}
     ranks = current_ranks()
-    pace = plan.pace or Pace(
-        plan.steps, validate_every=plan.validate_every, save_every=plan.save_every
-    )
+    pace = plan.pace or Pace.of(plan)
     state = folder.load_state() if folder is not None else None
     _resume(work, plan, pace, ranks.from_first(state))
     if pace.done(work.step):
@@ -91,16 +89,17 @@ def run_loop(
             if pace.validates(work.step):
                 _validate(work, plan, budget, listener, last=pace.done(work.step))
             stop = ranks.any(bool(interrupted))
-            last = pace.done(work.step) or stop
-            if last and not stop:
+            finished = pace.done(work.step) and not stop
+            if finished:
                 finish(listener)
-            if last or pace.saves(work.step):
+            if finished or stop or pace.saves(work.step):
                 ranks.check_same(work.weights(), work.step)
-                _save(work, plan, pace, folder, listener, finished=last and not stop)
+                _save(work, plan, pace, folder, listener, finished=finished)
             if stop:
                 _stop(work, folder, listener)
     listener(_finished(work))
-    return _result(work)
+    # Those that met the budget last, where they are kept, else the last ones.
+    return work.result(work.best.get("weights"))
 
 
 def _finished(work: Work[Any]) -> Stopped:
@@ -206,11 +205,6 @@ def _keep(
         trade = {"share": part.share, **ends}
         work.best["trade"] = {**trade, "largest_loss": budget.largest_loss}
         listener(BudgetReport(stage=work.stage, step=work.step, **work.best["trade"]))
-
-
-def _result(work: Work[Result]) -> Result:
-    """Return the weights that met the budget last, where those are kept, else the last ones."""
-    return work.result(work.best.get("weights"))
 
 
 def _resume(work: Work[Any], plan: Plan, pace: Pace, state: TrainingState | None) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 
+from pcore.data.scene import View
 from pcore.deform.base import Deformation
 from pcore.deform.sampler import sample_deformation
 from pcore.geometry.posed import PosedCloud
@@ -16,9 +19,11 @@ from pcore.training.consistency import (
     points_only_rays,
     rays_and_points_rays,
 )
-from pcore.training.losses import Losses, Perceptual, photometric, training_image
-from pcore.training.patches import Patch
+from pcore.training.loop import autocast
+from pcore.training.losses import Losses, Perceptual, mean_of, photometric, training_image
+from pcore.training.patches import Patch, draw_patch
 from pcore.training.random_motion import FieldMotion, Motion, SkinnedMotion
+from pcore.training.ranks import current_ranks
 from pcore.training.trainable import Trainable
 from pcore.training.trained import Trained
 
@@ -45,6 +50,23 @@ class Objective:
         return sample_deformation(
             self._work.generator, self._lower, self._upper, self._points, self._config.ranges
         )
+
+    def of_step(self, views: Sequence[View]) -> Losses:
+        """Draw patches of views and a field for each, and compare; as `__call__`, the mean.
+
+        All processes draw all of them, so that they go on drawing alike.
+        """
+        config, generator = self._config, self._work.generator
+        where = self._work.cloud.positions.device
+        batch = [
+            (draw_patch(views, config.patch, config.background, generator, where), self.field())
+            for _ in range(config.patch.views)
+        ]
+        found: list[Losses] = []
+        for patch, field in current_ranks().share(batch):
+            with autocast(where, enabled=config.mixed_precision):
+                found.append(self(patch, field))
+        return mean_of(found, of=len(batch))
 
     def __call__(self, patch: Patch, deformation: Deformation) -> Losses:
         """L_rgb + lambda_geo L_geo + lambda_tex L_tex of a patch (paper, "Joint Loss")."""

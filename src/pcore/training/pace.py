@@ -11,9 +11,12 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pcore.errors import InputError
+
+if TYPE_CHECKING:
+    from pcore.training.loop_plan import Plan, Schedulable
 
 Clock = Callable[[], float]
 """Seconds since any moment."""
@@ -103,6 +106,19 @@ class Pace:
         self._save_at = 0.0 if seconds is None else min(_FIRST_SAVE, seconds / _SAVES)
         self._due = False
         self._first = 0  # Steps of other processes.
+
+    @classmethod
+    def of(
+        cls,
+        config: Schedulable | Plan,
+        *,
+        seconds: float | None = None,
+        legs: Sequence[Leg] = (),
+        clock: Clock = time.monotonic,
+    ) -> Pace:
+        """Make the pace of settings; the other arguments are those of a `Pace`."""
+        every = {"validate_every": config.validate_every, "save_every": config.save_every}
+        return cls(config.steps, **every, seconds=seconds, legs=legs, clock=clock)
 
     @property
     def elapsed(self) -> float:

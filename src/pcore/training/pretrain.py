@@ -84,13 +84,7 @@ def pretrain(
     check_masks(scene.split("train"))
     views, validation = hold_out(scene.split("train"), every=config.hold_out)
     work = begin(scene, views, config, where, origin)
-    pace = Pace(
-        config.steps,
-        validate_every=config.validate_every,
-        save_every=config.save_every,
-        seconds=config.seconds,
-        clock=clock,
-    )
+    pace = Pace.of(config, seconds=config.seconds, clock=clock)
     photos = PhotosInTurn(views)
     exposure = ViewExposure(len(views), where) if config.exposure else None
     work.fits_exposure = exposure is not None
