@@ -1,6 +1,6 @@
 """The paper's skinning table on the six true motions of the evaluation objects.
 
-    python benchmarks/skinning.py DATA RUNS [--joint NAME ...] [--views N] [--rays plain|aware]
+    python -m benchmarks.skinning DATA RUNS [--joint NAME ...] [--views N] [--rays plain|aware]
         [--lpips FOLDER] [--json FILE]
 
 DATA holds `deformed/{knight,robot}`, RUNS holds `knight`, `robot` and, tuned by `pcore finetune`,
@@ -28,6 +28,7 @@ import torch
 from torch import Tensor
 
 import pcore
+from benchmarks.surface_samples import load_samples
 from pcore.contrib.learned_skinning import SkinningConfig, untrained_skinning
 from pcore.contrib.skinning_fit import SkinningFitConfig, fit_skinning, skinning_error
 from pcore.deform.anchor_distance import (
@@ -44,7 +45,6 @@ from pcore.editing.anchors import SIGMA, anchor_graph, pose_from_places
 from pcore.evaluation.ground_truth import DeformedTruth
 from pcore.evaluation.protocol import STANDARD, Perceptual, load_perceptual, measure
 from pcore.evaluation.states import State, open_states
-from pcore.evaluation.surface_samples import load_samples
 from pcore.geometry.farthest_points import ANCHORS, farthest_points
 from pcore.metrics.point_metrics import compare_clouds
 

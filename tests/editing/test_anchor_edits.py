@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from benchmarks.surface_samples import load_samples
 from pydantic import ValidationError
 
 from pcore.deform.anchor_distance import distance_weigher, path_distance
@@ -16,7 +17,6 @@ from pcore.editing.arap import Dragger, Handle, drag
 from pcore.editing.script import parse_edit
 from pcore.errors import EditError, InputError
 from pcore.evaluation.ground_truth import load_truth
-from pcore.evaluation.surface_samples import load_samples
 from pcore.geometry.farthest_points import farthest_points
 
 

@@ -16,7 +16,7 @@ from pcore.data.scene import Scene, View
 from pcore.errors import InputError
 from pcore.gaussians.gaussians import THINNEST, Gaussians
 from pcore.training.gaussian_config import GaussianConfig
-from pcore.training.hull import hull_points
+from pcore.training.hull import hull_of
 from pcore.training.near_origin import moved
 from pcore.training.photo_consistency import consistent_points
 
@@ -80,14 +80,7 @@ def start_gaussians(
     start = chosen_start(scene, config.start)
     distance = camera_distance(scene)
     if start == "hull":
-        if not all(view.has_alpha for view in views):
-            raise InputError(
-                f"scene {scene.name}: expected images with an alpha channel for a visual hull, got "
-                'photos without one; start from "views" or from a PLY or NPY file of points'
-            )
-        positions = hull_points(
-            config.points, views, scene.lower, scene.upper, generator=generator, region=scene.region
-        )
+        positions = hull_of(scene, views, config.points, generator, instead="views")
     elif start == "views" and all(view.has_alpha for view in views):
         positions = _consistent_in_masks(scene, config.points, views, generator)
     elif start == "views":

@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from pcore.errors import TrainingError
+from pcore.data.scene import Scene, View
+from pcore.errors import InputError, TrainingError
 from pcore.geometry.camera import Camera
 from pcore.geometry.capture_axes import capture_axes
 from pcore.geometry.object_region import Region
@@ -127,6 +128,31 @@ def hull_points(
     drawn = torch.rand(count, generator=generator) * len(surface)
     jitter = torch.rand(count, 3, generator=generator) - 0.5
     return (surface[drawn.long().clamp_max(len(surface) - 1)] + jitter * size) @ axes.T
+
+
+def hull_of(
+    scene: Scene, views: Sequence[View], count: int, generator: torch.Generator, *, instead: str
+) -> Tensor:
+    """Points (count, 3) as `hull_points`, where a scene has its object.
+
+    Args:
+        scene: says where that is.
+        views: training views.
+        count: number of points.
+        generator: of the draws.
+        instead: for messages, where points can start without masks.
+
+    Raises:
+        InputError: a view without a mask.
+        TrainingError: when the silhouettes have no common inside.
+    """
+    if not all(view.has_alpha for view in views):
+        raise InputError(
+            f"scene {scene.name}: expected images with an alpha channel for a visual hull, got "
+            f'photos without one; start from "{instead}" or from a PLY or NPY file of points'
+        )
+    bounds, region = (scene.lower, scene.upper), scene.region
+    return hull_points(count, views, *bounds, generator=generator, region=region)
 
 
 def faint_share(views: Sequence[MaskedView]) -> float:

@@ -14,7 +14,7 @@ from pcore.data.scene import Scene, View
 from pcore.errors import InputError
 from pcore.model.papr_config import NetworkFrame
 from pcore.training.config import PretrainConfig
-from pcore.training.hull import grid_points, hull_points
+from pcore.training.hull import grid_points, hull_of
 from pcore.training.near_origin import moved
 
 _GRID_HALF_SIDE = 1.2
@@ -66,14 +66,7 @@ def start_positions(
         TrainingError: the masks have no common inside.
     """
     if config.start == "hull":
-        if not all(view.has_alpha for view in views):
-            raise InputError(
-                f"scene {scene.name}: expected images with an alpha channel for a visual hull, got "
-                'photos without one; start from "grid" or from a PLY or NPY file of points'
-            )
-        return hull_points(
-            config.points, views, scene.lower, scene.upper, generator=generator, region=scene.region
-        )
+        return hull_of(scene, views, config.points, generator, instead="grid")
     if config.start == "grid":
         middle, unit = ((0.0, 0.0, 0.0), 1.0) if frame is None else (frame.center, frame.unit)
         center, half = torch.tensor(middle), _GRID_HALF_SIDE * unit

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.surface_samples import load_samples
 
 from pcore.errors import SceneError
 from pcore.evaluation.ground_truth import load_truth
-from pcore.evaluation.surface_samples import load_samples
 
 ARRAYS = {
     "canonical": np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
