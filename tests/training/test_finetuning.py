@@ -331,7 +331,7 @@ def test_a_stopped_run_has_the_weights_that_met_the_budget_last(
 ) -> None:
     seen = falling(30.0, 29.8, 20.0)
     config = finetune_config(steps=6, validate_every=2, largest_loss=0.5)
-    ctrl_c_at(monkeypatch, module, 5)
+    ctrl_c_at(monkeypatch, objective, 5)
     with pytest.raises(KeyboardInterrupt, match="step 5 is saved"):
         in_folder(box, config, tmp_path / "run", resume=False)
     saved = load_model(tmp_path / "run")
@@ -384,7 +384,7 @@ def test_resuming_is_bitwise(
 ) -> None:
     config = finetune_config(**changes)
     expected = finetune(box, box_model(), config)
-    ctrl_c_at(monkeypatch, module, step)
+    ctrl_c_at(monkeypatch, objective, step)
     with pytest.raises(KeyboardInterrupt, match=f"step {step} is saved"):
         in_folder(box, config, tmp_path / "run", resume=False)
     result = in_folder(box, config, tmp_path / "run", resume=True)
@@ -400,7 +400,7 @@ def test_resuming_a_run_whose_budget_binds_is_bitwise(
 ) -> None:
     config, path = finetune_config(largest_loss=0.02, **HARD), tmp_path / "run"
     expected = finetune(box, learned, config)
-    ctrl_c_at(monkeypatch, module, step)
+    ctrl_c_at(monkeypatch, objective, step)
     with pytest.raises(KeyboardInterrupt, match=f"step {step} is saved"):
         in_folder(box, config, path, resume=False, base=learned)
     result = in_folder(box, config, path, resume=True, base=learned)

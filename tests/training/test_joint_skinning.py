@@ -19,7 +19,7 @@ from pcore.files.records import from_dict, to_dict
 from pcore.files.run_folder import RunFolder
 from pcore.files.skinning_file import load_skinning
 from pcore.training import finetune as module
-from pcore.training import trainable
+from pcore.training import objective, trainable
 from pcore.training.config import FinetuneConfig, Rates, SkinningTrainConfig
 from pcore.training.events import Listener, Saved, StepReport, silent
 from pcore.training.finetune import finetune
@@ -175,7 +175,7 @@ def test_resuming_is_bitwise(
 ) -> None:
     config = finetune_config(skinning=SKINNING, **changes)
     expected = finetune(box, box_model(), config)
-    ctrl_c_at(monkeypatch, module, step)
+    ctrl_c_at(monkeypatch, objective, step)
     with pytest.raises(KeyboardInterrupt, match=f"step {step} is saved"):
         in_folder(box, config, tmp_path / "run", resume=False)
     heard = Heard()
