@@ -77,6 +77,28 @@ def test_gradients_reach_coefficients_and_directions():
 
 
 @pytest.mark.parametrize("degree", range(HIGHEST_DEGREE + 1))
+def test_the_loops_say_what_the_basis_says(degree: int) -> None:
+    """Three directions of each of 600, several chunks: colours, gradients, sums over directions."""
+    source = torch.Generator().manual_seed(degree)
+    sh = torch.randn(600, (degree + 1) ** 2, 3, generator=source, dtype=torch.float64)
+    seen = directions(1800).view(3, 600, 3)
+    weights = torch.randn(3, 600, 3, generator=source, dtype=torch.float64)
+    results = []
+    for by_loops in (True, False):
+        own, along = sh.clone().requires_grad_(), seen.clone().requires_grad_()
+        if by_loops:
+            rgb = colors(own, along)
+        else:
+            values = basis(degree, along) + 0 * along.sum()
+            rgb = (0.5 + torch.einsum("cnk,nkd->cnd", values, own)).clamp_min(0.0)
+        (rgb * weights).sum().backward()
+        results.append((rgb.detach(), own.grad, along.grad))
+    assert float(results[0][0].min()) == 0.0 < float(results[0][1].abs().max())
+    for ours, theirs in zip(*results, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("degree", range(HIGHEST_DEGREE + 1))
 def test_factors_on_coefficients_are_factors_on_colours(degree):
     source = torch.Generator().manual_seed(degree)
     sh = torch.randn(50, (degree + 1) ** 2, 3, generator=source, dtype=torch.float64)

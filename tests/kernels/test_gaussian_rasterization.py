@@ -4,7 +4,7 @@ the formulas against numeric gradients and against gsplat's own torch code."""
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -327,3 +327,48 @@ def test_projection_is_that_of_gsplat() -> None:
         (found.shares, shares),
     ):
         torch.testing.assert_close(ours[seen], theirs[seen], rtol=1e-4, atol=1e-5)
+
+
+def projected(module: ModuleType, inputs: dict[str, Tensor], shares: Tensor) -> list[Tensor]:
+    """What is seen in front of the cameras, and gradients by all inputs."""
+    own = {name: one.clone().requires_grad_() for name, one in inputs.items()}
+    found = module.project(
+        own["means"],
+        module.covariances_of(own["quats"], own["scales"]),
+        own["viewmats"],
+        own["Ks"],
+        (WIDTH, HEIGHT),
+        near_plane=0.3,
+        eps2d=0.1,
+    )
+    values = torch.cat(
+        [found.means, found.depths[..., None], found.conics, found.shares[..., None]], dim=-1
+    )
+    values = values[found.depths > 0.3]
+    (values * shares[: len(values)]).sum().backward()
+    return [values.detach(), *(one.grad for one in own.values() if one.grad is not None)]
+
+
+def test_projection_is_the_reference() -> None:
+    """Several chunks, three cameras, many beyond the border: values and all gradients."""
+    source = torch.Generator().manual_seed(3)
+    turns = torch.linalg.qr(torch.randn(3, 3, 3, generator=source, dtype=torch.float64)).Q
+    viewmats = torch.eye(4, dtype=torch.float64).repeat(3, 1, 1)
+    viewmats[:, :3, :3], viewmats[:, 2, 3] = turns, 2.5
+    lens = torch.tensor([[60.0, 0, 20], [0, 50, 15], [0, 0, 1]], dtype=torch.float64)
+    inputs = {
+        "means": 1.5 * torch.randn(600, 3, generator=source, dtype=torch.float64),
+        "quats": torch.randn(600, 4, generator=source, dtype=torch.float64),
+        "scales": 0.01 + 0.1 * torch.rand(600, 3, generator=source, dtype=torch.float64),
+        "viewmats": viewmats,
+        "Ks": lens.repeat(3, 1, 1),
+    }
+    shares = torch.randn(1800, 7, generator=source, dtype=torch.float64)
+    ours = projected(gaussian_projection, inputs, shares)
+    theirs = projected(reference_gaussians, inputs, shares)
+    assert len(ours) == 6
+    assert 1000 < len(ours[0]) < 1800
+    for one, other in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-10 * float(other.abs().max()))
+    again = projected(gaussian_projection, inputs, shares)
+    assert all(torch.equal(one, other) for one, other in zip(ours, again, strict=True))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pcore.training.config import FinetuneConfig, PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig
@@ -29,5 +29,7 @@ class DemoSettings:
 def default_settings() -> DemoSettings:
     """Settings of `pcore demo`."""
     return DemoSettings(
-        gaussians=gaussian_preset("tiny"), pretrain=demo_pretrain(), finetune=demo_finetune()
+        gaussians=replace(gaussian_preset("tiny"), steps=1400, validate_every=700, save_every=700),
+        pretrain=demo_pretrain(),
+        finetune=demo_finetune(),
     )

@@ -14,8 +14,11 @@ from __future__ import annotations
 import math
 from functools import cache
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from pcore.kernels import cpu_harmonics
 
 HIGHEST_DEGREE = 4
 
@@ -69,6 +72,13 @@ def factor(l: int, m: int) -> float:  # noqa: E741
     return (-1) ** m * math.sqrt(squared * (2 if m else 1))
 
 
+@cache
+def _factors(degree: int) -> np.ndarray:
+    """(degree + 1, degree + 1) factors by l and m."""
+    orders = range(degree + 1)
+    return np.array([[factor(max(row, m), m) * (m <= row) for m in orders] for row in orders])
+
+
 def colors(sh: Tensor, directions: Tensor) -> Tensor:
     """Colours max(0, 0.5 + sum_k Y_k sh_k), red, green, blue; differentiable.
 
@@ -79,7 +89,13 @@ def colors(sh: Tensor, directions: Tensor) -> Tensor:
     Returns:
         (..., 3) not negative; more than 1 is possible.
     """
-    values = basis(math.isqrt(sh.shape[-2]) - 1, directions)
+    degree = math.isqrt(sh.shape[-2]) - 1
+    if sh.device.type == "cpu" and sh.ndim == 3 and directions.shape[-2] == len(sh):
+        found = cpu_harmonics.colors(
+            sh, directions.reshape(-1, *directions.shape[-2:]), _factors(degree)
+        )
+        return found.view(directions.shape)
+    values = basis(degree, directions)
     # A product of matrices: the sum over k, and its gradients, in two thirds of the time.
     return (0.5 + (values.unsqueeze(-2) @ sh).squeeze(-2)).clamp_min(0.0)
 

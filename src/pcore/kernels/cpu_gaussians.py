@@ -12,6 +12,7 @@ from pcore.geometry.torch_threads import use_torch_threads
 from pcore.kernels.cpu_gaussian_lists import Lists, listed
 from pcore.kernels.cpu_gaussian_loops import blend, blend_backward, sum_pairs
 from pcore.kernels.cpu_gaussian_meets import Discs, Splats
+from pcore.kernels.numba_bridge import as_array
 
 
 def blended(
@@ -66,10 +67,10 @@ class _Blend(torch.autograd.Function):
         use_torch_threads()
         splats = _splats(means, shapes, opacities, colors, precision, deep)
         lists = listed(
-            _plain(means),
-            _plain(shapes),
-            _plain(opacities),
-            _plain(depths),
+            as_array(means),
+            as_array(shapes),
+            as_array(opacities),
+            as_array(depths),
             size,
             near_plane,
             precision,
@@ -103,17 +104,13 @@ class _Blend(torch.autograd.Function):
         return to_means, to_shapes, to_opacities.squeeze(-1), to_colors, *nothing
 
 
-def _plain(tensor: Tensor) -> np.ndarray:
-    return np.ascontiguousarray(tensor.detach().numpy())
-
-
 def _splats(
     means: Tensor, shapes: Tensor, opacities: Tensor, colors: Tensor, precision: float, deep: bool
 ) -> Splats | Discs:
     arrays = (
-        _plain(means).reshape(-1, 2),
-        _plain(shapes).reshape(-1, shapes.shape[-1]),
-        _plain(opacities).reshape(-1),
-        _plain(colors).reshape(-1, colors.shape[-1]),
+        as_array(means).reshape(-1, 2),
+        as_array(shapes).reshape(-1, shapes.shape[-1]),
+        as_array(opacities).reshape(-1),
+        as_array(colors).reshape(-1, colors.shape[-1]),
     )
     return Splats(*arrays) if shapes.shape[-1] == 3 else Discs(*arrays, precision, deep)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pcore.kernels.gaussian_projection import SMALLEST_SHARE
+from pcore.kernels.cpu_projection_loops import SMALLEST_SHARE
 
 _EDGE_ON = 1e-6
 """Least area of A as a share of its squared size: flatter discs would be divided by zero."""

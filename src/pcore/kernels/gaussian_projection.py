@@ -1,21 +1,23 @@
-"""Gaussians in space to Gaussians in the picture: element by element in torch, with gradients.
+"""Gaussians in space to Gaussians in the picture on the CPU, with gradients.
 
-Every quantity is kept as its components (C, N) or (N,). Batched products of 3 x 3 matrices say the
-same (`reference_gaussians` does it so) and take several times as long on a CPU.
+`reference_gaussians` says the same by products of matrices, `cpu_projection_loops` how.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-BEYOND = 0.15
-"""The linearised projection follows centres up to so many picture sizes beyond the border."""
-SMALLEST_SHARE = 1e-12
-"""Least squared part of its opacity that the screen filter leaves a Gaussian, for its root."""
+from pcore.geometry.torch_threads import use_torch_threads
+from pcore.kernels.cpu_covariance_loops import covariances, covariances_backward
+from pcore.kernels.cpu_projection_gradients import project_backward
+from pcore.kernels.cpu_projection_loops import CHUNK
+from pcore.kernels.cpu_projection_loops import project as fill_projected
+from pcore.kernels.numba_bridge import as_array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +40,7 @@ class Projected:
 
 def project(
     means: Tensor,
-    covariances: Sequence[Tensor],
+    covariances: Tensor,
     viewmats: Tensor,
     intrinsics: Tensor,
     size: tuple[int, int],
@@ -50,90 +52,109 @@ def project(
 
     Args:
         means: (N, 3) world units.
-        covariances: xx, xy, xz, yy, yz, zz, each (N,), world units squared.
+        covariances: (N, 6) entries xx, xy, xz, yy, yz, zz, world units squared.
         viewmats: (C, 4, 4) camera from world, OpenCV axes (z forward).
         intrinsics: (C, 3, 3) without skew, pixels.
         size: width and height, pixels.
         near_plane: depths below it are taken for this one, so that nothing is divided by zero.
         eps2d: variance of the screen filter, pixels squared.
     """
-    rows = [row.unbind(-1) for row in viewmats[:, :3].unbind(-2)]
-    rows = [[entry.unsqueeze(-1) for entry in row] for row in rows]
-    x, y, z = means.unbind(-1)
-    right, down, depth = (r[0] * x + r[1] * y + r[2] * z + r[3] for r in rows)
-    ahead = depth.clamp_min(near_plane)
-    lens_x, lens_y = _lens(intrinsics, 0), _lens(intrinsics, 1)
-    slope_x, slope_y = right / ahead, down / ahead
-    means2d = torch.stack(
-        [lens_x[0] * slope_x + lens_x[1], lens_y[0] * slope_y + lens_y[1]], dim=-1
-    )
-    first = _gradient_of_slope(rows[0], rows[2], slope_x, ahead, lens_x, size[0])
-    second = _gradient_of_slope(rows[1], rows[2], slope_y, ahead, lens_y, size[1])
-    along, beside = _times(covariances, first), _times(covariances, second)
-    xx, xy, yy = _dot(first, along), _dot(second, along), _dot(second, beside)
-    before = xx * yy - xy * xy
-    xx, yy = xx + eps2d, yy + eps2d
-    area = xx * yy - xy * xy
-    return Projected(
-        means=means2d,
-        depths=depth,
-        conics=torch.stack([yy / area, -xy / area, xx / area], dim=-1),
-        shares=(before / area).clamp(SMALLEST_SHARE, 1.0).sqrt(),
-    )
+    screen = (float(size[0]), float(size[1]), near_plane, eps2d)
+    given = (one.to(means.dtype) for one in (covariances, viewmats, intrinsics))
+    means2d, depths, conics, shares = _Projection.apply(means, *given, screen)
+    return Projected(means=means2d, depths=depths, conics=conics, shares=shares)
 
 
-def covariances_of(quats: Tensor, scales: Tensor) -> list[Tensor]:
-    """Entries xx, xy, xz, yy, yz, zz (N,) of R S S R^T.
+def covariances_of(quats: Tensor, scales: Tensor) -> Tensor:
+    """Entries xx, xy, xz, yy, yz, zz (N, 6) of R S S R^T.
 
     Args:
         quats: (N, 4) w x y z, of any length but zero.
         scales: (N, 3) standard deviations.
     """
-    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
-    a, b, c = scales.unbind(-1)
-    first = ((1 - 2 * (y * y + z * z)) * a, 2 * (x * y - w * z) * b, 2 * (x * z + w * y) * c)
-    second = (2 * (x * y + w * z) * a, (1 - 2 * (x * x + z * z)) * b, 2 * (y * z - w * x) * c)
-    third = (2 * (x * z - w * y) * a, 2 * (y * z + w * x) * b, (1 - 2 * (x * x + y * y)) * c)
-    rows = (first, second, third)
-    return [_dot(rows[i], rows[j]) for i in range(3) for j in range(i, 3)]
+    return _Covariances.apply(quats, scales)
 
 
-def entries_of(covars: Tensor) -> list[Tensor]:
-    """Entries xx, xy, xz, yy, yz, zz (N,) of symmetric matrices (N, 3, 3)."""
-    rows = [row.unbind(-1) for row in covars.unbind(-2)]
+def entries_of(covars: Tensor) -> Tensor:
+    """Entries xx, xy, xz, yy, yz, zz (N, 6) of the symmetric part of matrices (N, 3, 3)."""
     # Both triangles get gradient, as a symmetric matrix's must.
-    return [rows[i][i] if i == j else (rows[i][j] + rows[j][i]) / 2 for i, j in _UPPER]
+    return ((covars + covars.mT) / 2).flatten(-2)[..., _UPPER]
 
 
-_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_UPPER = [0, 1, 2, 4, 5, 8]
 
 
-def _lens(intrinsics: Tensor, axis: int) -> tuple[Tensor, Tensor]:
-    """Focal length and principal point along one axis, (C, 1) each."""
-    return intrinsics[:, axis, axis, None], intrinsics[:, axis, 2, None]
+class _Covariances(torch.autograd.Function):
+    """Entries xx, xy, xz, yy, yz, zz (N, 6) of R S S R^T, from quats (N, 4) and scales (N, 3)."""
+
+    @staticmethod
+    def forward(ctx: Any, quats: Tensor, scales: Tensor) -> Tensor:
+        use_torch_threads()
+        found = quats.new_empty(len(quats), 6)
+        covariances(as_array(quats), as_array(scales), found.numpy())
+        ctx.save_for_backward(quats, scales)
+        return found
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, ...]:
+        use_torch_threads()
+        quats, scales = ctx.saved_tensors
+        to_quats = quats.new_empty(quats.shape)
+        to_scales = scales.new_empty(scales.shape)
+        covariances_backward(
+            as_array(quats),
+            as_array(scales),
+            as_array(gradients[0]),
+            (to_quats.numpy(), to_scales.numpy()),
+        )
+        return to_quats, to_scales
 
 
-def _gradient_of_slope(
-    across: Sequence[Tensor],
-    forward: Sequence[Tensor],
-    slope: Tensor,
-    depth: Tensor,
-    lens: tuple[Tensor, Tensor],
-    pixels: int,
-) -> list[Tensor]:
-    """Derivative of a pixel coordinate by the place in the world: three components (C, N)."""
-    focal, middle = lens
-    room = BEYOND * pixels
-    slope = slope.clamp(-(middle + room) / focal, (pixels - middle + room) / focal)
-    per_depth = focal / depth
-    return [per_depth * (a - slope * f) for a, f in zip(across[:3], forward[:3], strict=True)]
+class _Projection(torch.autograd.Function):
+    """Places in the picture, depths, conics and shares; see `project`.
 
+    Inputs: means (N, 3), covariances (N, 6), viewmats (C, 4, 4), intrinsics (C, 3, 3), all of one
+    type, and how the screen is: width, height, near plane, variance of the filter.
+    """
 
-def _times(covariances: Sequence[Tensor], vector: Sequence[Tensor]) -> list[Tensor]:
-    xx, xy, xz, yy, yz, zz = covariances
-    x, y, z = vector
-    return [xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z]
+    @staticmethod
+    def forward(
+        ctx: Any,
+        means: Tensor,
+        covariances: Tensor,
+        viewmats: Tensor,
+        intrinsics: Tensor,
+        screen: tuple[float, float, float, float],
+    ) -> tuple[Tensor, ...]:
+        use_torch_threads()
+        count = len(viewmats), len(means)
+        found = tuple(means.new_empty(*count, *rest) for rest in ((2,), (), (3,), ()))
+        fill_projected(
+            (as_array(means), as_array(covariances)),
+            (as_array(viewmats), as_array(intrinsics)),
+            screen,
+            tuple(one.numpy() for one in found),
+        )
+        ctx.save_for_backward(means, covariances, viewmats, intrinsics)
+        ctx.screen = screen
+        return found
 
-
-def _dot(first: Sequence[Tensor], second: Sequence[Tensor]) -> Tensor:
-    return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        use_torch_threads()
+        means, covariances, viewmats, intrinsics = ctx.saved_tensors
+        to_means, to_covariances = means.new_empty(means.shape), means.new_empty(covariances.shape)
+        chunks = (len(means) + CHUNK - 1) // CHUNK
+        to_cameras = np.zeros((chunks, len(viewmats), 4, 4))
+        to_lenses = np.zeros((chunks, len(viewmats), 3, 3))
+        project_backward(
+            (as_array(means), as_array(covariances)),
+            (as_array(viewmats), as_array(intrinsics)),
+            ctx.screen,
+            tuple(as_array(one) for one in gradients),
+            (to_means.numpy(), to_covariances.numpy(), to_cameras, to_lenses),
+        )
+        cameras, lenses = (
+            torch.from_numpy(one.sum(axis=0)).to(means) for one in (to_cameras, to_lenses)
+        )
+        return to_means, to_covariances, cameras, lenses, None

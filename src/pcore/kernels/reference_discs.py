@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from pcore.kernels.gaussian_projection import SMALLEST_SHARE
+from pcore.kernels.cpu_projection_loops import SMALLEST_SHARE
 from pcore.kernels.reference_gaussians import composited, pixel_centers
 
 

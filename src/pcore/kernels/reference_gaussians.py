@@ -11,7 +11,8 @@ from torch import Tensor
 
 from pcore.kernels.cpu_gaussian_lists import FAINTEST
 from pcore.kernels.cpu_gaussian_loops import FULL, HALF, MOST_OPAQUE
-from pcore.kernels.gaussian_projection import BEYOND, SMALLEST_SHARE, Projected
+from pcore.kernels.cpu_projection_loops import BEYOND, SMALLEST_SHARE
+from pcore.kernels.gaussian_projection import Projected
 
 
 def covariances_of(quats: Tensor, scales: Tensor) -> Tensor:

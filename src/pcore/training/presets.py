@@ -184,11 +184,11 @@ def demo_pretrain() -> PretrainConfig:
     """Return `tiny`, shortened for the embedded sample."""
     return replace(
         TINY,
-        steps=1100,
+        steps=750,
         points=4000,
         front_weight=0.3,
-        validate_every=275,
-        save_every=275,
+        validate_every=250,
+        save_every=250,
     )
 
 
@@ -268,4 +268,4 @@ def skinning_preset(name: SkinningName) -> SkinningTrainConfig:
 
 def demo_finetune() -> FinetuneConfig:
     """Return the fine-tuning of `tiny`, shortened for the embedded sample."""
-    return replace(_FINETUNE["tiny"], steps=500, front_weight=0.3)
+    return replace(_FINETUNE["tiny"], steps=350, front_weight=0.3)

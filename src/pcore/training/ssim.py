@@ -25,8 +25,9 @@ def ssim(prediction: Tensor, target: Tensor) -> Tensor:
         A scalar, 1 for equal pictures.
     """
     first, second = (one.permute(0, 3, 1, 2) for one in (prediction, target))
-    products = torch.cat([first, second, first * first, second * second, first * second], dim=1)
-    a, b, aa, bb, ab = _blurred(products).chunk(5, dim=1)
+    # Apart, so that what has no gradient is not blurred on the way back.
+    a, aa, ab = _blurred(torch.cat([first, first * first, first * second], dim=1)).chunk(3, dim=1)
+    b, bb = _blurred(torch.cat([second, second * second], dim=1)).chunk(2, dim=1)
     squares, product = a * a + b * b, a * b
     means = (2 * product + _MEAN_GUARD) / (squares + _MEAN_GUARD)
     contrasts = (2 * (ab - product) + _CONTRAST_GUARD) / (aa + bb - squares + _CONTRAST_GUARD)
