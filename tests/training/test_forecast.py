@@ -68,15 +68,17 @@ def test_points_that_spread_take_longer(box: Scene, monkeypatch: pytest.MonkeyPa
     """On a grid few rays meet points, in the end all do: the mean of both, and a wider bound."""
     seconds = {True: 1.0, False: 3.0}
 
-    def step(scene: Scene, config: PretrainConfig, clock: object) -> StepCost:
+    def step(scene: Scene, config: PretrainConfig, *_: object) -> StepCost:
         return StepCost(seconds=seconds[config.model.cutoff is not None], memory=2.0)
 
-    monkeypatch.setattr(forecast, "papr_step", step)
+    monkeypatch.setattr(measured_speed, "_timed_step", step)
     config = pretrain_config(model=replace(CONFIG, cutoff=0.1), steps=100)
     hull, grid = (papr_forecast(box, replace(config, start=start)) for start in ("hull", "grid"))
     assert hull.seconds is not None
     assert grid.seconds == pytest.approx(2 * hull.seconds)
     assert (hull.within, grid.within) == (1.3, 2.0)
+    # What `pcore train` says and plans by.
+    assert papr_step(box, replace(config, start="grid")).seconds == 2.0
 
 
 def test_steps_are_timed_with_decoded_photos_from_one_start(

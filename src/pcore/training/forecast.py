@@ -15,7 +15,7 @@ from pcore.errors import InputError, TrainingError
 from pcore.geometry.camera import Camera
 from pcore.training.config import PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig
-from pcore.training.measured_speed import StepCost, measured_speed, papr_step
+from pcore.training.measured_speed import measured_speed, papr_step, spreads
 from pcore.training.presets import PretrainName, gaussian_preset, preset
 from pcore.training.speed import Speed
 
@@ -177,27 +177,22 @@ def papr_forecast(
     """Predict a training of PAPR, with the most points that it will have.
 
     A step of large patches is scaled from one of small patches: networks see every ray alone.
-    Points of a grid spread until nearly every ray meets some: the time is the mean of both ends.
 
     Raises:
         InputError: the scene has no silhouettes for a visual hull.
     """
     camera, side = _largest(scene), config.patch.side
-    spreads = config.start == "grid" and config.model.cutoff is not None
     scaled = side > _SMALL
     probed = _PROBE if scaled else side
     points = config.points if config.grow is None else config.grow.limit
     probe = replace(config, patch=replace(config.patch, side=probed, views=1), points=points)
     times = config.patch.views * _area(camera, side) / _area(camera, probed)
     cost = papr_step(scene, probe, clock=clock)
-    if spreads:
-        met = papr_step(scene, replace(probe, model=replace(probe.model, cutoff=None)), clock=clock)
-        cost = StepCost(seconds=0.5 * (cost.seconds + met.seconds), memory=met.memory)
     return Forecast(
         model="papr",
         preset="tiny",
         seconds=_MORE * config.steps * times * cost.seconds,
-        within=_SCALED if scaled or spreads else _TIMED,
+        within=_SCALED if scaled or spreads(config) else _TIMED,
         memory=_photo_memory(scene) + _PASSING * times * cost.memory,
         quality="",
         how="a few steps of a smaller patch timed now" if scaled else "a few steps timed now",
