@@ -33,8 +33,6 @@ _LOOSE, _JUDGED, _SURE = 0.6, 0.75, 0.85
 for, where masks are judged, and where there is object for certain."""
 _FULL, _MOSTLY = 0.97, 0.5
 """Share of a picture that leaves no background, and share of the photos that may lack it."""
-_ROOM, _LEAST_ROOM = 0.15, 8
-"""Known background around what is cut, as a share of its sides, and at least so many pixels."""
 _ON_SPHERE = 400
 _FEW = 8
 """Fewer points than that have no outline to go by."""
@@ -252,27 +250,15 @@ def _cut(rgb: Tensor, seed: Bits, near: Bits, core: Bits | None) -> Bits:
     trimap[seed > 0] = cv2.GC_PR_FGD
     if core is not None:
         trimap[_shrunken(core, _reach(seed)) > 0] = cv2.GC_FGD
-    part = _around(near | seed)
-    trimap, pixels = trimap[part].copy(), (255 * rgb[part].clamp(0, 1)).round().byte().numpy()
+    pixels = (255 * rgb.clamp(0, 1)).round().byte().numpy()
     models = np.zeros((1, 65)), np.zeros((1, 65))
     # OpenCV draws its clusters from a generator of its own, which is shared by the process.
     cv2.setRNGSeed(0)
     cv2.grabCut(
         np.ascontiguousarray(pixels), trimap, None, *models, _ITERATIONS, cv2.GC_INIT_WITH_MASK
     )
-    found = np.zeros_like(seed)
-    found[part] = (trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)
+    found = ((trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)).astype(np.uint8)
     return _largest(cv2.morphologyEx(found, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)), seed)
-
-
-def _around(near: Bits) -> tuple[slice, slice]:
-    """Rows and columns that are cut: what lies farther off tells no more of the background."""
-    parts: list[slice] = []
-    for axis in (1, 0):
-        places = np.flatnonzero(near.any(axis=axis))
-        room = max(_LEAST_ROOM, round(_ROOM * (places[-1] - places[0])))
-        parts.append(slice(max(0, int(places[0]) - room), int(places[-1]) + room + 1))
-    return parts[0], parts[1]
 
 
 def _largest(mask: Bits, seed: Bits) -> Bits:
