@@ -141,6 +141,6 @@ def chamfer(first: SurfaceMesh, second: SurfaceMesh) -> float:
 
 def _off(own: SurfaceMesh, other: SurfaceMesh) -> float:
     body = trimesh.Trimesh(own.vertices.numpy(), own.faces.numpy(), process=False)
-    places, _ = trimesh.sample.sample_surface(body, _SAMPLES, seed=0)
+    places = trimesh.sample.sample_surface(body, _SAMPLES, seed=0)[0]
     search = SurfaceSearch(other.vertices.numpy(), other.faces.numpy())
     return float(search.closest(places).distance.mean())

@@ -131,7 +131,16 @@ def test_lpips_and_the_points_to_come_are_counted(box: Scene) -> None:
     assert more_points.memory > bare.memory
 
 
+def test_of_few_photos_no_quality_is_promised(box: Scene) -> None:
+    count = len(box.split("train"))
+    assert count < 20
+    for masked in (True, False):
+        said = forecast._quality("gaussians", box, masked=masked)
+        assert said == f"not recorded of so few photos ({count})"
+
+
 def test_every_preset_has_a_forecast(box: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pcore.training.forecast._FEWEST", 1)
     monkeypatch.setattr("pcore.training.forecast._PROBE", 8)
     found = {(one.model, one.preset): one for one in forecasts(box)}
     assert set(found) == {
@@ -179,6 +188,7 @@ def test_the_speed_of_gaussians_is_measured_once(
 def test_larger_photos_are_told_which_factor_has_the_recorded_size(
     box: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("pcore.training.forecast._FEWEST", 1)
     small = replace(forecast._RECORDS[0], side=12)
     monkeypatch.setattr("pcore.training.forecast._RECORDS", (small,))
     said = forecast._quality("gaussians", replace(box, factor=3), masked=True)

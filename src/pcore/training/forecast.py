@@ -31,6 +31,8 @@ _SMALL, _PROBE = 100, 32
 _TIMED, _SCALED = 1.3, 2.0
 """Within which factor a forecast holds: of steps as they will be, and of scaled ones or those of
 points that start on a grid and spread (a phone's photos: from 1 to 2.9 times, 2.2 in the mean)."""
+_FEWEST = 20
+"""Training photos; all recorded trainings had more than twice as many."""
 _LARGER = 1.5
 """Photos as much longer than recorded ones are another task."""
 
@@ -201,7 +203,9 @@ def papr_forecast(
 
 def _quality(model: Model, scene: Scene, *, masked: bool) -> str:
     """What trainings of the most similar photos gave, and how that size is had."""
-    camera = _largest(scene)
+    camera, count = _largest(scene), len(scene.split("train"))
+    if count < _FEWEST:
+        return f"not recorded of so few photos ({count})"
     side = max(camera.width, camera.height)
     fitting = [one for one in _RECORDS if (one.model, one.masked) == (model, masked)]
     near = min(fitting, key=lambda one: abs(math.log(side / one.side)))
