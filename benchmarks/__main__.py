@@ -1,4 +1,4 @@
-"""`python -m benchmarks speed [--out FILE] [--gate]`, `scaling`, `bars DATA OUT`, `gpu DATA`.
+"""`python -m benchmarks speed [--gate]`, `scaling`, `bars` and `captures DATA OUT`, `gpu DATA`.
 
 `gpu` takes only packages that an image with PyTorch for a GPU has, and pydantic: see
 docs/research/speed.md for how to bring that along.
@@ -11,7 +11,7 @@ import sys
 from importlib import import_module
 from importlib.util import find_spec
 
-COMMANDS = ("speed", "scaling", "bars", "gpu")
+COMMANDS = ("speed", "scaling", "bars", "captures", "gpu")
 NEEDED = {
     "torch": "torch",
     "numpy": "numpy",

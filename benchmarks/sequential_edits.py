@@ -28,6 +28,7 @@ from torch import Tensor
 
 import pcore
 from pcore.asset.meshing import map_of, moved_mesh
+from pcore.data.scene import Scene
 from pcore.evaluation.figures import color_pixels, depth_pixels, depth_range, png_bytes, sheet
 from pcore.evaluation.ground_truth import mesh_depth
 from pcore.geometry.camera import Camera
@@ -89,6 +90,24 @@ def own_edits(points: Tensor, cameras: Sequence[Camera]) -> list[dict[str, Any]]
             "origin": top,
             "region": region,
         },
+    ]
+
+
+def edits_for(asset: pcore.Asset, scene: Scene) -> list[dict[str, Any]]:
+    """`own_edits` of an object, upright as the cameras of its photos are."""
+    return own_edits(asset.points, [view.camera for view in scene.split("train")])
+
+
+def sequence(
+    asset: pcore.Asset, scene: Scene, edits: Sequence[dict[str, Any]], titles: Sequence[str]
+) -> list[Drawn]:
+    """Draw the object at rest and after each edit on top of those before, from all test views."""
+    cameras = [view.camera for view in scene.split("test")]
+    rest = taken(asset, None, cameras)
+    surfaces = [surface_of(one, camera) for one, camera in zip(rest, cameras, strict=True)]
+    return [
+        draw(asset, surfaces, edits[:count], cameras, title)
+        for count, title in enumerate(["at rest", *titles])
     ]
 
 
@@ -215,26 +234,15 @@ def main() -> None:
     torch.set_flush_denormal(True)
     asset = pcore.load(wish.run).over((1.0, 1.0, 1.0))
     scene = asset.scene() if wish.scene is None else pcore.load_scene(wish.scene)
-    train = [view.camera for view in scene.split("train")]
-    cameras = [view.camera for view in scene.split("test")]
-    if wish.edits:
-        edits = [one for file in wish.edits for one in json.loads(file.read_text())["edits"]]
-        titles = [f"+ {one['type']}" for one in edits]
-    else:
-        edits, titles = own_edits(asset.points, train), list(NAMES)
-    surfaces = [
-        surface_of(one, camera)
-        for one, camera in zip(taken(asset, None, cameras), cameras, strict=True)
-    ]
+    given = [one for file in wish.edits or () for one in json.loads(file.read_text())["edits"]]
     wish.output.mkdir(parents=True, exist_ok=True)
-    states: list[Drawn] = []
-    for count, title in enumerate(["at rest", *titles]):
-        one = draw(asset, surfaces, edits[:count], cameras, title)
-        states.append(one)
+    edits = given or edits_for(asset, scene)
+    states = sequence(asset, scene, edits, [f"+ {one['type']}" for one in given] or NAMES)
+    for one in states:
         print(
-            f"{title}: holes {rate(one, 'hole_rate'):.2f} %, of which see-through "
+            f"{one.title}: holes {rate(one, 'hole_rate'):.2f} %, of which see-through "
             f"{rate(one, 'see_through_rate'):.2f} %; off in depth either way "
-            f"{rate(one, 'off_rate'):.2f} %; {len(cameras)} views",
+            f"{rate(one, 'off_rate'):.2f} %; {len(one.pictures)} views",
             flush=True,
         )
     (wish.output / "edits.json").write_text(json.dumps({"version": 2, "edits": edits}, indent=1))

@@ -28,6 +28,20 @@ def test_masks_are_near_the_truth_also_for_views_without_a_vote() -> None:
     assert found.doubtful() == ()
 
 
+def test_masks_do_not_depend_on_the_number_of_threads() -> None:
+    shot, _ = photos(8)
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        alone = find_masks(shot, BOX).masks
+        torch.set_num_threads(3)
+        together = find_masks(shot, BOX).masks
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(a, b) for a, b in zip(alone, together, strict=True))
+    assert sum(int((mask > 127).sum()) for mask in alone) > 1000
+
+
 def test_of_many_photos_some_vote(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pcore.capture.auto_masks._VOTERS", 6)
     shot, truth = photos(12)

@@ -138,6 +138,24 @@ def test_masks_of_instant_ngp(tmp_path: Path) -> None:
     assert load_scene(tmp_path).split("train")[0].has_alpha
 
 
+@pytest.mark.parametrize(("key", "grey"), [("white_transparent", 255), ("black_transparent", 0)])
+def test_colours_that_instant_ngp_takes_for_background(tmp_path: Path, key: str, grey: int) -> None:
+    photos = write_ngp(tmp_path, **{key: True})
+    pixels = np.full((HEIGHT, WIDTH, 3), 255 - grey, np.uint8)
+    pixels[:4] = grey
+    pixels[4, :, 1:] = grey  # One channel is another: object.
+    for shot in photos:
+        Image.fromarray(pixels).save(tmp_path / "images" / shot.name)
+    view = load_scene(tmp_path).split("train")[0]
+    assert view.has_alpha
+    assert view.alpha()[:4].max() == 0
+    assert view.alpha()[4:].min() == 1
+    assert not load_scene(tmp_path, masks="none").split("train")[0].has_alpha
+    write_ngp(tmp_path, **{key: "yes"})
+    with pytest.raises(SceneError, match=f"expected true or false in '{key}', got 'yes'"):
+        load_scene(tmp_path)
+
+
 def test_masks_beside_photos_of_two_cameras(tmp_path: Path) -> None:
     photos = shots(10)
     for number, shot in enumerate(photos):

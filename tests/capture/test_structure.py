@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import ExifTags, Image
+from PIL import ExifTags, Image, PngImagePlugin
 
 from capture_files import write_photos
 from pcore.capture import structure
@@ -298,12 +298,15 @@ def test_photos_of_one_size_and_device_share_a_lens(
         exif[ExifTags.Base.Make] = maker
         exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLength] = focal
         Image.new("RGB", (24, 16)).save(folder / f"phone{index}.jpg", exif=exif)
+        if index == 1:  # PNG files say it, too, and are not decoded for it.
+            Image.new("RGB", (24, 16)).save(folder / "tablet.png", exif=exif)
     Image.new("RGB", (24, 16)).save(folder / "torn.jpg", exif=b"Exif\0\0II*\0\xff\xff")
-    with pytest.raises(SceneError, match="no common structure in 8 photos"):
+    monkeypatch.setattr(PngImagePlugin.PngImageFile, "load", lambda self: pytest.fail("decoded"))
+    with pytest.raises(SceneError, match="no common structure in 9 photos"):
         load_scene(folder)
     assert json.loads(asked.read_text())["cameras"] == [
         ["phone0.jpg", "phone2.jpg"],
-        ["phone1.jpg"],
+        ["phone1.jpg", "tablet.png"],
         ["phone3.jpg"],
         ["plain0.jpg", "plain1.png", "torn.jpg"],
         ["tall.jpg"],

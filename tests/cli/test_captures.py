@@ -45,7 +45,7 @@ def test_bent_photos_of_two_sizes_train(
     words += ["--steps", "3", "--points", "60", "--no-tensorboard", "--threads", "1"]
     assert main(words) == 0
     said = capsys.readouterr().out
-    assert "(and 1 other sizes)" in said
+    assert "(and 1 other size)" in said
     if model == "papr":
         return  # After three steps there is nothing to be seen.
     words = ["render", str(tmp_path / "run"), "--split", "test", "-o", str(tmp_path / "out")]

@@ -68,15 +68,17 @@ def test_points_that_spread_take_longer(box: Scene, monkeypatch: pytest.MonkeyPa
     """On a grid few rays meet points, in the end all do: the mean of both, and a wider bound."""
     seconds = {True: 1.0, False: 3.0}
 
-    def step(scene: Scene, config: PretrainConfig, clock: object) -> StepCost:
+    def step(scene: Scene, config: PretrainConfig, *_: object) -> StepCost:
         return StepCost(seconds=seconds[config.model.cutoff is not None], memory=2.0)
 
-    monkeypatch.setattr(forecast, "papr_step", step)
+    monkeypatch.setattr(measured_speed, "_timed_step", step)
     config = pretrain_config(model=replace(CONFIG, cutoff=0.1), steps=100)
     hull, grid = (papr_forecast(box, replace(config, start=start)) for start in ("hull", "grid"))
     assert hull.seconds is not None
     assert grid.seconds == pytest.approx(2 * hull.seconds)
     assert (hull.within, grid.within) == (1.3, 2.0)
+    # What `pcore train` says and plans by.
+    assert papr_step(box, replace(config, start="grid")).seconds == 2.0
 
 
 def test_steps_are_timed_with_decoded_photos_from_one_start(
@@ -129,7 +131,16 @@ def test_lpips_and_the_points_to_come_are_counted(box: Scene) -> None:
     assert more_points.memory > bare.memory
 
 
+def test_of_few_photos_no_quality_is_promised(box: Scene) -> None:
+    count = len(box.split("train"))
+    assert count < 20
+    for masked in (True, False):
+        said = forecast._quality("gaussians", box, masked=masked)
+        assert said == f"not recorded of so few photos ({count})"
+
+
 def test_every_preset_has_a_forecast(box: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pcore.training.forecast._FEWEST", 1)
     monkeypatch.setattr("pcore.training.forecast._PROBE", 8)
     found = {(one.model, one.preset): one for one in forecasts(box)}
     assert set(found) == {
@@ -177,6 +188,7 @@ def test_the_speed_of_gaussians_is_measured_once(
 def test_larger_photos_are_told_which_factor_has_the_recorded_size(
     box: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("pcore.training.forecast._FEWEST", 1)
     small = replace(forecast._RECORDS[0], side=12)
     monkeypatch.setattr("pcore.training.forecast._RECORDS", (small,))
     said = forecast._quality("gaussians", replace(box, factor=3), masked=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -113,13 +114,15 @@ def find_masks(
         nears = [_near(a, b, region) for a, b in zip(seeds, rooms, strict=True)]
         if turn == 0:
             _check_background(seeds, nears)
+        inner = [None] * len(taken) if cores is None else cores
         masks = []
-        for number, photo in enumerate(taken):
-            core = None if cores is None else cores[number]
-            masks.append(_cut(photo.rgb, seeds[number], nears[number], core))
-            done += 1
-            if progress is not None:
-                progress(done, total)
+        # OpenCV holds no lock while it cuts, and every thread has a generator of its own.
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+            for mask in pool.map(_cut, [photo.rgb for photo in taken], seeds, nears, inner):
+                masks.append(mask)
+                done += 1
+                if progress is not None:
+                    progress(done, total)
         votes = (_JUDGED,) if taken is everyone else (_LOOSE, _SURE)
         voters = [(one.camera, mask) for one, mask in zip(taken, masks, strict=True)]
         following = [one.camera for one in turns[min(turn + 1, _ROUNDS - 1)]]
@@ -252,7 +255,7 @@ def _cut(rgb: Tensor, seed: Bits, near: Bits, core: Bits | None) -> Bits:
         trimap[_shrunken(core, _reach(seed)) > 0] = cv2.GC_FGD
     pixels = (255 * rgb.clamp(0, 1)).round().byte().numpy()
     models = np.zeros((1, 65)), np.zeros((1, 65))
-    # OpenCV draws its clusters from a generator of its own, which is shared by the process.
+    # OpenCV draws its clusters from a generator of the thread.
     cv2.setRNGSeed(0)
     cv2.grabCut(
         np.ascontiguousarray(pixels), trimap, None, *models, _ITERATIONS, cv2.GC_INIT_WITH_MASK

@@ -71,7 +71,9 @@ def _open(path: str | Path, factor: int, cache: ImageCache, bare: bool, tell: Te
         layout = with_poses(layout, tell)
     capture = read_layout(layout, factor)
     if bare:
-        capture = replace(capture, photos=[replace(one, mask=None) for one in capture.photos])
+        capture = replace(
+            capture, photos=[replace(one, mask=None, clear=()) for one in capture.photos]
+        )
     else:
         photos, notes = with_masks(capture.photos, layout.root)
         capture = replace(capture, photos=photos, notes=[*capture.notes, *notes])

@@ -77,10 +77,11 @@ def open_photo(row: int, photo: Photo, factor: int, cache: ImageCache, *, far: b
         raise UnusableError(str(problem)) from problem
     image = ImageSource(
         path=photo.path,
-        header=header if photo.mask is None else replace(header, has_alpha=True),
+        header=replace(header, has_alpha=True) if photo.mask or photo.clear else header,
         factor=factor,
         cache=cache,
         mask=photo.mask,
+        clear=photo.clear,
         upright=upright,
         lens=None if lens.is_straight else lens,
         crop=crop,

@@ -31,6 +31,7 @@ class Photo:
         lens: intrinsics and distortion in pixels of `size`, pixel centres at .5.
         size: (width, height) that `lens` belongs to; None: that of the file.
         mask: file of its mask; None where none is named.
+        clear: greys in [0, 1] that are background where a pixel has exactly one of them.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Photo:
     lens: LensDistortion
     size: tuple[int, int] | None = None
     mask: Path | None = None
+    clear: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -134,7 +134,8 @@ def _by_camera(photos: Sequence[Path]) -> list[list[Path]]:
 def _device(image: Image.Image) -> tuple[str, ...] | None:
     """Maker, model and focal length as EXIF has them; None without, or where that is damaged."""
     try:
-        exif = image.getexif()
+        # Not image.getexif(): that of a PNG file decodes all of it.
+        exif = Image.Image.getexif(image)
         inner = exif.get_ifd(ExifTags.IFD.Exif)
     except (OSError, SyntaxError, ValueError, KeyError, struct.error):
         return None

@@ -18,6 +18,7 @@ from pcore.capture.photos import Capture, Photo, RawPoints
 from pcore.data.image_files import read_header
 from pcore.data.image_paths import Finder, Wanted, is_file
 from pcore.data.scene import Skipped
+from pcore.data.transform_keys import CLEAR_KEYS
 from pcore.data.transforms import PosedFrame, Transforms, read_transforms
 from pcore.errors import InputError, SceneError
 from pcore.geometry.lens_distortion import LensDistortion
@@ -44,11 +45,12 @@ def read_transforms_capture(root: Path, path: Path, factor: int) -> Capture:
     """
     transforms = read_transforms(path, capture=True)
     finder = Finder(root=root)
+    clear = _clear(transforms.content, f"scene file {path}")
     photos: list[Photo] = []
     skipped: list[Skipped] = []
     for frame, name in zip(transforms.frames, _names(transforms.frames), strict=True):
         try:
-            photos.append(_photo(frame, name, finder))
+            photos.append(replace(_photo(frame, name, finder), clear=clear))
         except _NoMaskError as problem:
             skipped.append(Skipped(name=name, reason=str(problem)))
     _check_masks(transforms)
@@ -76,6 +78,18 @@ def _moving(photos: Sequence[Photo]) -> list[str]:
         f"masks of what moves, like {there[0]}, are there for {len(there)} photos and not used: "
         "what moves is learned, too"
     ]
+
+
+def _clear(content: Mapping[str, Any], where: str) -> tuple[float, ...]:
+    """Greys that instant-ngp is told to take for background."""
+    found: list[float] = []
+    for key, grey in CLEAR_KEYS.items():
+        value = content.get(key)
+        if value not in (True, False, None):
+            raise SceneError(f"{where}: expected true or false in {key!r}, got {value!r}; mend it")
+        if value:
+            found.append(grey)
+    return tuple(found)
 
 
 class _NoMaskError(Exception):
@@ -152,7 +166,8 @@ def _shrunk(photos: list[Photo], factor: int, root: Path) -> tuple[list[Photo], 
             continue
         folder = photo.path.parent
         path = folder.with_name(f"{folder.name}_{factor}") / photo.path.name
-        if photo.mask or photo.size is None or folder == root.resolve() or not path.is_file():
+        alone = photo.mask or photo.clear or photo.size is None or folder == root.resolve()
+        if alone or not path.is_file():
             return photos, 1
         small.append(replace(photo, path=path))
     return small, factor

@@ -73,7 +73,8 @@ def announce(console: Console, scene: Scene, plan: str) -> None:
     note(console, scene.notes)
     sizes = Counter((view.camera.width, view.camera.height) for view in views)
     width, height = sizes.most_common(1)[0][0]
-    others = f" (and {len(sizes) - 1} other sizes)" if len(sizes) > 1 else ""
+    more = len(sizes) - 1
+    others = f" (and {more} other size{'s' * (more > 1)})" * (more > 0)
     console.print(
         Text(
             f"{scene.name}: {len(views)} training views of {width} x {height} pixels{others}; "

@@ -18,7 +18,9 @@ from pcore.errors import SceneError
 _USED = """camera_angle_x camera_angle_y x_fov y_fov fl_x fl_y cx cy w h k1 k2 k3 k4 p1 p2
 is_fisheye camera_model mask_path"""
 USED_AT_TOP = frozenset([*_USED.split(), "frames"])
-USED_IN_CAPTURES = frozenset(["train_filenames", "val_filenames", "test_filenames"])
+CLEAR_KEYS = {"white_transparent": 1.0, "black_transparent": 0.0}
+"""instant-ngp's: pixels whose three channels are that are background."""
+USED_IN_CAPTURES = frozenset(["train_filenames", "val_filenames", "test_filenames", *CLEAR_KEYS])
 USED_IN_FRAME = frozenset([*_USED.split(), "file_path", "transform_matrix"])
 
 # The world of other programs: cameras and images mean the same without it.
@@ -59,7 +61,7 @@ _ADVICE = {
         _PERSPECTIVE,
     ),
     **dict.fromkeys(
-        ("white_transparent", "black_transparent"),
+        CLEAR_KEYS,
         "make that colour transparent in the images (RGBA), or remove the key",
     ),
     "fix_premult": "write the images with straight alpha, as PNG files have it",

@@ -14,7 +14,7 @@ from pcore.errors import InputError, TrainingError
 from pcore.geometry.camera import Camera
 from pcore.training.config import PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig
-from pcore.training.measured_speed import StepCost, measured_speed, papr_step
+from pcore.training.measured_speed import measured_speed, papr_step, spreads
 from pcore.training.presets import PretrainName, gaussian_preset, preset
 from pcore.training.speed import Speed
 
@@ -30,6 +30,8 @@ _SMALL, _PROBE = 100, 32
 _TIMED, _SCALED = 1.3, 2.0
 """Within which factor a forecast holds: of steps as they will be, and of scaled ones or those of
 points that start on a grid and spread (a phone's photos: from 1 to 2.9 times, 2.2 in the mean)."""
+_FEWEST = 20
+"""Training photos; all recorded trainings had more than twice as many."""
 _LARGER = 1.5
 """Photos as much longer than recorded ones are another task."""
 
@@ -174,28 +176,22 @@ def papr_forecast(scene: Scene, config: PretrainConfig) -> Forecast:
     """Predict a training of PAPR, with the most points that it will have.
 
     A step of large patches is scaled from one of small patches: networks see every ray alone.
-    Points of a grid spread until nearly every ray meets some: the time is the mean of both ends.
 
     Raises:
         InputError: the scene has no silhouettes for a visual hull.
     """
     camera, side = _largest(scene), config.patch.side
-    spreads = config.start == "grid" and config.model.cutoff is not None
     scaled = side > _SMALL
     probed = _PROBE if scaled else side
     points = config.points if config.grow is None else config.grow.limit
     probe = replace(config, patch=replace(config.patch, side=probed, views=1), points=points)
     times = config.patch.views * _area(camera, side) / _area(camera, probed)
     cost = papr_step(scene, probe, clock=time.process_time)
-    if spreads:
-        free = replace(probe, model=replace(probe.model, cutoff=None))
-        met = papr_step(scene, free, clock=time.process_time)
-        cost = StepCost(seconds=0.5 * (cost.seconds + met.seconds), memory=met.memory)
     return Forecast(
         model="papr",
         preset="tiny",
         seconds=_MORE * config.steps * times * cost.seconds,
-        within=_SCALED if scaled or spreads else _TIMED,
+        within=_SCALED if scaled or spreads(config) else _TIMED,
         memory=_photo_memory(scene) + _PASSING * times * cost.memory,
         quality="",
         how="a few steps of a smaller patch timed now" if scaled else "a few steps timed now",
@@ -204,7 +200,9 @@ def papr_forecast(scene: Scene, config: PretrainConfig) -> Forecast:
 
 def _quality(model: Model, scene: Scene, *, masked: bool) -> str:
     """What trainings of the most similar photos gave, and how that size is had."""
-    camera = _largest(scene)
+    camera, count = _largest(scene), len(scene.split("train"))
+    if count < _FEWEST:
+        return f"not recorded of so few photos ({count})"
     side = max(camera.width, camera.height)
     fitting = [one for one in _RECORDS if (one.model, one.masked) == (model, masked)]
     near = min(fitting, key=lambda one: abs(math.log(side / one.side)))
