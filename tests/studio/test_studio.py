@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from objects import demo
 
@@ -240,6 +241,27 @@ def test_a_cage_whose_file_is_gone_is_written_again_at_save(
         wish(again, "save", "other.json")
         assert Editor(demo(), again.outputs.folder / "other.json").handles
         assert cage.read_bytes() == before
+
+
+def test_files_of_regions_and_of_keys_that_are_gone_are_written_again(page: Studio) -> None:
+    folder, points = page.outputs.folder, page.editor.asset.points
+    folder.mkdir(parents=True, exist_ok=True)
+    names = ["mask.npy", "before.npy", "first.npy", "last.npy"]
+    places = [points.double().numpy() + 0.01 * step for step in range(3)]
+    for name, content in zip(names, [np.arange(len(points)) < 9, *places], strict=True):
+        np.save(folder / name, content)
+    mask, before, first, last = (str(folder / name) for name in names)
+    keys = {"keyframes": [[0, first], [1, last]]}
+    page.editor.session.do({"type": "displacement", "before": before, "after": keys})
+    part = {"shape": "mask", "file": mask, "falloff": 0.1}
+    page.editor.session.do({"type": "twist", "axis": "z", "angle_deg": 3, "region": part})
+    page._refresh()
+    contents = [(folder / name).read_bytes() for name in names]
+    for name in names:
+        (folder / name).unlink()
+    wish(page, "save", "edit.json")
+    assert page._said == "Saved as edit.json."
+    assert [(folder / name).read_bytes() for name in names] == contents
 
 
 def test_a_save_says_which_files_of_others_are_gone(page: Studio, tmp_path: Path) -> None:
