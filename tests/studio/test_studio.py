@@ -1,6 +1,7 @@
 """A whole page whose tab is not a browser: what its widgets wish, its files, its messages."""
 
 import json
+import resource
 import shlex
 import time
 from collections.abc import Callable, Iterator
@@ -11,9 +12,11 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+import torch
 from objects import demo
 
 from pcore.cli.main import main
+from pcore.data.pictures import write_png
 from pcore.errors import EditError
 from pcore.geometry.orbit import orbit_around
 from pcore.studio.editor import Editor
@@ -320,13 +323,20 @@ def test_what_was_opened_is_saved_until_it_changes_and_nothing_before_it_is_lost
     assert not page.outputs.autosave.exists()
 
 
-def test_a_full_disk_at_a_picture_is_said(page: Studio) -> None:
-    def full() -> None:
-        raise OSError(28, "No space left on device", "/home/anna/picture_001.png")
+def test_a_full_disk_at_a_picture_is_said_and_leaves_nothing(page: Studio) -> None:
+    path, limits = page.outputs.next("picture", ".png"), resource.getrlimit(resource.RLIMIT_FSIZE)
 
-    page.perform(full)
+    def write() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
+        try:
+            write_png(path, torch.rand(32, 32, 3))
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+    page.perform(write)
     assert page.worker.wait(60)
-    assert page._said == "⚠ picture_001.png: No space left on device"
+    assert page._said == "⚠ picture_001.png: File too large"
+    assert list(path.parent.iterdir()) == []
 
 
 def test_messages_to_tabs_do_not_pile_up(page: Studio) -> None:
