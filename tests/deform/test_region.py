@@ -151,6 +151,31 @@ def test_an_edit_in_a_region_is_the_edit_inside_and_nothing_outside():
     assert torch.equal(moved[weight == 0], points[weight == 0])
 
 
+def test_the_way_of_points_is_found_once_for_places_and_jacobians():
+    asked = list[int]()
+
+    class Grown(Deformation):
+        factor = torch.tensor(1.1, dtype=torch.float64)
+
+        def __call__(self, points: Tensor) -> Tensor:
+            asked.append(len(points))
+            return self.factor * points
+
+        def jacobian(self, points: Tensor) -> Tensor:
+            return (self.factor * torch.eye(3, dtype=points.dtype)).expand(*points.shape, 3)
+
+    grown, points = Weighted(Grown(), REGIONS["sphere"]), cloud()
+    first, _ = grown(points), grown.jacobian(points)
+    assert asked == [len(points)]
+    points += 0.01
+    assert not torch.equal(grown(points), first), "other places in the same tensor"
+    with torch.no_grad():
+        grown(points)
+    Grown.factor.requires_grad_()
+    assert grown(points).requires_grad
+    assert grown(points.float()).dtype == torch.float32
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_what_is_held_stays_exactly(dtype: torch.dtype):
     points = cloud().to(dtype)

@@ -1,7 +1,7 @@
 import torch
 
 from pcore.deform.base import matrix_product, uprightness
-from pcore.geometry.matrix_tuples import polar_factors, products
+from pcore.geometry.matrix_tuples import extents, polar_factors
 
 
 def matrices(count: int = 130) -> torch.Tensor:
@@ -11,9 +11,29 @@ def matrices(count: int = 130) -> torch.Tensor:
 
 def test_products_have_the_bits_of_those_that_take_gradients():
     left, right = matrices(), matrices().flip(0)
-    assert torch.equal(
-        torch.from_numpy(products(left.numpy(), right.numpy())), matrix_product(left, right)
-    )
+    for one, other in (
+        (left, right),
+        (left[0], right),
+        (left[0].T, right.mT.unflatten(0, (2, -1))),
+    ):
+        followed = matrix_product(one.clone().requires_grad_(), other)
+        assert torch.equal(matrix_product(one, other), followed)
+        torch.testing.assert_close(followed, one @ other)
+
+
+def test_extents_are_singular_values_of_whatever_condition():
+    given, unit = matrices(), torch.eye(3, dtype=torch.float64)
+    turn = torch.linalg.qr(given)[0]
+    cases = [given, unit + 0.01 * given, unit.expand(2, 3, 3)]
+    cases += [turn * torch.tensor([2.0, 1.0, 1.0]), turn * torch.tensor([2.0, 2.0, 1.0])]
+    cases += [given * torch.tensor([1e3, 1.0, 1e-3]), 1e-6 * given]
+    for one in cases:
+        found = torch.from_numpy(extents(one.contiguous().numpy()))
+        torch.testing.assert_close(found, torch.linalg.svdvals(one), rtol=1e-7, atol=0)
+    flat = given.clone()
+    flat[:, 2], flat[0], flat[1, 1] = 0.0, 0.0, flat[1, 0]
+    found = torch.from_numpy(extents(flat.numpy()))
+    torch.testing.assert_close(found, torch.linalg.svdvals(flat), rtol=1e-7, atol=1e-7)
 
 
 def test_polar_factors_are_those_by_singular_values_in_every_unit():

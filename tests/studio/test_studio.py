@@ -1,6 +1,7 @@
 """A whole page whose tab is not a browser: what its widgets wish, its files, its messages."""
 
 import json
+import resource
 import shlex
 import time
 from collections.abc import Callable, Iterator
@@ -9,10 +10,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
+import torch
 from objects import demo
 
 from pcore.cli.main import main
+from pcore.data.pictures import write_png
 from pcore.errors import EditError
 from pcore.geometry.orbit import orbit_around
 from pcore.studio.editor import Editor
@@ -242,6 +246,27 @@ def test_a_cage_whose_file_is_gone_is_written_again_at_save(
         assert cage.read_bytes() == before
 
 
+def test_files_of_regions_and_of_keys_that_are_gone_are_written_again(page: Studio) -> None:
+    folder, points = page.outputs.folder, page.editor.asset.points
+    folder.mkdir(parents=True, exist_ok=True)
+    names = ["mask.npy", "before.npy", "first.npy", "last.npy"]
+    places = [points.double().numpy() + 0.01 * step for step in range(3)]
+    for name, content in zip(names, [np.arange(len(points)) < 9, *places], strict=True):
+        np.save(folder / name, content)
+    mask, before, first, last = (str(folder / name) for name in names)
+    keys = {"keyframes": [[0, first], [1, last]]}
+    page.editor.session.do({"type": "displacement", "before": before, "after": keys})
+    part = {"shape": "mask", "file": mask, "falloff": 0.1}
+    page.editor.session.do({"type": "twist", "axis": "z", "angle_deg": 3, "region": part})
+    page._refresh()
+    contents = [(folder / name).read_bytes() for name in names]
+    for name in names:
+        (folder / name).unlink()
+    wish(page, "save", "edit.json")
+    assert page._said == "Saved as edit.json."
+    assert [(folder / name).read_bytes() for name in names] == contents
+
+
 def test_a_save_says_which_files_of_others_are_gone(page: Studio, tmp_path: Path) -> None:
     page.editor.add_cage(tmp_path / "theirs.ply", cells=1)
     page.editor.add("twist")
@@ -298,13 +323,20 @@ def test_what_was_opened_is_saved_until_it_changes_and_nothing_before_it_is_lost
     assert not page.outputs.autosave.exists()
 
 
-def test_a_full_disk_at_a_picture_is_said(page: Studio) -> None:
-    def full() -> None:
-        raise OSError(28, "No space left on device", "/home/anna/picture_001.png")
+def test_a_full_disk_at_a_picture_is_said_and_leaves_nothing(page: Studio) -> None:
+    path, limits = page.outputs.next("picture", ".png"), resource.getrlimit(resource.RLIMIT_FSIZE)
 
-    page.perform(full)
+    def write() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
+        try:
+            write_png(path, torch.rand(32, 32, 3))
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+    page.perform(write)
     assert page.worker.wait(60)
-    assert page._said == "⚠ picture_001.png: No space left on device"
+    assert page._said == "⚠ picture_001.png: File too large"
+    assert list(path.parent.iterdir()) == []
 
 
 def test_messages_to_tabs_do_not_pile_up(page: Studio) -> None:

@@ -23,13 +23,18 @@ def replace_file(path: Path, content: bytes) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Generator[Path]:
-    """Give a hidden file beside `path` to write, which takes its place when all went well."""
+    """Give a hidden file beside `path` to write, which takes its place when all went well.
+
+    An OSError, of a full disk for instance, is one of `path` then, which people know.
+    """
     partial = path.with_name(f".{path.name}.{os.getpid()}{PARTIAL_SUFFIX}")
     try:
         yield partial
         partial.replace(path)
-    except BaseException:
+    except BaseException as error:
         partial.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename in (None, str(partial)):
+            error.filename = str(path)
         raise
 
 

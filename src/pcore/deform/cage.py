@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pcore.deform.base import Deformation, check_points, frozen_tensor
-from pcore.deform.mean_value import carried, slopes_at, topology, turned, weights_at
+from pcore.deform.mean_value import carried, slopes_at, topology, weights_at
 from pcore.deform.sites import sites_of
 from pcore.deform.winding import winding_numbers
 from pcore.errors import InputError
 
 FloatArray = NDArray[np.float64]
-_MOST_SLOPES = 2_000_000
+_MOST_SLOPES = 5_300_000
 """Pairs of a point and a vertex up to which slopes are kept: 64 MB."""
 
 
@@ -60,10 +60,10 @@ class Cage:
         turns = winding_numbers(flat, self._arrays[0], self._arrays[1])
         return torch.from_numpy(np.abs(turns) > 0.5)
 
-    def slopes(self, points: Tensor) -> tuple[FloatArray, FloatArray]:
-        """What `turned` takes, of points (N, 3): 32 bytes for each of them and each vertex."""
+    def slopes(self, points: Tensor) -> Tensor:
+        """Derivatives (N, 3, V) float32 of the coordinates of points (N, 3) by position."""
         flat = np.ascontiguousarray(points.detach().cpu().double().numpy())
-        return slopes_at(flat, *self._arrays)
+        return torch.from_numpy(slopes_at(flat, *self._arrays))
 
     def carry(self, points: Tensor, moves: FloatArray, *, slope: bool) -> tuple[Tensor, Tensor]:
         """Displacements (N, 3) and, if wanted, their derivatives (N, 3, 3) at points (N, 3)."""
@@ -87,19 +87,21 @@ class CageBinding:
     weights: Tensor
 
     @cached_property
-    def _slopes(self) -> tuple[FloatArray, FloatArray] | None:
-        """How the coordinates change from place to place; None where that takes much memory."""
-        if self.weights.numel() > _MOST_SLOPES:
-            return None
-        return self.cage.slopes(self.points)
+    def _slopes(self) -> Tensor | None:
+        """Those of the points; None where that takes much memory."""
+        small = self.weights.numel() <= _MOST_SLOPES
+        return self.cage.slopes(self.points) if small else None
 
-    def turned(self, moves: FloatArray) -> Tensor | None:
-        """Derivatives (N, 3, 3) of the displacements of the points when the vertices move.
+    def turned(self, vertices: Tensor, *, quick: bool = False) -> Tensor | None:
+        """Derivatives (N, 3, 3) of the ways of the points to where `moved` takes them.
 
-        None where they have to be computed anew for every shape.
+        None where they have to be computed anew for every shape; `quick`: or for the first one.
         """
-        known = self._slopes
-        return None if known is None else torch.from_numpy(turned(*known, moves))
+        slopes = None if quick and "_slopes" not in vars(self) else self._slopes
+        if slopes is None:
+            return None
+        ways = slopes.flatten(0, 1) @ self._moves(vertices)
+        return ways.unflatten(0, (-1, 3)).mT.double()
 
     def is_of(self, points: Tensor) -> bool:
         """Whether these are its points (N, 3), to the last bit."""
@@ -109,9 +111,11 @@ class CageBinding:
     def moved(self, vertices: Tensor) -> Tensor:
         """Return where the points (N, 3) go when the cage takes the shape `vertices` (V, 3)."""
         _check_count(self.cage, vertices)
-        # What is carried are displacements: a cage that stays moves no point in the last bit.
-        moves = (vertices.detach().cpu().double() - self.cage.vertices).float()
-        return self.points + (self.weights @ moves).to(self.points)
+        return self.points + (self.weights @ self._moves(vertices)).to(self.points)
+
+    def _moves(self, vertices: Tensor) -> Tensor:
+        """What is carried, (V, 3) float32: a cage that stays moves no point in the last bit."""
+        return (vertices.detach().cpu().double() - self.cage.vertices).float()
 
 
 class CageDeform(Deformation):
@@ -134,8 +138,8 @@ class CageDeform(Deformation):
         Args:
             cage: at rest.
             vertices: (V, 3) the new places of its vertices, world units.
-            binding: of the same cage; its points are moved by it, in milliseconds and to single
-                precision of their way, all others by the formula.
+            binding: of the same cage; its points and Jacobians are found by it, in milliseconds
+                and to single precision of their way, all others by the formula.
             quick: Jacobians at the points of the binding are fitted to where they go, in one step.
 
         Raises:
@@ -154,19 +158,20 @@ class CageDeform(Deformation):
         return moved.reshape(points.shape)
 
     def jacobian(self, points: Tensor) -> Tensor:
-        """Jacobians (..., 3, 3) by formula, without gradient.
+        """Jacobians (..., 3, 3) by formula, without gradient; of the binding in single precision.
 
         On the cage itself, where the map has a kink, that of a place beside.
         """
         check_points(points)
         flat = points.detach().reshape(-1, 3)
         bound = self.binding if self.binding is not None and self.binding.is_of(flat) else None
+        eye = torch.eye(3, dtype=torch.float64)
+        turn = None if bound is None else bound.turned(self.vertices, quick=self._quick)
+        if turn is not None:
+            return (eye + turn).to(points).reshape(*points.shape, 3)
         if bound is not None and self._quick:
             linear, _ = sites_of(flat).maps(self.displaced(flat), quick=True)
             return linear.to(points).reshape(*points.shape, 3)
-        eye = torch.eye(3, dtype=torch.float64)
-        if bound is not None and (turn := bound.turned(self._moves)) is not None:
-            return (eye + turn).to(points).reshape(*points.shape, 3)
         known = self._recall(flat)
         if known is None:
             known = self.cage.carry(flat, self._moves, slope=True)

@@ -78,29 +78,22 @@ def slopes_at(
     edges: IntArray,
     opposite: IntArray,
     sense: IntArray,
-) -> tuple[FloatArray, FloatArray]:
-    """What `turned` makes the derivatives of `carried` of: sums (N, V) and slopes (N, V, 3)."""
+) -> NDArray[np.float32]:
+    """Derivatives (N, 3, V) float32 of the coordinates of points (N, 3) by position."""
     total, count, size = points.shape[0], vertices.shape[0], _size(vertices)
-    weights, slopes, mesh = (
-        np.empty((total, count)),
-        np.empty((total, count, 3)),
-        (faces, opposite, sense),
-    )
-    scratch = np.empty((edges.shape[0], 8))
+    found = np.empty((total, 3, count), dtype=np.float32)
+    weight, slope = np.empty(count), np.empty((count, 3))
+    scratch, mesh = np.empty((edges.shape[0], 8)), (faces, opposite, sense)
     for n in range(total):
-        own = weights[n], slopes[n], scratch
-        if sum_faces(points[n], vertices, mesh, edges, size, *own) != REGULAR:
-            _sum_aside(points[n], vertices, mesh, edges, size, *own)
-    return weights, slopes
-
-
-@numba.njit(cache=True, nogil=True)
-def turned(weights: FloatArray, slopes: FloatArray, moves: FloatArray) -> FloatArray:
-    """Derivatives (N, 3, 3) of displacements, by `slopes_at`, to the last bit as `carried`."""
-    turn = np.zeros((weights.shape[0], 3, 3))
-    for n in range(weights.shape[0]):
-        _add_turn(weights[n], slopes[n], moves, turn[n])
-    return turn
+        kind = sum_faces(points[n], vertices, mesh, edges, size, weight, slope, scratch)
+        if kind != REGULAR:
+            _sum_aside(points[n], vertices, mesh, edges, size, weight, slope, scratch)
+        whole = weight.sum()
+        for j in range(3):
+            common = slope[:, j].sum() / whole
+            for v in range(count):
+                found[n, j, v] = (slope[v, j] - common * weight[v]) / whole
+    return found
 
 
 @numba.njit(cache=True, nogil=True)

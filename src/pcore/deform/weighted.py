@@ -29,18 +29,31 @@ class Weighted(Deformation):
         amount: float = 1.0,
     ) -> None:
         self.inner, self.region, self.frozen, self.amount = inner, region, frozen, amount
+        self._last: tuple[tuple[object, ...], Tensor, Tensor] | None = None
 
     def __call__(self, points: Tensor) -> Tensor:
         """Map points (..., 3), world units; where the weight is 0 they stay exactly."""
         check_points(points)
-        return blend(points, self.inner(points), self.weight(points))
+        return blend(points, self._whole(points), self.weight(points))
+
+    def _whole(self, points: Tensor) -> Tensor:
+        """D(x); who was told where points go asks for it again with the Jacobians there."""
+        kind = points.dtype, points.device, torch.is_grad_enabled()
+        if self._last is not None and self._last[0] == kind and not points.requires_grad:
+            _, places, moved = self._last
+            if torch.equal(places, points):
+                return moved
+        moved = self.inner(points)
+        if not moved.requires_grad:
+            self._last = kind, points.detach().clone(), moved
+        return moved
 
     def jacobian(self, points: Tensor) -> Tensor:
         """Jacobians (..., 3, 3): I + w (J - I) + (D(x) - x) grad(w)^T."""
         check_points(points)
         eye = Identity().jacobian(points)
         weight = self.weight(points)[..., None, None]
-        way = (self.inner(points) - points).unsqueeze(-1)
+        way = (self._whole(points) - points).unsqueeze(-1)
         turned = eye + weight * (self.inner.jacobian(points) - eye)
         return turned + way * self._gradient(points).unsqueeze(-2)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -52,7 +53,7 @@ class Animation:
     @property
     def content(self) -> dict[str, Any]:
         """The object of its edit file with absolute paths; a copy."""
-        return _renamed(self._data, Path(self._folder or ".").absolute(), None)
+        return self._seen_from(None)
 
     def at(self, time: float) -> EditScript:
         """The edits at a time; before the first and after the last key they stay as they are.
@@ -78,9 +79,13 @@ class Animation:
             self.at(self.start).save(path)
             return
         # Only the names of files can have to change.
-        old = Path(self._folder or ".").absolute()
-        moved = _renamed(self._data, old, Path(path).parent)
+        moved = self._seen_from(Path(path).parent)
         write_edit_file(path, json.dumps(moved, indent=2) + "\n")
+
+    def _seen_from(self, folder: Path | None) -> dict[str, Any]:
+        """The object of its edit file, whose files are named as seen from a folder."""
+        old = Path(self._folder or ".").absolute()
+        return with_files(self._data, lambda name: seen_from(folder, str(old / name)))
 
     def times(self, frames: int) -> list[float]:
         """Times of so many frames, evenly from the first key to the last, both included.
@@ -109,17 +114,23 @@ class Animation:
             raise EditError(f"{place}: {error}") from error
 
 
-def _renamed(value: Any, old: Path, new: Path | None, path: bool = False) -> Any:
-    """Parsed JSON whose paths, which begin in one folder, are named as seen from another."""
+def with_files(value: Any, change: Callable[[str], str], *, named: bool = False) -> Any:
+    """Parsed JSON of edits or regions with the names of all its files changed; a copy.
+
+    Args:
+        value: the JSON.
+        change: from one name to another.
+        named: whether texts at the top, or in its keyframes, are names of files.
+    """
     if isinstance(value, str):
-        return seen_from(new, str(old / value)) if path else value
+        return change(value) if named else value
     if isinstance(value, list):
-        return [_renamed(item, old, new, path) for item in cast("list[Any]", value)]
+        return [with_files(item, change, named=named) for item in cast("list[Any]", value)]
     if not isinstance(value, dict):
         return value
     items = cast("dict[str, Any]", value)
     return {
-        key: _renamed(item, old, new, key in FILE_KEYS or (path and key == "keyframes"))
+        key: with_files(item, change, named=key in FILE_KEYS or (named and key == "keyframes"))
         for key, item in items.items()
     }
 

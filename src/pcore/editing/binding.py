@@ -8,7 +8,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from pcore.deform.base import SINGULAR, Compose, Deformation, Identity, uprightness
+from pcore.deform.base import SINGULAR, Compose, Deformation, Identity, matrix_product, uprightness
 from pcore.deform.checks import check_finite, check_invertible, numbers
 from pcore.deform.region import Region
 from pcore.deform.weighted import Held, Weighted, blend
@@ -16,7 +16,6 @@ from pcore.editing.anchors import AnchorRig
 from pcore.editing.edits import Edit
 from pcore.editing.regions import RegionEntry, Setting, bind_region, bind_union
 from pcore.geometry.extent import size_of
-from pcore.geometry.matrix_tuples import products
 
 FAR = 2.0
 """How many times its own size an edit moves a point of the object, seldom by intent."""
@@ -139,8 +138,7 @@ class Bound:
         jacobian = step.jacobian(place)
         own = step.folded_given(place, jacobian) if self._folds_by_jacobian else none
         if self.hold is None:
-            both = (one.detach().contiguous().numpy() for one in (jacobian, total))
-            return torch.from_numpy(products(*both)), own
+            return matrix_product(jacobian, total), own
         return Held((step,), self.hold).further(step, jacobian, rest, place, total), own
 
     def then(self, edit: Edit, *, check: bool = True, quick: bool = False) -> Bound:

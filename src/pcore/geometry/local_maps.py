@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from pcore.errors import InputError
+from pcore.geometry.matrix_tuples import extents
 
 _FLATTEST = 1e-12
 _MOST = 0.95
@@ -70,4 +71,4 @@ class LocalMaps:
     @cached_property
     def _sizes(self) -> Tensor:
         """(N, 3) factors by which `to_rest` changes lengths, largest first."""
-        return torch.linalg.svdvals(self.to_rest.detach().double())
+        return torch.from_numpy(extents(self.to_rest.detach().cpu().double().contiguous().numpy()))

@@ -29,11 +29,11 @@ class Unet(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """Colours (B, 3, H, W) of a feature map (B, C, H, W)."""
-        full = F.relu(self.inc(features))
-        half = F.relu(self.down1(F.max_pool2d(full, 2)))
-        quarter = F.relu(self.down2(F.max_pool2d(half, 2)))
-        half = F.relu(self.merge1(_join(half, self.up1(quarter))))
-        full = F.relu(self.merge2(_join(full, self.up2(half))))
+        full = F.relu_(self.inc(features))
+        half = F.relu_(self.down1(F.max_pool2d(full, 2)))
+        quarter = F.relu_(self.down2(F.max_pool2d(half, 2)))
+        half = F.relu_(self.merge1(_join(half, self.up1(quarter))))
+        full = F.relu_(self.merge2(_join(full, self.up2(half))))
         return self.outc(full)
 
 

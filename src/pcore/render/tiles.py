@@ -15,7 +15,6 @@ from itertools import product
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
 from pcore.geometry.camera import Camera
 from pcore.geometry.posed import PosedCloud
@@ -226,11 +225,14 @@ def _laced(papr: Papr, features: Tensor, alpha: Tensor, gain: Tensor, step: int)
     they would be a frame of many pixels, so the rim is repeated beyond itself first.
     """
     rim = ALIGNMENT * step
-    planes = torch.cat([features, alpha.unsqueeze(-1), gain.unsqueeze(-1)], dim=-1)
-    planes = F.pad(planes.permute(2, 0, 1).unsqueeze(0), (rim, rim, rim, rim), mode="replicate")
-    planes = planes[0].permute(1, 2, 0)
+    rows, columns = (
+        torch.arange(-rim, n + rim, device=alpha.device).clamp(0, n - 1) for n in alpha.shape
+    )
+    features, alpha, gain = (
+        plane.index_select(1, columns).index_select(0, rows) for plane in (features, alpha, gain)
+    )
     # A pixel of the photos is as wide as a step: so is the mean of what the UNet sees.
-    features, alpha, gain = mean_around(planes[..., :-2], step), planes[..., -2], planes[..., -1]
+    features = mean_around(features, step)
     colours = alpha.new_empty(*alpha.shape, 3)
     for row, column in product(range(step), repeat=2):
         lattice = (slice(row, None, step), slice(column, None, step))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pcore.editing.stack import Keyed, Stack
+from pcore.editing.animation import with_files
+from pcore.editing.stack import Stack
 from pcore.files.atomic import write_atomically
 
 
@@ -39,6 +40,11 @@ class MeshFiles:
 
 
 def _files_of(stack: Stack) -> set[Path]:
-    raws = [one.raw if isinstance(one, Keyed) else vars(one) for one in stack.edits]
-    names = [raw.get(key) for raw in raws for key in ("before", "after")]
-    return {Path(name).resolve() for name in names if isinstance(name, str)}
+    found: set[Path] = set()
+
+    def note(name: str) -> str:
+        found.add(Path(name).resolve())
+        return name
+
+    with_files(stack.content, note)
+    return found

@@ -67,9 +67,11 @@ if (!window.pcoreHands) {
   lost.style.cssText =
     "position:fixed;z-index:1000;left:1em;bottom:1em;max-width:26em;padding:0.8em 1em;" +
     "color:#fff;background:#b71c1c;border-radius:4px;font:14px/1.4 sans-serif";
+  let wasThere = false; // While the page loads viser shows the same, above what is then to be used.
   setInterval(() => {
     const gone = document.querySelector(".mantine-Loader-root");
-    if (gone && !lost.isConnected) document.body.append(lost);
+    wasThere ||= !gone;
+    if (gone && wasThere && !lost.isConnected) document.body.append(lost);
     if (!gone && lost.isConnected) lost.remove();
   }, 500);
 
