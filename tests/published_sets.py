@@ -44,8 +44,13 @@ def pair(root: Path) -> Path:
     return root
 
 
-def time_sequence(root: Path) -> Path:
-    """Frames of D-NeRF's form, several cameras at each time; the first time is learned."""
+def time_sequence(root: Path, *, cameras_each: int | None = None) -> Path:
+    """Frames of D-NeRF's form; the first time is learned where it has several cameras.
+
+    Args:
+        root: folder to make.
+        cameras_each: at each time; None: all of them. D-NeRF's own scenes have one.
+    """
     cameras = tiny_scene.orbit(8)
     for split, views in (("train", slice(0, 6)), ("test", slice(6, 8))):
         frames = []
@@ -54,7 +59,7 @@ def time_sequence(root: Path) -> Path:
             tiny_scene.write_split(place, split, grown(CORNERS, time), cameras[views])
             content = json.loads((place / f"transforms_{split}.json").read_text())
             (place / f"transforms_{split}.json").unlink()
-            for frame in content["frames"]:
+            for frame in content["frames"][:cameras_each]:
                 path = frame["file_path"].replace("./", f"./of_{number}/")
                 frames.append({**frame, "file_path": path, "time": time, "rotation": 0.03})
         path = root / f"transforms_{split}.json"

@@ -89,6 +89,24 @@ def test_a_clip_that_walks_out_of_sight_stays_in_the_pictures(tmp_path: Path) ->
         states_of(path, edits=(("far", script_of(tmp_path / "far.json")),))
 
 
+def test_a_state_that_has_shrunk_is_told(tmp_path: Path) -> None:
+    made = figure()
+    fade = made.tree["animations"][1]
+    fade["channels"][0]["target"] = {"node": 1, "path": "scale"}
+    fade["samplers"][0]["output"] = made.array(np.array([[1.0, 1, 1], [0, 0, 0]]))
+    (tmp_path / "tiny.json").write_text(
+        '{"version": 2, "edits": [{"type": "scale", "factor": 0.1}]}'
+    )
+    edits = (("tiny", script_of(tmp_path / "tiny.json")),)
+    path = save(made, tmp_path)
+    _, notes = states_of(path, analytic=False, edits=edits)
+    assert [note.split(" of the")[0] for note in notes] == [
+        "the state 'tiny' has shrunk to 10 %",
+        "the state 'stay' has shrunk to 4 %",
+    ]
+    assert states_of(path, analytic=False, clips=(("Stay", 1.0),), every_clip=False)[1] == []
+
+
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_a_bend_about_a_chosen_axis_is_its_formula(tmp_path: Path, axis: Any) -> None:
     states, _ = states_of(save(figure(), tmp_path), bend_axis=axis, every_clip=False)

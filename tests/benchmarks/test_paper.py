@@ -81,6 +81,18 @@ def said(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
     return capsys.readouterr().out
 
 
+@pytest.mark.parametrize("table", [*TABLES, *paper.OTHERS])
+def test_every_table_has_a_help_and_a_line_that_says_how_long(
+    table: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        paper.main([table, "--help"])
+    assert ended.value.code == 0
+    assert f"python -m benchmarks.paper {table} DATA RUNS" in capsys.readouterr().out
+    guide = Path(__file__).parents[2] / "docs" / "research" / "paper-tables.md"
+    assert f"| `{table} DATA RUNS` |" in guide.read_text(encoding="utf-8")
+
+
 def test_a_dry_run_says_what_is_done_and_what_is_left_out(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

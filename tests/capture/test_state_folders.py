@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 import published_sets
+from pcore.asset.training import train
 from pcore.capture.load import find_states, load_scene, load_state
 from pcore.cli.fit import photos_in
 from pcore.errors import SceneError
@@ -28,12 +29,19 @@ def test_one_time_stamp_is_no_sequence(tmp_path: Path) -> None:
     assert load_scene(tmp_path).states == ()
 
 
-def test_one_camera_for_each_time_is_refused(tmp_path: Path) -> None:
+def test_one_camera_for_each_time_is_a_sequence_from_which_nothing_is_learned(
+    tmp_path: Path,
+) -> None:
     path = write_split(tmp_path, "train", count=3)
     for index in range(3):
         change_frame(path, index, time=index / 2)
-    with pytest.raises(SceneError, match=r"got 1 of 3 frames with time 0\. .* remove 'time'"):
-        load_scene(tmp_path)
+    scene = load_scene(tmp_path)
+    assert scene.states == ("t0", "t0.5", "t1")
+    assert any("no object can be learned: its 3 states pose and score" in n for n in scene.notes)
+    photos = [photos_in(tmp_path / state, 1) for state in scene.states]
+    assert [[view.name for view in views] for views in photos] == [["r_0"], ["r_1"], ["r_2"]]
+    with pytest.raises(SceneError, match="give views from at least two directions"):
+        train(scene)
     change_frame(path, 1, time=None)
     with pytest.raises(SceneError, match=r"expected 'time' in every frame .* got it in 2 of 3"):
         load_scene(tmp_path)

@@ -158,6 +158,8 @@ def test_what_is_compared_must_be_of_one_scene(
     other = tiny_scene.write_run(tmp_path / "other", tiny_scene.write_scene(tmp_path / "box2"))
     assert compare(run, other) == 2
     assert "expected runs of one scene" in " ".join(capsys.readouterr().err.split())
+    assert compare(run, run.parent / "." / run.name) == 2
+    assert "expected each RUN once" in " ".join(capsys.readouterr().err.split())
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("keep")
     assert compare(run, "--methods", "papr", "-o", tmp_path / "mine") == 2

@@ -116,6 +116,21 @@ def test_a_time_stamp_is_a_state_to_score_against(tmp_path: Path, scene: Path) -
     assert all(row["hole_rate"] for row in edited)
 
 
+def test_one_photo_of_each_time_scores_what_was_learned_elsewhere(
+    tmp_path: Path, scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    alone = published_sets.time_sequence(tmp_path / "alone", cameras_each=1)
+    run = tiny_scene.write_run(tmp_path / "run", scene)
+    grow = edit_file(tmp_path, "grow", {"type": "scale", "factor": 1.125})
+    words = ["--scene", str(alone), "--edit", str(grow), "--against", "t0.25"]
+    assert main(["eval", str(run), *words, "--protocol", "standard"]) == 0
+    assert "one photo of the first time, 0, from which no" in " ".join(
+        capsys.readouterr().out.split()
+    )
+    views = {(row["state"], row["view"]) for row in rows_of(run / "eval")}
+    assert [state for state, _ in sorted(views)] == ["canonical", "edit:grow"]
+
+
 def edit_file(folder: Path, name: str, *edits: dict) -> Path:
     path = folder / f"{name}.json"
     path.write_text(json.dumps({"version": 2, "edits": edits}))

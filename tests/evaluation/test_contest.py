@@ -220,6 +220,18 @@ def test_runs_that_differ_in_their_seed_are_one_method(states: SceneStates) -> N
     assert names(given(0), given(1, 9)) == [("PAPR (run-0-8)", 0), ("PAPR (run-1-9)", 1)]
 
 
+def test_runs_in_folders_of_one_name_are_rows_of_their_own(states: SceneStates) -> None:
+    asset = perfect().asset
+    places = [Path("/of/a/run"), Path("/of/b/run"), Path("/run"), Path("/other")]
+    records = [
+        replace(asset.record, config={"pretrain": {"points": number}}, path=path)
+        for number, path in enumerate(places)
+    ]
+    runs = [Given(asset=replace(asset, record=one), stamp=str(one.path)) for one in records]
+    found = [entry.name for entry in given_entries(runs, states.scene, ["papr"])]
+    assert found == ["PAPR (a/run)", "PAPR (b/run)", "PAPR (/run)", "PAPR (other)"]
+
+
 def test_rivals_are_trained_once_and_kept(states: SceneStates, tmp_path: Path) -> None:
     shop = Workshop(
         folder=tmp_path / "trained",

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from banded_rod import armed, cameras, error_from_aside, rod, write_photos
+from banded_rod import COUNT, SIDE, armed, cameras, error_from_aside, rod, write_photos
 
 import pcore
 from pcore.asset.asset import Asset
+from pcore.asset.posing import script_of
 from pcore.capture.load import load_scene
 from pcore.cli.main import main
 from pcore.data.scene import View
@@ -25,8 +26,11 @@ from pcore.fitting.fit_config import AppearanceConfig, FitConfig, FitStage, Sear
 from pcore.fitting.fit_photos import photos_of
 from pcore.fitting.fit_sequence import fit_sequence
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, keyframed, pose_of_edit
+from pcore.fitting.fitter import Fitter
 from pcore.fitting.numbers_fit import fit_numbers
 from pcore.fitting.pose_fit import fit_pose
+from pcore.fitting.shown_object import Shown
+from pcore.gaussians.wide_pixels import pixel_width
 
 BEND = {"version": 2, "edits": [{"type": "bend", "axis": "z", "angle_deg": 70}]}
 TWELVE = {"anchors": 12}
@@ -162,6 +166,24 @@ def test_from_the_truth_it_stays_there(asset: Asset, tmp_path: Path) -> None:
     moved = (asset.pose(fit.edit).points - asset.pose(edit).points).norm(dim=1)
     assert float(moved.mean()) < 0.01
     assert fit.after.psnr >= fit.before.psnr - 1e-3
+
+
+@pytest.mark.parametrize("pixels", [16, 8])
+def test_small_pictures_are_as_good_as_the_photos_they_were_made_of(
+    asset: Asset, bent: Path, pixels: int
+) -> None:
+    photos = photos_of(views_of(bent), torch.device("cpu"))
+    shown = Shown.of(asset)
+    width = pixel_width(shown.gaussians, photos[0].camera)
+    shown = replace(shown, footprint=replace(shown.footprint, pixel=width))
+    fitter = Fitter(shown, anchor_rig(asset.points, None, FitConfig(anchors=COUNT)))
+    true = pose_of_edit(script_of(BEND), asset.points, fitter.rig, FitConfig(**TWELVE))
+    numbers = fitter.space.numbers(true)
+    errors = [
+        fitter.error(numbers, [photo.at_most(size) for photo in photos], QUICK)
+        for size in (pixels, SIDE)
+    ]
+    assert errors[0] < 1.2 * errors[1]
 
 
 def test_a_free_number_is_found_and_others_stay(asset: Asset, bent: Path) -> None:

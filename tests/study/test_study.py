@@ -215,6 +215,7 @@ def change(record: dict[str, Any], place: str, value: object) -> None:
             lambda r: change(r, "seconds", float("nan")),
             "answers.0.seconds: Input should be a finite",
         ),
+        (lambda r: change(r, "seconds", -1.0), "answers.0.seconds: .*greater than or equal to 0"),
         (lambda r: r.update(asked=1), "expected at most the 1 pairs that were asked, got"),
     ],
 )
@@ -273,3 +274,9 @@ def test_other_keys_are_refused(made: Path, tmp_path: Path) -> None:
     key.write_text(json.dumps({**record, "version": 9}))
     with pytest.raises(InputError, match="version 1, got 'pcore-study-key', version 9"):
         read_key(key)
+    trials = record["trials"]
+    swapped = {**trials[0], "keys": trials[0]["keys"][::-1]}
+    for changed in ([*trials, trials[0]], trials[1:], [swapped, *trials[1:]]):
+        key.write_text(json.dumps({**record, "trials": changed}))
+        with pytest.raises(InputError, match=f"the {len(changed)} trials that make the id"):
+            read_key(key)

@@ -44,6 +44,8 @@ _FLAT = 1e-9
 """Area of a surface that is a line, in squares of its radius."""
 _GONE = 1e-3
 """Extent, in radii of the object, under which a clip or an edit has made it vanish."""
+_SMALL = 0.2
+"""Extent, in that of the canonical shape, under which pictures hardly show a state."""
 _STILL = 1e-4
 """Mean displacement, in radii of the object, under which a clip does not move."""
 
@@ -146,6 +148,7 @@ def plan_states(
             notes.append(_renamed(f"edit {given!r}", name))
         moved = script.bound(torch.from_numpy(vertices)).setting.points.numpy()
         _in_sight(name, moved)
+        notes += _small(name, vertices, moved)
         text = json.loads(script.to_json())
         _add(states, name, vertices, moved, {"type": "edit", "edit": text})
     chosen = list(plan.clips)
@@ -191,6 +194,7 @@ def _add_clips(
                 f"out of the state {state!r} (removed_motion in deformation.json)"
             )
         _in_sight(state, moved)
+        notes += _small(state, vertices, moved)
         _add(states, state, vertices, moved, about)
 
 
@@ -204,6 +208,18 @@ def _reach(vertices: FloatArray) -> float:
 
 def _vanished(vertices: FloatArray) -> bool:
     return float(np.ptp(vertices, axis=0).max()) < _GONE
+
+
+def _small(name: str, before: FloatArray, after: FloatArray) -> list[str]:
+    """What is to be said of a state that has shrunk, if it has."""
+    share = float(np.ptp(after, axis=0).max() / np.ptp(before, axis=0).max())
+    if share >= _SMALL:
+        return []
+    return [
+        f"the state {name!r} has shrunk to {100 * share:.0f} % of the canonical extent, so that "
+        "its pictures are nearly empty; take another time of the clip (--clips CLIP@T), or leave "
+        "it out"
+    ]
 
 
 def _in_sight(name: str, after: FloatArray) -> None:

@@ -3,12 +3,13 @@
 A state is a sub-folder of the scene with `transforms_test.json`; a sub-folder as Neural Editor's
 deformed scenes have it, with `views_test/transforms.json`; `end` of a PAPR-in-Motion pair; or a
 time stamp of the scene's own files, as D-NeRF writes them: `t0.25` are all frames of "time" 0.25.
+The first time of the training views is canonical, and a state as well where it has a single photo.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,7 +19,6 @@ from pcore.errors import SceneError
 from pcore.validation import parse_json, read_text
 
 START, END = "start", "end"
-_LEAST = 2
 _VIEWS = {"train": "views_train", "test": "views_test"}
 """Folders of Neural Editor's deformed scenes; paths of their images start one folder above."""
 
@@ -51,8 +51,7 @@ def files_of(folder: Path) -> RenderedFiles:
     """Look where a scene's views are; of time stamps the first of the training views is canonical.
 
     Raises:
-        SceneError: a sequence in time in which one time stamp has too few training views, or frames
-            without one.
+        SceneError: a sequence in time in which frames have no time stamp.
     """
     if is_pair(folder):
         splits = splits_in(folder / START)
@@ -65,11 +64,16 @@ def files_of(folder: Path) -> RenderedFiles:
     with_first = {
         split: file for split, file in splits_in(folder, first).items() if _has(file.path, first)
     }
-    name = _name(first)
     note = (
         f"a sequence in time: the views of time {first:g} are learned, {len(states)} later states "
-        f"are scored (the first is {next(iter(states), 'none')}, this one {name})"
+        f"are scored (the first is {next(iter(states), 'none')}, this one {_name(first)})"
     )
+    if _name(first) in states:
+        note = (
+            f"a sequence in time with one photo of the first time, {first:g}, from which no object "
+            f"can be learned: its {len(states)} states pose and score a run of the same object "
+            "that was learned elsewhere (pcore fit --photos, pcore eval --against)"
+        )
     return RenderedFiles(root=folder, splits=with_first, states=states, note=note)
 
 
@@ -79,15 +83,21 @@ def state_files(folder: Path) -> Mapping[str, Splits]:
         return {END: splits_in(folder / END)}
     found = {child.name: _of_folder(child) for child in sorted(folder.iterdir()) if child.is_dir()}
     states = {name: splits for name, splits in found.items() if "test" in splits}
-    times = {split: _times(file.path) for split, file in splits_in(folder).items()}
+    files = splits_in(folder)
+    times = {split: _times(file.path) for split, file in files.items()}
     stamps = sorted({time for known in times.values() for time in known if time is not None})
     if len({_name(time) for time in stamps}) < 2:
         return states
-    first = min((time for time in times.get("train", ()) if time is not None), default=None)
+    known = [time for time in times.get("train", ()) if time is not None]
+    learned = [time for time in known if same_time(time, min(known))]
     for time in stamps:
-        if first is None or not same_time(time, first):
-            splits = splits_in(folder, time)
-            states[_name(time)] = {k: v for k, v in splits.items() if _has(v.path, time)}
+        # One photo teaches nothing, so that its time is a state like the others.
+        if len(learned) < 2 or not same_time(time, learned[0]):
+            states[_name(time)] = {
+                split: replace(file, time=time)
+                for split, file in files.items()
+                if any(same_time(one, time) for one in times[split])
+            }
     return states
 
 
@@ -111,16 +121,7 @@ def _first_time(folder: Path) -> float | None:
             f"scene file {path}: expected 'time' in every frame of a sequence in time or in none, "
             f"got it in {len(stamped)} of {len(times)}"
         )
-    first = min(stamped)
-    count = sum(same_time(time, first) for time in stamped)
-    if count < _LEAST:
-        raise SceneError(
-            f"scene file {path}: expected several training views of the first time stamp, from "
-            f"which the object is learned, got {count} of {len(times)} frames with time {first:g}. "
-            "A sequence with one camera for each time has no canonical set of views; if the object "
-            "does not move, remove 'time' from the frames"
-        )
-    return first
+    return min(stamped)
 
 
 def _has(path: Path, time: float) -> bool:

@@ -165,6 +165,11 @@ def _runs(command: CompareCommand, device: str) -> list[Given]:
     from pcore.evaluation.contestants import Given, stamp_of_run
     from pcore.evaluation.methods import open_subject
 
+    if len({path.resolve() for path in command.runs}) < len(command.runs):
+        raise InputError(
+            f"compare: expected each RUN once, got {' '.join(map(str, command.runs))}; leave the "
+            "copies out"
+        )
     return [
         Given(asset=open_subject(path, device=device), stamp=stamp_of_run(path))
         for path in command.runs

@@ -248,8 +248,17 @@ def _alike(runs: Sequence[Given]) -> list[str]:
         seeds = {seed_of(other.asset) for other in same}
         settings = {_settings(other.asset) for other in same}
         told = len(same) == 1 or (len(seeds) == len(same) and len(settings) == 1)
-        names.append("" if told else f" ({run.asset.path.resolve().name})")
+        others = [other.asset.path.resolve() for other in same if other is not run]
+        names.append("" if told else f" ({_apart(run.asset.path.resolve(), others)})")
     return names
+
+
+def _apart(path: Path, others: Sequence[Path]) -> str:
+    """As many of a folder's last names as tell it from others."""
+    names = path.parts[1:]
+    ends = ("/".join(names[-count:]) for count in range(1, len(names) + 1))
+    free = (end for end in ends if not any(one.as_posix().endswith(f"/{end}") for one in others))
+    return next(free, path.as_posix())
 
 
 def _flat(asset: Asset) -> bool:

@@ -21,7 +21,8 @@ from pcore.fitting.limb_search import LimbSearch
 from pcore.fitting.point_splatting import PointSplatting
 from pcore.fitting.shown_object import Shown
 from pcore.gaussians.carry import carried_axes
-from pcore.gaussians.render import Footprint, PosedGaussians, render
+from pcore.gaussians.render import Footprint, PosedGaussians
+from pcore.gaussians.wide_pixels import render_divided
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rotation import nearest_rotation
 
@@ -202,7 +203,7 @@ def picture_loss(
     """
     errors, area = background.new_zeros(()), background.new_zeros(())
     for photo in photos:
-        seen = render(posed, [photo.camera], footprint=footprint, background=background)
+        seen = render_divided(posed, [photo.camera], footprint=footprint, background=background)
         one = seen.rgb[0], seen.alpha[0]
         errors = errors + difference(*one, photo, background, silhouettes=silhouettes)
         area = area + (photo.alpha * photo.known).sum()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from pcore.errors import InputError
-from pcore.study.page import ANSWERS_FORMAT, KEY_FORMAT, VERSION
-from pcore.study.trials import Trial
+from pcore.study.page import ANSWERS_FORMAT, KEY_FORMAT, VERSION, name_of
 from pcore.validation import read_json
 
 
@@ -24,7 +24,7 @@ class Answer(_Strict):
     left: str
     right: str
     chosen: str
-    seconds: FiniteFloat
+    seconds: Annotated[FiniteFloat, Field(ge=0)]
 
 
 class Answers(_Strict):
@@ -57,10 +57,6 @@ class Key(_Strict):
     question: str
     trials: tuple[_Trial, ...]
 
-    def trial(self, number: int) -> Trial:
-        """Return a trial by its number."""
-        return Trial(**dict(self.trials[number]))
-
 
 class Sheets(BaseModel):
     """The answers that count, and what was odd about the others."""
@@ -75,7 +71,7 @@ def read_key(path: Path) -> Key:
     """Read the key that `pcore study make` wrote.
 
     Raises:
-        InputError: it is none.
+        InputError: it is none, or was changed.
     """
     record = read_json(path, what="key of a study", error=InputError)
     try:
@@ -86,6 +82,11 @@ def read_key(path: Path) -> Key:
         raise InputError(
             f"key of a study {path}: expected format {KEY_FORMAT!r}, version {VERSION}, got "
             f"{key.format!r}, version {key.version}"
+        )
+    if name_of(key.question, [one.model_dump() for one in key.trials]) != key.study:
+        raise InputError(
+            f"key of a study {path}: expected the question and the {len(key.trials)} trials that "
+            f"make the id {key.study}, got others; give the key.json as `pcore study make` wrote it"
         )
     return key
 

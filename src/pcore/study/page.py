@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
@@ -51,8 +52,7 @@ def write_study(folder: Path, study: Study, *, question: str, per_person: int | 
     if per_person is not None and not 1 <= per_person <= len(asked):
         raise InputError(f"study: expected 1 to {len(asked)} pairs per person, got {per_person}")
     trials = [asdict(one) for one in study.trials]
-    digest = hashlib.sha256(json.dumps([question, trials], sort_keys=True).encode())
-    name = digest.hexdigest()[:12]
+    name = name_of(question, trials)
     key = {
         "format": KEY_FORMAT,
         "version": VERSION,
@@ -75,6 +75,11 @@ def write_study(folder: Path, study: Study, *, question: str, per_person: int | 
     replace_file(folder / PAGE_FILE, _page(question, page).encode())
     replace_file(folder / KEY_FILE, (json.dumps(key, indent=1) + "\n").encode())
     return name
+
+
+def name_of(question: str, trials: Sequence[Mapping[str, Any]]) -> str:
+    """The id of a study, by what it asks: a key that was changed has another."""
+    return hashlib.sha256(json.dumps([question, trials], sort_keys=True).encode()).hexdigest()[:12]
 
 
 def _page(question: str, content: dict[str, Any]) -> str:
