@@ -372,3 +372,12 @@ def test_projection_is_the_reference() -> None:
         torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-10 * float(other.abs().max()))
     again = projected(gaussian_projection, inputs, shares)
     assert all(torch.equal(one, other) for one, other in zip(ours, again, strict=True))
+
+
+def test_second_derivatives_are_refused() -> None:
+    inputs = some_gaussians(20, 1)
+    inputs["means"].requires_grad_()
+    image, _ = drawn(inputs)
+    (slope,) = torch.autograd.grad(image.square().sum(), inputs["means"], create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        slope.sum().backward()

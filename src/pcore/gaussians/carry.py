@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pcore.deform.base import Deformation
 from pcore.errors import EditError
@@ -96,6 +97,7 @@ class _Polar(torch.autograd.Function):
         return found.to(matrices)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> Tensor:  # pyright: ignore
         """A change of J turns Q by w, where (tr P - P) w is the axis of Q^T dJ - (Q^T dJ)^T."""
         matrices, found = ctx.saved_tensors

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numba import prange
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pcore.geometry.torch_threads import use_torch_threads
 from pcore.kernels.numba_bridge import as_float32
@@ -65,7 +66,8 @@ class _EncodePairs(torch.autograd.Function):
         return waves, squared
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
         use_torch_threads()
         directions, neighbours, waves = ctx.saved_tensors
         to_position = torch.empty(waves.shape[0], 3)

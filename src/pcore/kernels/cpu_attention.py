@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pcore.geometry.torch_threads import use_torch_threads
 from pcore.kernels import cpu_attention_loops as loops
@@ -67,7 +68,8 @@ class _Scores(torch.autograd.Function):
         return scores
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
         use_torch_threads()
         key: Layers = ctx.key
         waves, queries, own, points, *rest = ctx.saved_tensors
@@ -163,7 +165,8 @@ class _Features(torch.autograd.Function):
         return pooled
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
         use_torch_threads()
         value: Layers = ctx.value
         waves, features, weights, points, *rest = ctx.saved_tensors

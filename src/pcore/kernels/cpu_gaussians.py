@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pcore.geometry.torch_threads import use_torch_threads
 from pcore.kernels.cpu_gaussian_lists import Lists, listed
@@ -86,7 +87,8 @@ class _Blend(torch.autograd.Function):
         return image, through, middle
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
         use_torch_threads()
         means, shapes, opacities, colors, image, through = ctx.saved_tensors
         lists: Lists = ctx.lists

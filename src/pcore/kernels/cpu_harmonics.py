@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numba import prange
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pcore.geometry.torch_threads import use_torch_threads
 from pcore.kernels.numba_bridge import as_array
@@ -45,7 +46,8 @@ class _Colors(torch.autograd.Function):
         return found
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
         use_torch_threads()
         sh, directions, found = ctx.saved_tensors
         to_sh = torch.empty_like(sh, memory_format=torch.contiguous_format)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pcore.geometry.torch_threads import use_torch_threads
 from pcore.kernels.cpu_covariance_loops import covariances, covariances_backward
@@ -96,7 +97,8 @@ class _Covariances(torch.autograd.Function):
         return found
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, ...]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore
         use_torch_threads()
         quats, scales = ctx.saved_tensors
         to_quats = quats.new_empty(quats.shape)
@@ -140,7 +142,8 @@ class _Projection(torch.autograd.Function):
         return found
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore
         use_torch_threads()
         means, covariances, viewmats, intrinsics = ctx.saved_tensors
         to_means, to_covariances = means.new_empty(means.shape), means.new_empty(covariances.shape)

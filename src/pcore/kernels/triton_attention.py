@@ -17,6 +17,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pcore.kernels import reference_attention
 from pcore.kernels.networks import Layers
@@ -81,6 +82,7 @@ class _Scores(torch.autograd.Function):
         return launch_scores(packed, own, waves, neighbours, answering, queries)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         waves, queries, own, neighbours, answering, *parameters = ctx.saved_tensors
 
@@ -125,6 +127,7 @@ class _Features(torch.autograd.Function):
         return pooled
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         waves, weights, features, neighbours, *parameters = ctx.saved_tensors
 
