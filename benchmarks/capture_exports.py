@@ -11,13 +11,10 @@ import trimesh
 from torch import Tensor
 
 import pcore
-from benchmarks.capture_figures import Figure, Place, means
+from benchmarks.capture_figures import Figure, Place, command, means, train
 from pcore.asset.meshing import box_of, moved_mesh
-from pcore.cli.export import ExportCommand
-from pcore.cli.train import TrainCommand
 from pcore.editing.script import parse_edit
 from pcore.evaluation.ground_truth import load_truth
-from pcore.files.run_record import begun
 from pcore.gaussians.pinhole import surface_points
 from pcore.geometry.camera import Camera
 from pcore.geometry.surface_mesh import SurfaceMesh
@@ -39,21 +36,14 @@ def moved(place: Place) -> list[Figure]:
     }
     runs = {name: place.folder / f"run-{name}" for name in roots}
     for name, root in roots.items():
-        TrainCommand(
-            scene=root,
-            output=runs[name],
-            factor=2,
-            resume=begun(runs[name]),
-            no_tensorboard=True,
-            threads=place.threads,
-        ).run()
+        train(place, root, runs[name], 2)
     figures = [means(runs[name])["foreground_psnr"] for name in roots]
     gap = abs(figures[0] - figures[1])
     return [
         Figure(what="between here and there, object, dB", value=gap, bar=0.1, at_most=True),
         Figure(
             what="exported cameras there off the capture's own, share of their distance",
-            value=exported_off(runs["there"], place.folder / "cameras"),
+            value=exported_off(place, runs["there"], place.folder / "cameras"),
             bar=1e-5,
             at_most=True,
         ),
@@ -85,9 +75,9 @@ def copied(scene: Path, folder: Path, there_from_here: Tensor) -> Path:
     return folder
 
 
-def exported_off(run: Path, folder: Path) -> float:
+def exported_off(place: Place, run: Path, folder: Path) -> float:
     """Largest difference of exported camera places from the scene's, by the cameras' distance."""
-    ExportCommand(run_folder=run, to="cameras", output=folder, overwrite=True).run()
+    command(place, "export", str(run), "--to", "cameras", "-o", str(folder), "--overwrite")
     frames = json.loads((folder / "transforms.json").read_text())["frames"]
     written = torch.tensor([one["transform_matrix"] for one in frames]).double()
     scene = pcore.load(run).scene()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from pcore.cli.train import TrainCommand
+from pcore.errors import PcoreError
 from pcore.evaluation.methods import methods_of, open_subject
 from pcore.evaluation.protocol import STANDARD
 from pcore.evaluation.runner import evaluate
@@ -64,21 +67,38 @@ def trained(
     """Train Gaussians with a promise unless they are, and say how well it was kept."""
     going = begun(place.folder)
     start = time.monotonic()
-    TrainCommand(
-        scene=place.data / scene,
-        output=place.folder,
-        factor=factor,
-        minutes=minutes,
-        masks=masks,
-        resume=going,
-        no_tensorboard=True,
-        threads=place.threads,
-    ).run()
+    promise = ["--minutes", str(minutes), *([] if masks is None else ["--masks", masks])]
+    train(place, place.data / scene, place.folder, factor, *promise)
     took = time.monotonic() - start
     # Of a training that went on, nobody knows what it took in one piece.
     off = math.nan if going else 100 * abs(took / (60 * minutes) - 1)
     what = f"off the promise of {minutes:g} minutes, %"
     return Figure(what=what, value=off, bar=20, at_most=True)
+
+
+def train(place: Place, scene: Path, run: Path, factor: int, *words: str) -> None:
+    """Train Gaussians by the command; a training that was begun goes on."""
+    going = ["--resume"] if begun(run) else []
+    fixed = ["--factor", str(factor), "--no-tensorboard", *going]
+    command(place, "train", str(scene), "-o", str(run), *fixed, *words)
+
+
+def command(place: Place, *words: str) -> None:
+    """Call `pcore` in a process of its own, as a user does.
+
+    Raises:
+        PcoreError: it failed.
+    """
+    threads = [] if place.threads is None else ["--threads", str(place.threads)]
+    line = [sys.executable, "-m", "pcore.cli.main", *words, *threads]
+    code = subprocess.run(line, check=False).returncode
+    if code:
+        raise PcoreError(f"pcore {' '.join(words)}: expected exit code 0, got {code}; it says why")
+
+
+def processor_seconds() -> float:
+    """Of this process and of all that it waited for."""
+    return sum(os.times()[:4])
 
 
 def scored(place: Place, metric: str, bar: float) -> Figure:

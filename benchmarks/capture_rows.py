@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
 import time
@@ -12,17 +11,15 @@ from unittest.mock import patch
 import numpy as np
 import torch
 from PIL import Image
-from rich.console import Console
 
 import pcore
 from benchmarks.capture_exports import mesh, moved
-from benchmarks.capture_figures import Figure, Place, scored, trained
+from benchmarks.capture_figures import Figure, Place, command, processor_seconds, scored, trained
 from benchmarks.sequential_edits import NAMES, edits_for, rate, sequence
 from pcore.capture.photos import pictures_in
 from pcore.capture.pose_contradictions import find_contradictions
 from pcore.capture.reprojection import reprojection
 from pcore.capture.scene_masks import ordered_views
-from pcore.cli.check import CheckCommand, check
 from pcore.data.scene import Scene
 from pcore.evaluation.methods import open_subject
 from pcore.training.locate import locate
@@ -115,10 +112,9 @@ def chair(place: Place) -> list[Figure]:
 
 def checked(place: Place) -> list[Figure]:
     """`pcore check` of a hundred photos."""
-    start = time.process_time()
-    command = CheckCommand(scene=place.data / CHAIR, threads=place.threads)
-    check(command, Console(file=io.StringIO()))
-    seconds = time.process_time() - start
+    start = processor_seconds()
+    command(place, "check", str(place.data / CHAIR))
+    seconds = processor_seconds() - start
     return [Figure(what="`check` on 100 views, processor s", value=seconds, bar=30, at_most=True)]
 
 

@@ -18,10 +18,9 @@ from pathlib import Path
 
 import torch
 
-from benchmarks.capture_figures import Figure, Place
+from benchmarks.capture_figures import Figure, Place, processor_seconds
 from benchmarks.capture_rows import ROWS
 from benchmarks.measure import machine
-from pcore.cli.runtime import prepare_torch
 from pcore.errors import PcoreError
 from pcore.files.atomic import write_atomically
 
@@ -38,7 +37,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(wish: argparse.Namespace) -> int:
     """Measure the rows that are not there yet, print and write the table."""
-    prepare_torch(wish.threads)
+    if wish.threads is not None:
+        torch.set_num_threads(wish.threads)
     wish.out.mkdir(parents=True, exist_ok=True)
     failed = list[str]()
     for name in wish.only:
@@ -60,12 +60,12 @@ def run(wish: argparse.Namespace) -> int:
 
 def measured(name: str, place: Place) -> dict[str, object]:
     """Measure a row; seconds are those of this call, also where it went on with a training."""
-    clock, processor = time.monotonic(), time.process_time()
+    clock, processor = time.monotonic(), processor_seconds()
     figures = ROWS[name](place)
     return {
         "figures": [asdict(one) for one in figures],
         "seconds": time.monotonic() - clock,
-        "processor_seconds": time.process_time() - processor,
+        "processor_seconds": processor_seconds() - processor,
         "machine": machine(torch.device("cpu"), torch.get_num_threads()),
     }
 

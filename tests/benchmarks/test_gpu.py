@@ -132,7 +132,7 @@ def test_unknown_commands_are_named(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["benchmarks", "gpus"])
     assert main() == 2
-    assert "expected speed, scaling, bars or gpu, got 'gpus'" in capsys.readouterr().err
+    assert "expected speed, scaling, bars, captures or gpu, got 'gpus'" in capsys.readouterr().err
 
 
 def test_missing_packages_are_named() -> None:

@@ -14,7 +14,7 @@ from pcore.cli.main import main
 from pcore.files.model_file import load_model
 from pcore.files.run_folder import RunFolder
 from pcore.files.skinning_file import load_skinning
-from pcore.training import finetune
+from pcore.training import finetune, objective
 from pcore.training.presets import skinning_preset
 
 
@@ -142,7 +142,7 @@ def test_resuming_equals_never_stopping(
 ) -> None:
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert call(base, "-o", whole, steps=4) == 0
-    original, count = finetune.draw_patch, [0]
+    original, count = objective.draw_patch, [0]
 
     def draw(*args: object, **options: object) -> object:
         count[0] += 1
@@ -150,7 +150,7 @@ def test_resuming_equals_never_stopping(
             signal.raise_signal(signal.SIGINT)
         return original(*args, **options)  # pyright: ignore[reportArgumentType]
 
-    monkeypatch.setattr(finetune, "draw_patch", draw)
+    monkeypatch.setattr(objective, "draw_patch", draw)
     assert call(base, "-o", broken, steps=4) == 130
     assert f"is saved in {broken}" in capsys.readouterr().err
     assert call(base, "-o", broken, "--resume", steps=4) == 0

@@ -30,7 +30,9 @@ _OPENCV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 
 
 def closest_to_axes(poses: Tensor) -> Tensor | None:
-    """Point (3,) float64 that viewing axes come closest to (least squares); None: parallel ones.
+    """Point (3,) float64 that viewing axes come closest to (least squares).
+
+    None where they are parallel, or too large to be said.
 
     Args:
         poses: (N, 4, 4) world_from_camera.
@@ -40,6 +42,8 @@ def closest_to_axes(poses: Tensor) -> Tensor | None:
     # Sum over views of |(1 - a a^T) (x - o)|^2: a 3 x 3 linear system.
     across = torch.eye(3, dtype=torch.float64) - axis[:, :, None] * axis[:, None, :]
     system = across.mean(dim=0)
+    if not bool(torch.isfinite(system).all()):
+        return None
     if float(torch.linalg.eigvalsh(system)[0]) < _PARALLEL:
         return None
     right = (across @ poses[:, :3, 3:]).mean(dim=0)[:, 0]

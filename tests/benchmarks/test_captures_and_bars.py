@@ -113,10 +113,10 @@ def test_a_capture_elsewhere_is_the_same_and_its_cameras_come_back(tmp_path: Pat
         rtol=0,
     )
     run = tiny_scene.write_run(tmp_path / "run", there, factor=1)
-    assert exported_off(run, tmp_path / "cameras") < 1e-5
+    assert exported_off(Place(tmp_path, tmp_path), run, tmp_path / "cameras") < 1e-5
     assert math.isfinite(means(run)["foreground_psnr"])
     # Of a scene that is no more what it was the cameras are others.
     copied(root, there, torch.eye(4))
     written = (tmp_path / "cameras" / "transforms.json").read_bytes()
-    exported_off(run, tmp_path / "cameras")
+    exported_off(Place(tmp_path, tmp_path), run, tmp_path / "cameras")
     assert (tmp_path / "cameras" / "transforms.json").read_bytes() != written
