@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.commands import run_pcore
 from pcore.errors import PcoreError
 from pcore.evaluation.methods import methods_of, open_subject
 from pcore.evaluation.protocol import STANDARD
@@ -90,8 +89,7 @@ def command(place: Place, *words: str) -> None:
         PcoreError: it failed.
     """
     threads = [] if place.threads is None else ["--threads", str(place.threads)]
-    line = [sys.executable, "-m", "pcore.cli.main", *words, *threads]
-    code = subprocess.run(line, check=False).returncode
+    code = run_pcore(*words, *threads)
     if code:
         raise PcoreError(f"pcore {' '.join(words)}: expected exit code 0, got {code}; it says why")
 

@@ -32,6 +32,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.commands import run_pcore
 from benchmarks.paper_figures import TABLES, Row
 from benchmarks.paper_jobs import MODELS, SKINNED, Job, Wish, plan, show
 from benchmarks.paper_rows import nbs_parts, ours, table_csv, text_of
@@ -48,18 +49,13 @@ def work(wish: Wish, jobs: Sequence[Job]) -> list[Job]:
     good: list[Job] = []
     for job in jobs:
         for step in job.steps:
-            if not step.done and _pcore(*step.words) != 0:
+            if not step.done and run_pcore(*step.words) != 0:
                 reason = f"pcore {step.words[0]} failed; see above"
                 wish.skipped.append(Skipped(name=job.scene.run, reason=reason))
                 break
         else:
             good.append(job)
     return good
-
-
-def _pcore(*words: str) -> int:
-    print(f"$ pcore {shlex.join(words)}", flush=True)
-    return subprocess.run([sys.executable, "-m", "pcore.cli.main", *words], check=False).returncode
 
 
 def gather(jobs: Sequence[Job], file: str) -> Mapping[str, list[Any]]:
@@ -178,7 +174,7 @@ def _study(wish: Wish) -> int:
             f"got {len(answers)} answers; `pcore study make` writes the page (docs/guide/study.md)"
         )
         return 0
-    return _pcore("study", "read", str(folder / "key.json"), *map(str, answers))
+    return run_pcore("study", "read", str(folder / "key.json"), *map(str, answers))
 
 
 def _skinning(wish: Wish, jobs: Sequence[Job]) -> bool:

@@ -10,8 +10,6 @@ over the recipe: `--size 200 --test-views 20` for a small machine.
 
 from __future__ import annotations
 
-import shlex
-import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +17,7 @@ from typing import Any
 
 import yaml
 
+from benchmarks.commands import run_pcore
 from pcore.benchmark.model import read_model
 from pcore.errors import PcoreError
 
@@ -75,9 +74,7 @@ def main(words: Sequence[str] | None = None) -> int:
             print(f"left out: {name}: {error}")
             failed += 1
             continue
-        print(f"$ pcore {shlex.join(made)}", flush=True)
-        command = [sys.executable, "-m", "pcore.cli.main", *made]
-        failed += not dry and subprocess.run(command, check=False).returncode != 0
+        failed += run_pcore(*made, dry=dry) != 0
     return 1 if failed else 0
 
 

@@ -122,7 +122,7 @@ def test_a_table_with_a_line_for_every_picture(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(paper, "_pcore", lambda *words: pcore_main([*words]))
+    monkeypatch.setattr(paper, "run_pcore", lambda *words: pcore_main([*words]))
     for name in ("box", "neural_editor-chair"):
         scene = data / ("deformed/box" if name == "box" else "neural_editor/chair")
         tiny_scene.write_run(tmp_path / name, scene)

@@ -15,10 +15,8 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from pcore.geometry.torch_threads import use_torch_threads
+from pcore.kernels.cpu_projection_loops import CHUNK
 from pcore.kernels.numba_bridge import as_array
-
-_CHUNK = 256
-"""Gaussians that share the numbers in between."""
 
 
 def colors(sh: Tensor, directions: Tensor, factors: np.ndarray) -> Tensor:
@@ -111,10 +109,10 @@ def _forward(
     sh: np.ndarray, directions: np.ndarray, factors: np.ndarray, found: np.ndarray
 ) -> None:
     count, numbers = sh.shape[:2]
-    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+    for chunk in prange((count + CHUNK - 1) // CHUNK):
         work = np.empty((len(factors) + 2, len(factors) + 2))
         values = np.empty((4, numbers))
-        for n in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
+        for n in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
             for c in range(len(directions)):
                 _basis(directions[c, n], factors, work, values)
                 red, green, blue = 0.5, 0.5, 0.5
@@ -137,10 +135,10 @@ def _backward(
 ) -> None:
     to_sh, to_directions = results
     count, numbers = sh.shape[:2]
-    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+    for chunk in prange((count + CHUNK - 1) // CHUNK):
         work = np.empty((len(factors) + 2, len(factors) + 2))
         values, sums, slopes = np.empty((4, numbers)), np.empty((numbers, 3)), np.empty(3)
-        for n in range(chunk * _CHUNK, min(count, (chunk + 1) * _CHUNK)):
+        for n in range(chunk * CHUNK, min(count, (chunk + 1) * CHUNK)):
             sums[:] = 0.0
             for c in range(len(directions)):
                 _basis(directions[c, n], factors, work, values)
