@@ -26,6 +26,7 @@ def reads(page: Page, number: str) -> None:
     page.tab.locator(f'input[value="{number}"]:visible').first.wait_for(timeout=30_000)
 
 
+@pytest.mark.slow
 def test_a_ball_a_telephone_and_a_lost_server(browser: Any, run: Path, free_port: int) -> None:
     page = Page(browser, run, free_port)
     try:

@@ -28,6 +28,7 @@ def without_webgl(browser: Any, url: str) -> None:
         bare.close()
 
 
+@pytest.mark.slow
 def test_hands_on_the_page(browser: Any, run: Path, free_port: int) -> None:
     page = Page(browser, run, free_port)
     keys = page.tab.keyboard
