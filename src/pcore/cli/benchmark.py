@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from rich.console import Console
 from tyro.conf import Positional, arg
 
-from pcore.cli.layout import print_lines
+from pcore.cli.console import counting, say
 from pcore.cli.options import optional
 from pcore.cli.output import check_place
 from pcore.errors import InputError
@@ -82,7 +82,6 @@ class BenchmarkMakeCommand:
         from pcore.benchmark.blender_renderer import blender_python
         from pcore.benchmark.making import make_benchmark
         from pcore.benchmark.model import read_model
-        from pcore.cli.results import counting
         from pcore.sample.sample_render import ray_caster_class
 
         ray_caster_class()
@@ -97,7 +96,7 @@ class BenchmarkMakeCommand:
             lines = [f"{folder}: {len(model.vertices):,} vertices, {len(model.faces):,} triangles"]
             lines += [f"  note: {note}" for note in notes]
             lines.append(f"next: pcore train {folder} -o RUN && pcore eval RUN")
-            print_lines(console, lines)
+            say(console, *lines)
 
     def folders(self) -> list[Path]:
         """Where each model goes; InputError when a place is taken or cannot be made."""

@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import say
 from pcore.cli.options import Count, Folder, Output, named_paths
-from pcore.cli.runtime import DeviceName
-from pcore.cli.torchrun import is_first
+from pcore.cli.output import results_folder
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
+from pcore.cli.torchrun import is_first, joined_ranks, refuse_ranks
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -110,9 +111,6 @@ def compare(command: CompareCommand, console: Console) -> None:
         InputError: unknown names, options that do not fit, an output folder in use, or, after all
             is written, no method that could be scored in any state.
     """
-    from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.torchrun import joined_ranks, refuse_ranks
-
     prepare_torch(command.threads)
     device = pick_device(command.device)
     runs = _runs(command, device)
@@ -213,13 +211,12 @@ def _output(command: CompareCommand, runs: Sequence[Given], places: SceneStates)
         InputError: it holds something else.
         OSError: it cannot be made.
     """
-    from pcore.cli.output import results_of
     from pcore.evaluation.contest_tables import COMPARE_FILE
 
     if command.output is None and not runs:
         raise InputError("compare: expected a folder for the results with -o, as no RUN is given")
     output = command.output or runs[0].asset.path / "compare"
-    results_of(output, COMPARE_FILE, about=places.path)
+    results_folder(output, COMPARE_FILE, about=places.path)
     return output
 
 
@@ -252,7 +249,7 @@ def _entries(
         primitives=counts[0] if counts else preset("tiny").points,
         seconds=command.seconds,
         device=device,
-        note=lambda text: console.print(Text(f"training: {text}"), soft_wrap=True),
+        note=lambda text: say(console, f"training: {text}"),
     )
     entries = given_entries(runs, places.scene, wanted)
     # Of "all" where it can learn at all; asked for by name it says what is missing.

@@ -4,25 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
-from rich.text import Text
 
+from pcore.cli.console import say
+from pcore.cli.layout import Sheet, room, sheet_lines
 from pcore.errors import InputError
-
-if TYPE_CHECKING:
-    from pcore.evaluation.contest import Outcome
-    from pcore.evaluation.contest_tables import Line
+from pcore.evaluation.contest import Outcome
+from pcore.evaluation.contest_tables import (
+    COMPARE_FILE,
+    COSTS,
+    Line,
+    contest_csv,
+    contest_record,
+    cost_rows,
+    images_csv,
+    lines_of,
+    markdown,
+    quality_rows,
+)
+from pcore.evaluation.runner import mean
+from pcore.evaluation.tables import IMAGES_FILE, shown, write_json
+from pcore.files.atomic import write_atomically
 
 CSV_FILE, TABLES_FILE = "compare.csv", "compare.md"
 
 
 def teller(console: Console, total: int) -> Callable[[Outcome], None]:
     """Prints a line for every outcome."""
-    from pcore.evaluation.runner import mean
-    from pcore.evaluation.tables import shown
-
     done = [0]
 
     def tell(outcome: Outcome) -> None:
@@ -33,7 +43,7 @@ def teller(console: Console, total: int) -> Callable[[Outcome], None]:
         line = (
             f"{done[0]}/{total} {outcome.name} ({outcome.setting}{seed}), {outcome.state}: {said}"
         )
-        console.print(Text(line), soft_wrap=True)
+        say(console, line)
 
     return tell
 
@@ -61,16 +71,6 @@ def finish(
         InputError: all of them failed; the files are written.
         OSError: a file cannot be written.
     """
-    from pcore.evaluation.contest_tables import (
-        COMPARE_FILE,
-        contest_csv,
-        contest_record,
-        images_csv,
-        lines_of,
-    )
-    from pcore.evaluation.tables import IMAGES_FILE, write_json
-    from pcore.files.atomic import write_atomically
-
     lines = lines_of(outcomes, "standard")
     failures = [f"{line.name}, {s}: {why}" for line in lines for s, why in line.failed.items()]
     said = [*notes, *failures]
@@ -82,8 +82,8 @@ def finish(
     text += "".join(f"- {line}\n" for line in said)
     write_atomically(output / TABLES_FILE, text.encode())
     for line in said:
-        console.print(Text(f"note: {line}"), soft_wrap=True)
-    console.print(Text(f"written to {output}"), soft_wrap=True)
+        say(console, f"note: {line}")
+    say(console, f"written to {output}")
     if all(one.failed is not None for one in outcomes):
         raise InputError(
             f"{output}: expected a method that can be scored, got failures only; mend what the "
@@ -101,14 +101,11 @@ _SHOWN = (
 
 def _tables(console: Console, lines: Sequence[Line], states: Sequence[str]) -> str:
     """Print the tables; return them for a document."""
-    from pcore.cli.layout import Sheet, print_lines, room, sheet_lines
-    from pcore.evaluation.contest_tables import COSTS, cost_rows, markdown, quality_rows
-
     tables = [(t, (*states,), quality_rows(lines, states, m, percent=p)) for t, m, p in _SHOWN]
     tables.append(("cost", COSTS, cost_rows(lines)))
     text = ""
     for title, heads, rows in tables:
         sheet = Sheet(title=title, keys=("method", "setting"), columns=heads, rows=tuple(rows))
-        print_lines(console, [*sheet_lines(sheet, room(console)), ""])
+        say(console, *sheet_lines(sheet, room(console)), "")
         text += markdown(title, heads, rows) + "\n"
     return text

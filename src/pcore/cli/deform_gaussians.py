@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from pcore.cli.change import change_lines, fold_notes
 from pcore.data.splat_formats import read_splats, save_splats
 from pcore.editing.gaussian_edit import BENT, EditedGaussians, edited_gaussians
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from pcore.editing.script import EditScript
+from pcore.editing.script import EditScript
 
 
 def deform_gaussians(

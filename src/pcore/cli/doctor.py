@@ -13,7 +13,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from pcore.cli.console import say
 from pcore.demo.machine import usable_cores
+from pcore.errors import InputError
 
 _OPTIONAL = (
     ("embreex", "sample", "no embedded sample (`pcore demo`), no true depth of meshes"),
@@ -57,9 +59,9 @@ class DoctorCommand:
             mark = ("ok", "green") if finding.good else ("--", "yellow")
             line = f"  {finding.name:{width}}  {finding.value}"
             # Not wrapped: file names and addresses in it are there to be copied.
-            console.print(Text.assemble(mark, line), soft_wrap=True)
+            say(console, Text.assemble(mark, line))
             if finding.advice:
-                console.print(Text(f"{'':{width + 6}}{finding.advice}"), soft_wrap=True)
+                say(console, f"{'':{width + 6}}{finding.advice}")
 
 
 def examine() -> list[Finding]:
@@ -165,7 +167,6 @@ def _kernels() -> list[Finding]:
     """Say which backend searches neighbours and which attends to them, and why these."""
     import torch
 
-    from pcore.errors import InputError
     from pcore.kernels.backends import LARGEST_WIDTH, MOST_FOUND, MOST_NEIGHBOURS, backend
 
     kind = "cuda" if torch.cuda.is_available() else "cpu"

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import counting, say
+from pcore.cli.diagnosing import note, report
 from pcore.cli.options import Folder, Number, optional
 from pcore.errors import InputError
 
@@ -76,12 +77,12 @@ class ListCommand:
         animation = load_animation(self.edit)
         console = Console()
         for line in lines_of(animation.at(animation.start)):
-            console.print(Text(line), soft_wrap=True)
+            say(console, line)
         if animation.end > animation.start:
             span = (
                 f"animated from time {animation.start:g} to {animation.end:g}; shown at the start"
             )
-            console.print(Text(span), soft_wrap=True)
+            say(console, span)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,15 +114,13 @@ def validate_edit(command: ValidateCommand, console: Console) -> None:
         EditError: the edit file is not valid or does not fit the points.
         InputError: points that cannot be read, or fewer than one frame.
     """
-    from pcore.cli.diagnosing import note
-    from pcore.cli.results import counting
     from pcore.editing.animation import load_animation
 
     animation = load_animation(command.edit)
     count = len(animation.at(animation.start).edits)
     what = f"{command.edit}: valid, {count} edit{'s' * (count != 1)}"
     if command.run_or_file is None:
-        console.print(Text(what), soft_wrap=True)
+        say(console, what)
         return
     subject = read_subject(command.run_or_file)
     points, rig = subject.points, subject.rig
@@ -133,7 +132,7 @@ def validate_edit(command: ValidateCommand, console: Console) -> None:
             if len(times) > 1:
                 tell(number, len(times))
     what += f"; fits the {len(points):,} points of {command.run_or_file}"
-    console.print(Text(what), soft_wrap=True)
+    say(console, what)
     note(console, notes)
 
 
@@ -147,7 +146,6 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         InputError: points or pictures that cannot be read or written.
     """
     from pcore.asset.posing import script_of
-    from pcore.cli.diagnosing import note, report
     from pcore.cli.edit_picture import write_picture
     from pcore.data.points import save_moved, save_points
     from pcore.editing.diagnosis import diagnose, with_exposed
@@ -177,11 +175,11 @@ def apply_edit(command: ApplyCommand, console: Console) -> None:
         save_points(command.output, moved, colors[command.colors], source.faces)
         left = source.not_written()
     for line in [*lines_of(script), *report(points, moved, found, handles, why_not)]:
-        console.print(Text(line), soft_wrap=True)
+        say(console, line)
     note(console, [*bound.notes, *source.notes, *left])
     if command.picture is not None:
         write_picture(command.picture, moved, colors)
-    console.print(Text(f"written to {command.output}"), soft_wrap=True)
+    say(console, f"written to {command.output}")
 
 
 def _check_outputs(command: ApplyCommand) -> None:

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from torch import Tensor
+from torch import Tensor
+
+from pcore.cli.cameras import OrbitWish, orbit_of_cloud
+from pcore.data.splat import point_picture
+from pcore.editing.diagnosis import HOLE_LEGEND, STRAIN_LEGEND
+from pcore.editing.handles import HANDLE_LEGEND
+from pcore.evaluation.figures import png_bytes, sheet, with_legend
+from pcore.files.atomic import write_atomically
 
 VIEWS = 3
 """Evenly around the object, so that every side of it is seen by one."""
@@ -21,13 +26,6 @@ def write_picture(path: Path, points: Tensor, colors: Mapping[str, Tensor]) -> N
         points: (N, 3) where they are now, world units.
         colors: name of a colouring, of those with a legend -> (N, 3) uint8.
     """
-    from pcore.cli.cameras import OrbitWish, orbit_of_cloud
-    from pcore.data.splat import point_picture
-    from pcore.editing.diagnosis import HOLE_LEGEND, STRAIN_LEGEND
-    from pcore.editing.handles import HANDLE_LEGEND
-    from pcore.evaluation.figures import png_bytes, sheet, with_legend
-    from pcore.files.atomic import write_atomically
-
     cameras = [camera for _, camera in orbit_of_cloud(points, OrbitWish(count=VIEWS))]
     rows = [
         (

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import counting, say
+from pcore.cli.diagnosing import note
 from pcore.cli.light import LightChoice
 from pcore.cli.options import (
     Count,
@@ -21,8 +22,11 @@ from pcore.cli.options import (
     check_given_samples,
     optional,
 )
-from pcore.cli.runtime import DeviceName
-from pcore.cli.torchrun import is_first
+from pcore.cli.output import results_folder
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
+from pcore.cli.torchrun import is_first, joined_ranks
+from pcore.errors import InputError
+from pcore.files.atomic import write_atomically
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
@@ -112,9 +116,6 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
         EditError: an edit file is not valid or does not fit the points.
         InputError: an unknown state, a factor that does not fit, or an output folder in use.
     """
-    from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.torchrun import joined_ranks
-
     check_given_samples(command.samples)
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -123,15 +124,13 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
 
 
 def _evaluate(command: EvalCommand, device: str, ranks: Ranks, console: Console) -> None:
-    from pcore.cli.diagnosing import note
-    from pcore.cli.output import results_folder
-    from pcore.cli.results import counting
     from pcore.data.scene import check_images
     from pcore.evaluation.mended import mended_notes
     from pcore.evaluation.methods import baseline_of, methods_of, open_subject
     from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states
+    from pcore.evaluation.tables import SUMMARY_FILE
 
     run = open_subject(command.run_folder, device=device)
     base = baseline_of(run, command.baseline, device=device)
@@ -148,7 +147,7 @@ def _evaluate(command: EvalCommand, device: str, ranks: Ranks, console: Console)
     points = {one.path.name: one.points for one in runs}
     ranks.agree({**points, "states": [(one.name, len(one.shots)) for one in states]})
     if ranks.rank == 0:
-        results_folder(output, about=run.path)
+        results_folder(output, SUMMARY_FILE, about=run.path)
     ranks.from_first(output)  # Nobody draws before the folder is there.
     methods = methods_of(
         runs,
@@ -201,7 +200,6 @@ def _edited(
 ) -> tuple[list[State], list[str]]:
     """States of the edit files, and what is odd about them."""
     from pcore.asset.posing import script_of
-    from pcore.errors import InputError
     from pcore.evaluation.edited import EditedShape
     from pcore.evaluation.states import CANONICAL
 
@@ -250,13 +248,12 @@ def finish(
     record = summary_record(means, found, about=about, perceptual=perceptual, notes=notes)
     write_tables(output, rows, record)
     show_results(console, means, found, perceptual=perceptual, notes=notes)
-    console.print(Text(f"written to {output}"), soft_wrap=True)
+    say(console, f"written to {output}")
 
 
 def _sheet_writer(folder: Path, methods: Sequence[Method]) -> Callable[[Taken], None]:
     from pcore.evaluation.figures import png_bytes
     from pcore.evaluation.panels import comparison_sheet
-    from pcore.files.atomic import write_atomically
 
     folder.mkdir(parents=True, exist_ok=True)
     names = [method.name for method in methods]

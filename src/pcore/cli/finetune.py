@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 
 from pcore.cli.losses import LossOptions, check_weights
 from pcore.cli.options import Count, Folder, PresetName, optional
-from pcore.cli.runtime import DeviceName
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
 from pcore.cli.torchrun import is_first
 from pcore.errors import InputError
 
@@ -101,7 +101,6 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     """
     from pcore.asset.saving import load
     from pcore.asset.training import finetune
-    from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result, trained_together
     from pcore.cli.train_checks import announce
     from pcore.files.run_place import check_place

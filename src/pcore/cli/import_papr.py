@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import say
 from pcore.cli.options import optional
 from pcore.errors import InputError
 from pcore.model.papr_config import ReferenceOrigin
@@ -46,7 +46,7 @@ class ImportPaprCommand:
         asset = import_papr(self.model, self.config, self.output, reference=self._reference())
         came = asset.provenance
         text = f"{self.output}: {came.scene}, {len(asset):,} points, {came.step:,} steps"
-        Console().print(Text(text), soft_wrap=True)
+        say(Console(), text)
 
     def _reference(self) -> ReferenceOrigin | None:
         if self.reference_distance is None:

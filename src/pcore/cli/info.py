@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 from rich.console import Console
 from tyro.conf import Positional, arg
 
-from pcore.cli.layout import pair_lines, print_lines, room
+from pcore.cli.console import say
+from pcore.cli.layout import pair_lines, room
+from pcore.files.lock import held
 
 if TYPE_CHECKING:
     from pcore.files.gaussian_file import GaussianSummary
@@ -53,7 +55,7 @@ class InfoCommand:
             if len(short) < len(rows):
                 short.append(("settings", f"{len(rows) - len(short)}, listed with --settings"))
             rows = short
-        print_lines(console, pair_lines(rows, room(console)))
+        say(console, *pair_lines(rows, room(console)))
 
 
 def describe(path: Path) -> Rows:
@@ -93,8 +95,6 @@ def _run_rows(path: Path, record: RunRecord, saved_step: int | None) -> Rows:
 
 def _unfinished(path: Path, saved_step: int | None) -> str:
     """How a training stands that has not come to its end; its process may have been killed."""
-    from pcore.files.lock import held
-
     if held(path):
         return "running" if saved_step is None else f"running; step {saved_step} is saved"
     if saved_step is None:

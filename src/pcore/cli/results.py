@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.text import Text
 
-from pcore.cli.layout import Sheet, print_lines, room, sheet_lines
+from pcore.cli.console import say
+from pcore.cli.layout import Sheet, room, sheet_lines
 from pcore.evaluation.protocol import PROTOCOLS, Perceptual
 from pcore.evaluation.summary import Gain, StateMean
 from pcore.evaluation.tables import shown
@@ -44,35 +42,6 @@ _HOLES = (
 )
 
 
-def bar(console: Console) -> Progress:
-    """A bar with how many are done and how long the rest takes; nothing without a terminal."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-    )
-
-
-@contextmanager
-def counting(console: Console, title: str) -> Generator[Callable[[int, int], None]]:
-    """Give a function (done, total) that moves a bar; one line at the end without a terminal."""
-    progress = bar(console)
-    task = progress.add_task(title, total=None)
-    last = [0]
-
-    def tell(done: int, total: int) -> None:
-        last[0] = done
-        progress.update(task, completed=done, total=total)
-
-    with progress:
-        yield tell
-    if not console.is_terminal and last[0]:
-        console.print(Text(f"{title}: {last[0]}"), soft_wrap=True)
-
-
 def show_results(
     console: Console,
     means: Sequence[StateMean],
@@ -87,17 +56,17 @@ def show_results(
         # A state that an edit file makes has true images only where it is scored against another.
         scored = [one for one in chosen if one.scores.get("psnr") is not None]
         sheet = _sheet(f"protocol {protocol}", scored, _COLUMNS)
-        print_lines(console, sheet_lines(sheet, room(console)))
-        console.print(Text(_caption(protocol, chosen), "dim"), soft_wrap=True)
+        say(console, *sheet_lines(sheet, room(console)))
+        say(console, _caption(protocol, chosen), style="dim")
         for gain in gains:
             if gain.protocol == protocol:
-                console.print(Text(gain_text(gain)), soft_wrap=True)
+                say(console, gain_text(gain))
         console.print()
     _show_health(console, means)
     missing = ", ".join(perceptual.missing) if perceptual is not None else ""
     why = f"no LPIPS with {missing}: no weights; `pcore doctor --weights` says what goes where"
     for line in [*notes, *([why] if missing else [])]:
-        console.print(Text(f"note: {line}"), soft_wrap=True)
+        say(console, f"note: {line}")
 
 
 def gain_text(gain: Gain) -> str:
@@ -123,9 +92,9 @@ def _show_health(console: Console, means: Sequence[StateMean]) -> None:
         for title, known in (("points", _HEALTH), ("points, holes and handles", _HOLES)):
             sheet = _sheet(title, chosen, known)
             if sheet.columns:
-                print_lines(console, sheet_lines(sheet, room(console)))
+                say(console, *sheet_lines(sheet, room(console)))
         said = "unseen: share of the object's pixels that show what no training view saw"
-        console.print(Text(said, "dim"), soft_wrap=True)
+        say(console, said, style="dim")
         console.print()
 
 

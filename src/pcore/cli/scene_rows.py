@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from pcore.data.scene import Scene, View
+from pcore.capture.layouts import PHOTOS, VIDEO, layouts_of
+from pcore.capture.load import load_scene
+from pcore.data.scene import Scene, View
+from pcore.files.manifest import MANIFEST_FILE
+from pcore.geometry.object_region import coordinates
 
 
 def is_scene(path: Path) -> bool:
     """Whether something lies there that `load_scene` has a reader for, and no run."""
-    from pcore.capture.layouts import layouts_of
-    from pcore.files.manifest import MANIFEST_FILE
-
     if not path.is_dir() or (path / MANIFEST_FILE).is_file():
         return False
     return bool(layouts_of(path)) or (path / "start" / "transforms_train.json").is_file()
@@ -27,9 +26,6 @@ def scene_rows(path: Path) -> list[tuple[str, str]]:
     Raises:
         SceneError: it cannot be read.
     """
-    from pcore.capture.layouts import PHOTOS, VIDEO, layouts_of
-    from pcore.capture.load import load_scene
-
     unposed = [one for one in layouts_of(path) if one.name in (PHOTOS, VIDEO)]
     if unposed:
         return [
@@ -80,8 +76,6 @@ def _points(scene: Scene) -> str:
 
 
 def _region(scene: Scene) -> str:
-    from pcore.geometry.object_region import coordinates
-
     region = scene.region
     if region is None:
         return "not said by the files"

@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import say
 from pcore.cli.options import Count, optional
+from pcore.demo.machine import clock, usable_cores
 from pcore.errors import InputError, TrainingError
+from pcore.files.lock import FolderLock
 from pcore.validation import check_count
 
 if TYPE_CHECKING:
@@ -69,7 +71,6 @@ def sweep(command: SweepCommand, console: Console) -> None:
     from pcore.cli.sweep_places import placed
     from pcore.cli.sweep_results import show_failures, write_results
     from pcore.cli.sweep_verbs import check_trials, output_folder
-    from pcore.files.lock import FolderLock
     from pcore.sweep.sweep_plan import read_plan
     from pcore.sweep.sweep_storage import check_storage, publish
     from pcore.sweep.sweep_tables import SWEEP_FILE, TABLES, write_start
@@ -179,7 +180,6 @@ def _machine() -> Machine:
     """This one."""
     import torch
 
-    from pcore.demo.machine import usable_cores
     from pcore.sweep.executors import this_machine
 
     return this_machine(usable_cores(), torch.cuda.device_count())
@@ -190,12 +190,11 @@ def _attempt(
 ) -> list[TrialResult]:
     """Results of all trials, in their order."""
     from pcore.cli.sweep_verbs import run_trial
-    from pcore.demo.machine import clock
     from pcore.sweep.sweep_trial import fetch_records
 
     results = {one.trial.name: one for one in done}
     if done:
-        console.print(f"{len(done)} of {len(trials)} trials are finished already")
+        say(console, f"{len(done)} of {len(trials)} trials are finished already")
     left = [one for one in trials if one.name not in results]
     for result in execute(left, run_trial):
         fetch_records(result.trial)
@@ -203,5 +202,5 @@ def _attempt(
         took = "" if result.seconds is None else f" in {clock(result.seconds)}"
         said = f"finished{took}" if result.failed is None else f"failed: {result.failed}"
         line = f"{len(results)}/{len(trials)} {result.trial.name}: {said}"
-        console.print(Text(line), soft_wrap=True)
+        say(console, line)
     return [results[one.name] for one in trials]

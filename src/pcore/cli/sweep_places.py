@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pcore.errors import InputError
-
-if TYPE_CHECKING:
-    from pcore.sweep.sweep_trial import Trial
+from pcore.sweep.sweep_trial import Trial
 
 _WORDS: dict[tuple[str, str], tuple[str, ...]] = {
     ("train", "init"): ("hull", "grid", "sparse", "views"),

@@ -5,17 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.text import Text
 
-from pcore.cli.layout import Column, Sheet, print_lines, room, sheet_lines
+from pcore.cli.console import say
+from pcore.cli.layout import Column, Sheet, room, sheet_lines
 from pcore.evaluation.tables import shown
-
-if TYPE_CHECKING:
-    from pcore.sweep.spread import PairedDifference, Spread, VariantMean
-    from pcore.sweep.sweep_trial import Trial, TrialResult
+from pcore.sweep.spread import (
+    PairedDifference,
+    Spread,
+    VariantMean,
+    paired_differences,
+    variant_means,
+)
+from pcore.sweep.sweep_plan import ALL
+from pcore.sweep.sweep_scores import notes_of, scores_of
+from pcore.sweep.sweep_tables import write_sweep
+from pcore.sweep.sweep_trial import OUTPUT_FILE, Trial, TrialResult
 
 _COLUMNS = (
     ("foreground_psnr", "fg PSNR\ndB", 2, 1),
@@ -38,10 +44,6 @@ def write_results(
         InputError: a trial's results are damaged.
         OSError: a file cannot be written.
     """
-    from pcore.sweep.spread import paired_differences, variant_means
-    from pcore.sweep.sweep_scores import notes_of, scores_of
-    from pcore.sweep.sweep_tables import write_sweep
-
     failed = {one.trial.name for one in results if one.failed is not None}
     finished = [one for one in trials if one.name not in failed]
     scores = scores_of(finished)
@@ -50,25 +52,21 @@ def write_results(
     seeds = len({one.seed for one in scores})
     for sheet in (_mean_sheet(means, seeds), _difference_sheet(differences)):
         if sheet.rows:
-            print_lines(console, [*sheet_lines(_filled(sheet), room(console)), ""])
-    print_lines(console, [f"note: {note}" for note in notes_of(finished)])
-    console.print(Text(f"written to {folder}"), soft_wrap=True)
+            say(console, *sheet_lines(_filled(sheet), room(console)), "")
+    say(console, *[f"note: {note}" for note in notes_of(finished)])
+    say(console, f"written to {folder}")
 
 
 def show_failures(console: Console, failures: Sequence[TrialResult]) -> None:
     """List failed trials, each with its reason and where its whole output is."""
-    from pcore.sweep.sweep_trial import OUTPUT_FILE
-
-    console.print(f"failed: {len(failures)}")
+    say(console, f"failed: {len(failures)}")
     for one in failures:
         told = f"  {one.trial.name}: {one.failed} ({one.trial.folder / OUTPUT_FILE})"
-        console.print(Text(told), soft_wrap=True)
+        say(console, told)
 
 
 def _mean_sheet(means: Sequence[VariantMean], seeds: int) -> Sheet:
     """Means over scenes where there are any, else of each scene."""
-    from pcore.sweep.sweep_plan import ALL
-
     chosen = [one for one in means if one.protocol == _SHOWN]
     over = {(one.setting, one.method, one.state) for one in chosen if one.scene == ALL}
     rows = tuple(

@@ -8,13 +8,20 @@ import sys
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pcore.capture.load import load_scene
+from pcore.cli.compare import CompareCommand, wanted_methods
+from pcore.cli.main import VERBS, Command, command_of
+from pcore.cli.output import pictures_folder
+from pcore.cli.sweep_processes import TORCHRUN, run_together
 from pcore.errors import InputError
-
-if TYPE_CHECKING:
-    from pcore.cli.main import Command
-    from pcore.sweep.sweep_trial import Trial
+from pcore.evaluation.states import open_states
+from pcore.files.run_place import bytes_needed, check_space
+from pcore.files.run_record import begun
+from pcore.sweep.sweep_scores import COMPARE, EVAL
+from pcore.sweep.sweep_trial import Trial
+from pcore.validation import check_count
 
 RUN, TUNED = "run", "tuned"
 """Folders of a trial's trainings."""
@@ -36,8 +43,6 @@ def run_trial(trial: Trial) -> None:
     """
     for verb in trial.verbs:
         if trial.processes > 1:
-            from pcore.cli.sweep_processes import run_together
-
             run_together(process_words(trial, verb))
         else:
             parsed(trial, verb).run()
@@ -49,13 +54,20 @@ def parsed(trial: Trial, verb: str) -> Command:
     Raises:
         InputError: the plan has an option that the verb does not, or that is the sweep's.
     """
-    from pcore.cli.main import VERBS, command_of
-
-    known = {one.name: one for one in VERBS}
-    if verb not in known:
-        raise InputError(f"plan: setting {trial.setting!r}: this pcore has no verb {verb!r}")
     where = f"plan: setting {trial.setting!r}, {verb}"
     words = [*_own_words(trial, verb), *_plan_words(trial, verb, where)]
+    return parsed_words(verb, words, where)
+
+
+def parsed_words(verb: str, words: Sequence[str], where: str) -> Command:
+    """The command of a verb with options as on the command line.
+
+    Raises:
+        InputError: the verb refuses them, in the words that it tells a terminal; begins with where.
+    """
+    known = {one.name: one for one in VERBS}
+    if verb not in known:
+        raise InputError(f"{where}: this pcore has no verb {verb!r}")
     told = io.StringIO()
     try:
         with redirect_stderr(told), redirect_stdout(told):
@@ -69,8 +81,6 @@ def parsed(trial: Trial, verb: str) -> Command:
 
 def words_of(trial: Trial, verb: str) -> list[str]:
     """The same command as words of a command line."""
-    from pcore.cli.sweep_processes import TORCHRUN
-
     start = [*TORCHRUN, str(trial.processes), "--no-python"] if trial.processes > 1 else []
     return [*start, "pcore", verb, *_own_words(trial, verb), *_plan_words(trial, verb, verb)]
 
@@ -94,9 +104,6 @@ def check_trials(trials: Sequence[Trial]) -> None:
         InputError: an unknown option or state.
         SceneError: a scene that is missing or damaged.
     """
-    from pcore.capture.load import load_scene
-    from pcore.evaluation.states import open_states
-
     commands = {one.setting: {verb: parsed(one, verb) for verb in one.verbs} for one in trials}
     processes = {one.setting: one.processes for one in trials}
     for setting, verbs in commands.items():
@@ -113,9 +120,6 @@ def check_trials(trials: Sequence[Trial]) -> None:
 
 def _check_values(command: Any, where: str, processes: int) -> None:
     """Refuse numbers and methods that the verb would refuse, hours later."""
-    from pcore.cli.compare import CompareCommand, wanted_methods
-    from pcore.validation import check_count
-
     for name in ("steps", "points", "patches", "every"):
         value = getattr(command, name, None)
         if isinstance(value, int):
@@ -131,9 +135,6 @@ def _check_values(command: Any, where: str, processes: int) -> None:
 
 def _own_words(trial: Trial, verb: str) -> list[str]:
     """What the sweep itself says: places, seed, resources, whether there is something to resume."""
-    from pcore.files.run_record import begun
-    from pcore.sweep.sweep_scores import COMPARE, EVAL
-
     run, tuned = trial.folder / RUN, trial.folder / TUNED
     last = tuned if "finetune" in trial.verbs else run
     scene, seed = str(trial.scene_folder), str(trial.seed)
@@ -195,8 +196,5 @@ def output_folder(folder: Path, file: str) -> None:
         TrainingError: its disk has no space for any run.
         OSError: it cannot be made.
     """
-    from pcore.cli.output import pictures_folder
-    from pcore.files.run_place import bytes_needed, check_space
-
     check_space(folder, bytes_needed(0))
     pictures_folder(folder, overwrite=(folder / file).is_file() or None)
