@@ -6,7 +6,6 @@ Reads `meshes.npz` of a scene (canonical mesh and states, one vertex order) and
 
 from __future__ import annotations
 
-import json
 import re
 import zipfile
 from collections.abc import Mapping
@@ -18,7 +17,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import ValidationError
 from torch import Tensor
 
 from pcore.deform.base import Deformation
@@ -27,6 +25,7 @@ from pcore.evaluation.deformation_record import DeformationRecord
 from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.geometry.camera import Camera
 from pcore.geometry.surface_search import SurfacePoints, SurfaceSearch
+from pcore.validation import parse, read_json
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -142,13 +141,8 @@ class DeformedTruth:
         """
         self.vertices(state)
         path = self.root / state / "deformation.json"
-        try:
-            return DeformationRecord.model_validate(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError) as error:
-            reason = _short(error) if isinstance(error, ValidationError) else str(error)
-            raise SceneError(
-                f"{path}: expected a JSON object that describes the state {state!r}, got: {reason}"
-            ) from error
+        found = read_json(path, what=f"description of the state {state!r}", error=SceneError)
+        return parse(DeformationRecord, found, where=str(path), error=SceneError)
 
     def analytic(self, state: str) -> Deformation | None:
         """Build the deformation of a state from its formula; None for animations.
@@ -257,7 +251,3 @@ def _vertices(path: Path, name: str, value: NDArray[Any] | None, count: int | No
 
 def _what(value: NDArray[Any] | None) -> str:
     return "nothing" if value is None else f"{value.dtype} of shape {value.shape}"
-
-
-def _short(error: ValidationError) -> str:
-    return "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
