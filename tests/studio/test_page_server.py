@@ -8,7 +8,7 @@ import pytest
 
 from pcore.errors import InputError
 from pcore.studio.guard import Guard
-from pcore.studio.page_server import page_server
+from pcore.studio.viewer_page import page_server
 
 
 def ask(guard: Guard, path: str, *, method: str = "GET", **headers: str) -> tuple[int, bytes]:

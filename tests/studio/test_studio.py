@@ -20,10 +20,10 @@ from pcore.data.pictures import write_png
 from pcore.errors import EditError
 from pcore.geometry.orbit import orbit_around
 from pcore.studio.editor import Editor
+from pcore.studio.gestures import Pause
 from pcore.studio.guard import Guard
 from pcore.studio.handle_pose import HandlePose
 from pcore.studio.outputs import Outputs
-from pcore.studio.pauses import Pause
 from pcore.studio.status_line import StatusLine
 
 pytest.importorskip("viser", reason="the extra studio is not installed")

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pcore.deform.checks import Folds
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 
 _COARSE = 1e-4
 """Steps between the numbers of a file, as a share of the object, that are told of."""

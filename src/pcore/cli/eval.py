@@ -125,8 +125,7 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
 
 def _evaluate(command: EvalCommand, device: str, ranks: Ranks, console: Console) -> None:
     from pcore.data.scene import check_images
-    from pcore.evaluation.mended import mended_notes
-    from pcore.evaluation.methods import baseline_of, methods_of, open_subject
+    from pcore.evaluation.methods import baseline_of, mended_notes, methods_of, open_subject
     from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states

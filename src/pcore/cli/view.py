@@ -80,7 +80,7 @@ def view(command: ViewCommand, console: Console) -> None:
         InputError: options that make no page, a file that cannot be written, a port in use.
     """
     from pcore.asset.saving import load
-    from pcore.studio.page_server import page_server
+    from pcore.studio.viewer_page import page_server
 
     _check(command)
     if command.html is None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.picking import pick
 from pcore.errors import EditError
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.studio.edit_forms import AXES, CAGES
 from pcore.studio.handle_pose import HandlePose
 from pcore.studio.help_text import NO_PHOTOS, NO_SCALE, OVERLAY_LEGENDS
