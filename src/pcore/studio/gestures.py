@@ -54,7 +54,7 @@ class Gestures(Tabs):
     def _slide(self, tab: int, index: int, path: str, value: Any) -> None:
         if self._may(tab):
             self._pause.touch()
-            do = self.actions.slide
+            do = self.editor.slide
             self.newest(f"slide {index} {path}", lambda: do(index, path, value), light=True)
 
     def _cancel(self, tab: int) -> None:
@@ -100,7 +100,7 @@ class Gestures(Tabs):
         self._pulled(tab, phase, "scale", lambda: self.actions.scale(share), self.actions.settle)
 
     def _dragged(self, tab: int, phase: str, pose: HandlePose) -> None:
-        self._pulled(tab, phase, "drag", lambda: self.actions.drag(pose), self.actions.drop)
+        self._pulled(tab, phase, "drag", lambda: self.editor.drag(pose), self.actions.drop)
 
     def _pulled(
         self, tab: int, phase: str, name: str, show: Callable[[], None], keep: Callable[[], None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pcore.studio.studio import Studio
 
 SELECT_COMMANDS = (
-    *("visible_only", "selection", "freeze", "thaw", "tool"),
+    *("visible_only", "selection"),
     *("where", "name_selection", "take_selection", "forget_selection"),
 )
 """Wishes that are all fulfilled, in their order."""
@@ -55,14 +55,6 @@ class SelectActions:
         """Whether what is covered is left out."""
         self._visible_only = on
 
-    def tool(self, name: str) -> None:
-        """Select with another tool."""
-        self._editor.shown = replace(self._editor.shown, tool=name)
-
-    def brush(self, share: float) -> None:
-        """Select with a brush or a ball of another radius, in shares of the object's size."""
-        self._editor.shown = replace(self._editor.shown, brush=share)
-
     def selection(self, what: str) -> None:
         """Invert, grow, shrink or clear the selection."""
         if what == "Clear":
@@ -71,14 +63,6 @@ class SelectActions:
             getattr(self._editor, what.lower())()
         else:
             raise EditError(f"selection: expected Invert, Grow, Shrink or Clear, got {what!r}")
-
-    def freeze(self) -> None:
-        """Hold the selection."""
-        self._editor.freeze()
-
-    def thaw(self) -> None:
-        """Let everything go."""
-        self._editor.thaw()
 
     def where(self, index: int, name: str) -> None:
         """Let an edit act everywhere, in the selection, or in one with a name."""
