@@ -51,7 +51,7 @@ def wish(page: Studio, name: str, *values: Any) -> None:
 
 
 def until(holds: Callable[[], bool]) -> None:
-    end = time.monotonic() + 10
+    end = time.monotonic() + 60  # Of a machine that does other things as well.
     while not holds():
         assert time.monotonic() < end, "it did not happen in time"
         time.sleep(0.02)
