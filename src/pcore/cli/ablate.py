@@ -74,15 +74,7 @@ class AblateCommand:
 
 
 def ablate(command: AblateCommand, console: Console) -> None:
-    """Do it; everything that can be known is checked before the first training.
-
-    Raises:
-        CheckpointError: the run cannot be read.
-        SceneError: its scene cannot be read or scored.
-        InputError: an unknown state or view, or an output folder in use.
-        TrainingError: a training diverged or cannot write.
-        WeightsError: the preset asks for LPIPS and its weights are missing.
-    """
+    """Do it; everything that can be known is checked before the first training."""
     from pcore.asset.saving import load
     from pcore.evaluation.ablation import AblationFigure, variants_for
     from pcore.evaluation.tables import SUMMARY_FILE
@@ -113,12 +105,7 @@ def ablate(command: AblateCommand, console: Console) -> None:
 
 
 def _places(command: AblateCommand, console: Console, record: RunRecord) -> tuple[SceneStates, str]:
-    """The scene with its states, and the name of the first deformed one.
-
-    Raises:
-        SceneError: the scene cannot be read or scored.
-        InputError: an unknown state or view.
-    """
+    """The scene with its states, and the name of the first deformed one."""
     from pcore.data.scene import check_images
     from pcore.evaluation.states import open_states
 

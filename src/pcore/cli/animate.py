@@ -111,12 +111,6 @@ def animate(command: AnimateCommand, console: Console) -> None:
 
     Every frame is bound before the first is rendered, so that a bad one costs no waiting. The
     processes that torchrun started take turns at the frames; the first of them writes.
-
-    Raises:
-        CheckpointError: no model there, or it is damaged.
-        EditError: the edit file is not valid, or folds space in one of the frames.
-        InputError: contradicting options, or an output folder in use.
-        DependencyError: a video is asked for and its package is missing.
     """
     from pcore.data.video import require_video
 

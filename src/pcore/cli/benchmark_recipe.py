@@ -31,12 +31,7 @@ class _Recipe(Strict):
 
 
 def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
-    """One command for each model of a recipe, into a folder of its name; all checked first.
-
-    Raises:
-        InputError: a recipe that is wrong, models that are not there, folders in use, or options
-            besides the recipe.
-    """
+    """One command for each model of a recipe, into a folder of its name; all checked first."""
     recipe = command.recipe
     assert recipe is not None
     plain = BenchmarkMakeCommand(models=(), output=command.output, recipe=recipe)

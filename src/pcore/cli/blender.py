@@ -59,13 +59,7 @@ class BlenderExportCommand:
 
 
 def export_bundle(command: BlenderExportCommand, console: Console) -> None:
-    """Write the bundle and say what is in it.
-
-    Raises:
-        CheckpointError: no run there, or it is damaged.
-        InputError: a folder in use or not writable, or nothing solid is to be seen.
-        DependencyError: a package of the extra `mesh` is missing.
-    """
+    """Write the bundle and say what is in it."""
     from pcore.asset.blender_bundle import save_bundle
     from pcore.asset.saving import load
     from pcore.render.distance_grid import require_marching_cubes

@@ -60,9 +60,6 @@ def that_see(views: Named, points: Tensor, what: str) -> Named:
         views: cameras by name.
         points: (N, 3) world units.
         what: where the cameras come from.
-
-    Raises:
-        InputError: all pictures would be empty.
     """
     places = points.detach().cpu()
     for _, camera in views:
@@ -77,12 +74,7 @@ def that_see(views: Named, points: Tensor, what: str) -> Named:
 
 
 def cameras_of_split(scene: Scene, split: str, size: Size | None) -> Named:
-    """Cameras of a split of a scene, named like its views.
-
-    Raises:
-        InputError: a size of another shape than the images have.
-        SceneError: the scene has no such split.
-    """
+    """Cameras of a split of a scene, named like its views."""
     return [(view.name, _resized(view.camera, size)) for view in scene.split(split)]
 
 

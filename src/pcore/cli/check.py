@@ -79,14 +79,7 @@ class CheckCommand:
 
 
 def check(command: CheckCommand, console: Console) -> None:
-    """Check as the command line says.
-
-    Raises:
-        SceneError: the scene or a mask cannot be read.
-        InputError: a bad box or output folder.
-        DependencyError: the report without jinja2.
-        OSError: a file cannot be written.
-    """
+    """Check as the command line says."""
     from pcore.capture.triangulation import triangulated
     from pcore.cli.scenes import corners_of
     from pcore.evaluation.report import require_jinja

@@ -103,14 +103,7 @@ class CompareCommand:
 
 
 def compare(command: CompareCommand, console: Console) -> None:
-    """Train, move, draw, score, write and print; processes of torchrun take methods in turn.
-
-    Raises:
-        CheckpointError: a run cannot be read.
-        SceneError: the scene or a state cannot be read.
-        InputError: unknown names, options that do not fit, an output folder in use, or, after all
-            is written, no method that could be scored in any state.
-    """
+    """Train, move, draw, score, write and print; processes of torchrun take methods in turn."""
     prepare_torch(command.threads)
     device = pick_device(command.device)
     runs = _runs(command, device)
@@ -175,11 +168,7 @@ def _runs(command: CompareCommand, device: str) -> list[Given]:
 
 
 def _places(command: CompareCommand, runs: Sequence[Given]) -> tuple[SceneStates, list[State]]:
-    """The scene and its states, with the test views that are wanted.
-
-    Raises:
-        InputError: neither a run nor a scene; runs of another scene; a bad --every.
-    """
+    """The scene and its states, with the test views that are wanted."""
     from pcore.data.scene import check_images
     from pcore.evaluation.states import open_states
     from pcore.validation import check_count
@@ -205,12 +194,7 @@ def _places(command: CompareCommand, runs: Sequence[Given]) -> tuple[SceneStates
 
 
 def _output(command: CompareCommand, runs: Sequence[Given], places: SceneStates) -> Path:
-    """The folder for results: new, empty, or of an earlier comparison on this scene.
-
-    Raises:
-        InputError: it holds something else.
-        OSError: it cannot be made.
-    """
+    """The folder for results: new, empty, or of an earlier comparison on this scene."""
     from pcore.evaluation.contest_tables import COMPARE_FILE
 
     if command.output is None and not runs:

@@ -66,10 +66,6 @@ def finish(
         states: their names, in the order of the columns.
         about: what was compared, for the file.
         notes: what a reader has to know besides failures.
-
-    Raises:
-        InputError: all of them failed; the files are written.
-        OSError: a file cannot be written.
     """
     lines = lines_of(outcomes, "standard")
     failures = [f"{line.name}, {s}: {why}" for line in lines for s, why in line.failed.items()]

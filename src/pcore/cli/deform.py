@@ -52,10 +52,6 @@ def deform(command: DeformCommand) -> None:
     """Read points and edits, move the points in double precision, write them and say what was done.
 
     The result has the precision of the input file.
-
-    Raises:
-        InputError: the points cannot be read or written, or would replace their own file.
-        EditError: the edit file is not valid or its deformation is singular at the points.
     """
     gaussians, kind = holds_splats(command.input), command.input.suffix.lower()
     if not gaussians and kind not in POINT_SUFFIXES:

@@ -24,11 +24,6 @@ def deform_gaussians(
 
     Returns:
         What was done, line by line.
-
-    Raises:
-        InputError: the file cannot be read or written.
-        DependencyError: a compressed file, and the package that decodes it is missing.
-        EditError: the edit does not fit the Gaussians, or folds space.
     """
     file = read_splats(source)
     edited = edited_gaussians(file, script, split=split, allow_folds=not strict)

@@ -60,14 +60,7 @@ class DemoCommand:
 
 
 def make_demo(path: Path, settings: DemoSettings, console: Console, *, device: str) -> Path:
-    """Run all stages that are not done yet and return the report.
-
-    Raises:
-        DependencyError: an extra is missing; said before any work.
-        InputError: the folder holds something else.
-        TrainingError: a training diverged or cannot write.
-        KeyboardInterrupt: Ctrl-C; what is done is kept.
-    """
+    """Run all stages that are not done yet and return the report."""
     from pcore.data.video import require_video
     from pcore.demo.demo_folder import DemoFolder
     from pcore.demo.demo_story import evaluate_demo, film_demo, models_of

@@ -64,10 +64,6 @@ def draw(
 
     Returns:
         The files, videos first.
-
-    Raises:
-        InputError: nothing is to be seen in any of the pictures.
-        KeyboardInterrupt: Ctrl-C; its message says what is complete.
     """
     shades = depth_range(points, [camera for _, camera in views])
     files: list[Path] = []

@@ -107,13 +107,7 @@ class ValidateCommand:
 
 
 def validate_edit(command: ValidateCommand, console: Console) -> None:
-    """Check an edit file, bind it at every time that matters, and say what is odd.
-
-    Raises:
-        CheckpointError: no model there.
-        EditError: the edit file is not valid or does not fit the points.
-        InputError: points that cannot be read, or fewer than one frame.
-    """
+    """Check an edit file, bind it at every time that matters, and say what is odd."""
     from pcore.editing.animation import load_animation
 
     animation = load_animation(command.edit)
@@ -137,14 +131,7 @@ def validate_edit(command: ValidateCommand, console: Console) -> None:
 
 
 def apply_edit(command: ApplyCommand, console: Console) -> None:
-    """Move the points, write them, print what happened.
-
-    Raises:
-        CheckpointError: no model there.
-        EditError: the edit file is not valid or does not fit the points.
-        SceneError: the scene is damaged.
-        InputError: points or pictures that cannot be read or written.
-    """
+    """Move the points, write them, print what happened."""
     from pcore.asset.posing import script_of
     from pcore.cli.edit_picture import write_picture
     from pcore.data.points import save_moved, save_points
@@ -203,12 +190,7 @@ def _colors(found: Diagnosis, handles: dict[int, HandleDiagnosis]) -> dict[str, 
 
 
 def read_subject(path: Path) -> Subject:
-    """What an edit is of: a run, a model, or the points of a file.
-
-    Raises:
-        CheckpointError: no model there.
-        InputError: a file of points that cannot be read.
-    """
+    """What an edit is of: a run, a model, or the points of a file."""
     from pcore.asset.saving import load
     from pcore.data.points import POINT_SUFFIXES, PointFile, read_point_file
 
@@ -240,9 +222,6 @@ class Subject:
 
         Args:
             scene: folder of the scene; None takes the one that the run was trained on.
-
-        Raises:
-            SceneError: the scene is damaged.
         """
         from pcore.capture.load import load_scene
 

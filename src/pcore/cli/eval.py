@@ -109,12 +109,6 @@ def evaluate_run(command: EvalCommand, console: Console) -> None:
     """Score the run, write the files and print the table.
 
     The processes that torchrun started take turns at the pictures; the first of them has the table.
-
-    Raises:
-        CheckpointError: the run or its baseline cannot be read.
-        SceneError: the scene or a state cannot be read or scored.
-        EditError: an edit file is not valid or does not fit the points.
-        InputError: an unknown state, a factor that does not fit, or an output folder in use.
     """
     check_given_samples(command.samples)
     prepare_torch(command.threads)
@@ -233,11 +227,7 @@ def finish(
     perceptual: Perceptual,
     notes: Sequence[str] = (),
 ) -> None:
-    """Write rows and summary into `output` and print the table; the first method is the baseline.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
+    """Write rows and summary into `output` and print the table; the first method is the baseline."""
     from pcore.cli.results import show_results
     from pcore.evaluation.summary import gains, state_means
     from pcore.evaluation.tables import summary_record, write_tables

@@ -109,14 +109,7 @@ class ExportCommand:
 
 
 def export(command: ExportCommand, console: Console) -> None:
-    """Write what is asked for and say what was written.
-
-    Raises:
-        CheckpointError: no run there, or it is damaged.
-        EditError: the edit file is not valid, or folds space.
-        InputError: contradicting options, nothing to be seen, or a place that cannot be written.
-        DependencyError: a package of the extra `mesh` is missing.
-    """
+    """Write what is asked for and say what was written."""
     from pcore.asset.saving import load
 
     _check(command)

@@ -33,10 +33,6 @@ def export_field(
         runs: whose own points are moved, where no files are given.
         given: names and files of points in the order of other checkpoints, of meshes and cages.
         where: the scene and the states.
-
-    Raises:
-        InputError: a file cannot be read or written, or the folder is in use.
-        DependencyError: scikit-image is not installed.
     """
     places, states = where
     pictures_folder(folder, overwrite=None)

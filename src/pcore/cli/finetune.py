@@ -90,14 +90,6 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     """Fine-tune as the command says, together with the other processes that torchrun started.
 
     Only the first of them has the folder and says anything.
-
-    Raises:
-        CheckpointError: there is no run, or its model is missing or damaged.
-        SceneError: the scene cannot be read.
-        InputError: no scene on record, or an output folder in use.
-        WeightsError: the preset asks for LPIPS weights that are missing.
-        TrainingError: training diverged or cannot write.
-        KeyboardInterrupt: Ctrl-C, after saving.
     """
     from pcore.asset.saving import load
     from pcore.asset.training import finetune

@@ -188,11 +188,7 @@ class FitCommand:
 
 
 def photos_in(path: Path, factor: int) -> tuple[View, ...]:
-    """Return the photos of a scene, or those of a deformed state of one by its folder.
-
-    Raises:
-        SceneError: there are none, or they are damaged.
-    """
+    """Return the photos of a scene, or those of a deformed state of one by its folder."""
     from pcore.capture.load import find_states, load_scene, load_state
 
     parent = path.parent

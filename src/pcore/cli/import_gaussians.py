@@ -61,14 +61,7 @@ class ImportGaussiansCommand:
 
 
 def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
-    """Read the Gaussians, look at the photos if there are any, write a run.
-
-    Raises:
-        InputError: the file cannot be read, or does not show what the photos show.
-        DependencyError: a compressed file, and the package that decodes it is missing.
-        SceneError: the scene is damaged.
-        TrainingError: the run cannot be written.
-    """
+    """Read the Gaussians, look at the photos if there are any, write a run."""
     from pcore.asset.importing import save_imported
     from pcore.data.splat_file import filter_words
     from pcore.data.splat_formats import read_splats

@@ -59,11 +59,7 @@ class InfoCommand:
 
 
 def describe(path: Path) -> Rows:
-    """Return name and value of all there is to say about a run folder or model file.
-
-    Raises:
-        CheckpointError: there is neither, or what is there is damaged.
-    """
+    """Return name and value of all there is to say about a run folder or model file."""
     from pcore.asset.asset_summary import summarize
 
     summary = summarize(path)

@@ -61,12 +61,7 @@ class LightCommand:
 
 
 def estimate(asset: Asset, scene: Scene, console: Console) -> None:
-    """Estimate the light of a run, write it into its folder and say what it is.
-
-    Raises:
-        InputError: too few points have a normal that the views agree on, or there is no folder.
-        OSError: the file cannot be written.
-    """
+    """Estimate the light of a run, write it into its folder and say what it is."""
     from pcore.asset.lighting import estimate_light
     from pcore.files.model_file import MODEL_FILE, describe_model
 

@@ -61,11 +61,7 @@ class Promise:
 def promised(
     command: TrainCommand, scene: Scene, base: Config, device: str, promise: Promise
 ) -> tuple[Scene, Config, str]:
-    """Photos and settings for a promise, and the plan in words; of the run itself to go on.
-
-    Raises:
-        InputError: an option that the promise decides on, or too little time.
-    """
+    """Photos and settings for a promise, and the plan in words; of the run itself to go on."""
     _check(command)
     if command.resume:
         going = _recorded(command, base)
@@ -110,11 +106,7 @@ def _planner(scene: Scene, base: GaussianConfig | PretrainConfig, device: str) -
 
 
 def _recorded(command: TrainCommand, base: Config) -> tuple[Scene, Config] | None:
-    """What was planned when the run began, with today's options for all else; None: nothing was.
-
-    Raises:
-        InputError: the run made no promise, or is of another kind of object.
-    """
+    """What was planned when the run began, with today's options for all else; None: nothing was."""
     if not begun(command.output) or saved_nothing(command.output):
         return None
     record = RunRecord.read(command.output).config

@@ -17,10 +17,6 @@ def pictures_folder(folder: Path, *, overwrite: bool | None) -> None:
         folder: made with its parents.
         overwrite: accept what is there; files of the same names are replaced, others stay. None:
             False, and the command has no such option.
-
-    Raises:
-        InputError: it is a file, a run, or holds files and `overwrite` is False.
-        OSError: it cannot be made.
     """
     there = _content(folder, "pictures")
     if there and not overwrite:
@@ -33,11 +29,7 @@ def pictures_folder(folder: Path, *, overwrite: bool | None) -> None:
 
 
 def check_place(folder: Path) -> None:
-    """Refuse a place at which no folder can be made, before any work; leaves nothing there.
-
-    Raises:
-        InputError: something on the way to it is a file, or cannot be written into.
-    """
+    """Refuse a place at which no folder can be made, before any work; leaves nothing there."""
     there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
     if not there.is_dir():
         raise InputError(f"{folder}: {there} is a file: expected a folder; choose another place")
@@ -60,10 +52,6 @@ def results_folder(folder: Path, file: str, *, about: Path) -> None:
         folder: where the results go; made with its parents.
         file: name of their summary.
         about: the run, or the scene, that they are about.
-
-    Raises:
-        InputError: it is a file, a run, or holds other files or the results of another run.
-        OSError: it cannot be made or written.
     """
     from pcore.evaluation.tables import write_json
     from pcore.files.run_record import relative

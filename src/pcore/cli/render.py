@@ -117,13 +117,6 @@ def render_run(command: RenderCommand, console: Console) -> None:
     """Render what the command asks for, write the files and say where they are.
 
     The processes that torchrun started take turns at the views; the first of them writes.
-
-    Raises:
-        CheckpointError: no model there, or it is damaged.
-        EditError: the edit file is not valid or folds space.
-        SceneError: the cameras cannot be read.
-        InputError: contradicting options, or an output folder in use.
-        DependencyError: a video is asked for and its package is missing.
     """
     _check(command)
     prepare_torch(command.threads)

@@ -21,11 +21,7 @@ def is_scene(path: Path) -> bool:
 
 
 def scene_rows(path: Path) -> list[tuple[str, str]]:
-    """Name and value of all there is to say about a scene.
-
-    Raises:
-        SceneError: it cannot be read.
-    """
+    """Name and value of all there is to say about a scene."""
     unposed = [one for one in layouts_of(path) if one.name in (PHOTOS, VIDEO)]
     if unposed:
         return [

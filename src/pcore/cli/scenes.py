@@ -29,12 +29,6 @@ def opened(command: TrainCommand, console: Console) -> Scene:
     """Open the scene to train on, with its masks, and find the region of its object.
 
     Masks that are made for it are written into the run's folder; those that lie there are taken.
-
-    Raises:
-        SceneError: the scene or a mask cannot be read.
-        InputError: a bad box, masks that cannot be found, or a run inside the scene's folder.
-        DependencyError: automatic masks without OpenCV.
-        OSError: a mask cannot be written.
     """
     corners, made, tell = corners_of(command.box), command.output / "masks", partial(say, console)
 

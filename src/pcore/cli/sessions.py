@@ -56,9 +56,6 @@ def trained_together(
 
     Returns:
         The result in the first process, the only one that has the folder; None in the others.
-
-    Raises:
-        InputError: processes that were given different things.
     """
     with joined_ranks(device) as ranks:
         views = [

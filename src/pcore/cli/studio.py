@@ -71,14 +71,7 @@ class StudioCommand:
 
 
 def studio(command: StudioCommand, console: Console, stack: ExitStack) -> None:
-    """Open the page and wait until Ctrl-C.
-
-    Raises:
-        CheckpointError: no run there, or it is damaged.
-        EditError: the edit file is not valid or does not fit the points.
-        DependencyError: viser is not installed.
-        InputError: options that contradict, a port in use.
-    """
+    """Open the page and wait until Ctrl-C."""
     from pcore.studio.server import require_viser
 
     if (command.run_or_file is None) != command.demo:

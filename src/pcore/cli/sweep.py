@@ -59,15 +59,7 @@ class SweepCommand:
 
 
 def sweep(command: SweepCommand, console: Console) -> None:
-    """Check everything, run what is not finished, write and print the tables.
-
-    Raises:
-        InputError: a plan that is wrong, impossible resources, or a folder in use.
-        SceneError: a scene cannot be read.
-        DependencyError: workers without Ray.
-        TrainingError: trials failed; the others are finished.
-        KeyboardInterrupt: Ctrl-C; trainings have saved their state.
-    """
+    """Check everything, run what is not finished, write and print the tables."""
     from pcore.cli.sweep_places import placed
     from pcore.cli.sweep_results import show_failures, write_results
     from pcore.cli.sweep_verbs import check_trials, output_folder

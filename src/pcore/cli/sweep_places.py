@@ -27,9 +27,6 @@ def placed(trials: Sequence[Trial], beside: Path) -> list[Trial]:
     Args:
         trials: as `trials_of` lists them.
         beside: folder that the plan's paths are seen from.
-
-    Raises:
-        InputError: a place that is not there.
     """
     found: list[Trial] = []
     for one in trials:

@@ -38,12 +38,7 @@ _SHOWN = "standard"
 def write_results(
     console: Console, folder: Path, trials: Sequence[Trial], results: Sequence[TrialResult]
 ) -> None:
-    """Gather the scores of finished trials, write the files and print the tables.
-
-    Raises:
-        InputError: a trial's results are damaged.
-        OSError: a file cannot be written.
-    """
+    """Gather the scores of finished trials, write the files and print the tables."""
     failed = {one.trial.name for one in results if one.failed is not None}
     finished = [one for one in trials if one.name not in failed]
     scores = scores_of(finished)

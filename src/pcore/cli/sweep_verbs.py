@@ -35,12 +35,7 @@ _OURS = {
 
 
 def run_trial(trial: Trial) -> None:
-    """Run the verbs of a trial one after another; trainings go on from what lies in its folder.
-
-    Raises:
-        PcoreError: as the commands.
-        KeyboardInterrupt: Ctrl-C, after saving.
-    """
+    """Run the verbs of a trial one after another; trainings go on from what lies in its folder."""
     for verb in trial.verbs:
         if trial.processes > 1:
             run_together(process_words(trial, verb))
@@ -49,22 +44,14 @@ def run_trial(trial: Trial) -> None:
 
 
 def parsed(trial: Trial, verb: str) -> Command:
-    """One command of a trial, ready to run.
-
-    Raises:
-        InputError: the plan has an option that the verb does not, or that is the sweep's.
-    """
+    """One command of a trial, ready to run."""
     where = f"plan: setting {trial.setting!r}, {verb}"
     words = [*_own_words(trial, verb), *_plan_words(trial, verb, where)]
     return parsed_words(verb, words, where)
 
 
 def parsed_words(verb: str, words: Sequence[str], where: str) -> Command:
-    """The command of a verb with options as on the command line.
-
-    Raises:
-        InputError: the verb refuses them, in the words that it tells a terminal; begins with where.
-    """
+    """The command of a verb with options as on the command line."""
     known = {one.name: one for one in VERBS}
     if verb not in known:
         raise InputError(f"{where}: this pcore has no verb {verb!r}")
@@ -99,10 +86,6 @@ def check_trials(trials: Sequence[Trial]) -> None:
 
     Args:
         trials: all of the sweep; every setting and every scene is checked once.
-
-    Raises:
-        InputError: an unknown option or state.
-        SceneError: a scene that is missing or damaged.
     """
     commands = {one.setting: {verb: parsed(one, verb) for verb in one.verbs} for one in trials}
     processes = {one.setting: one.processes for one in trials}
@@ -165,9 +148,6 @@ def option_words(
         ours: names that the file cannot give.
         where: the place in the file, for messages.
         giver: what gives ours, such as "sweep".
-
-    Raises:
-        InputError: one of ours, or no value.
     """
     found: list[str] = []
     for key, value in options.items():
@@ -189,12 +169,6 @@ def option_words(
 
 
 def output_folder(folder: Path, file: str) -> None:
-    """Make the folder of a sweep; refuse one that holds something else.
-
-    Raises:
-        InputError: it is a file, or holds other files.
-        TrainingError: its disk has no space for any run.
-        OSError: it cannot be made.
-    """
+    """Make the folder of a sweep; refuse one that holds something else."""
     check_space(folder, bytes_needed(0))
     pictures_folder(folder, overwrite=(folder / file).is_file() or None)

@@ -42,10 +42,6 @@ def warn_of_start(scene: Scene, start: str, console: Console, *, otherwise: str)
         start: where points begin.
         console: told of it.
         otherwise: the start that needs no masks.
-
-    Raises:
-        SceneError: no mask holds anything.
-        InputError: no camera sees the points.
     """
     views = scene.split("train")
     notes = [*check_masks(views)]

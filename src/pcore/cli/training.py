@@ -39,13 +39,6 @@ def train(command: TrainCommand, console: Console) -> None:
     """Train as the command says, together with the other processes that torchrun started.
 
     Only the first of them has the folder and says anything.
-
-    Raises:
-        SceneError: the scene cannot be read.
-        InputError: options that do not fit the scene, or an output folder in use.
-        WeightsError: the preset asks for LPIPS weights that are missing.
-        TrainingError: training diverged or cannot write, or nothing is to be seen at its end.
-        KeyboardInterrupt: Ctrl-C, after saving.
     """
     began = time.monotonic()
     config = _config(command)

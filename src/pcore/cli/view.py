@@ -72,13 +72,7 @@ class ViewCommand:
 
 
 def view(command: ViewCommand, console: Console) -> None:
-    """Make the page, and write or serve it.
-
-    Raises:
-        CheckpointError: no model there, or it is damaged.
-        EditError: the edit file is not valid, or folds space.
-        InputError: options that make no page, a file that cannot be written, a port in use.
-    """
+    """Make the page, and write or serve it."""
     from pcore.asset.saving import load
     from pcore.studio.viewer_page import page_server
 
