@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -74,7 +73,7 @@ def draw(
             tell = stack.enter_context(_bar(console, len(views)))
 
             def picture_of(index: int) -> Image:
-                return take(views[index][1], progress=partial(_told, tell, index)).cpu()
+                return take(views[index][1], progress=lambda share: tell(index + share)).cpu()
 
             pictures = current_ranks().in_turn(len(views), picture_of)
             for (name, camera), picture in zip(views, pictures, strict=False):
@@ -104,10 +103,6 @@ def _tell_empty(empty: list[str], count: int, output: Path, console: Console) ->
     if empty:
         some = f"{', '.join(empty[:5])}{', ...' * (len(empty) > 5)}"
         note(console, [f"nothing is to be seen in {len(empty)} of {count} pictures: {some}"])
-
-
-def _told(tell: Callable[[float], None], done: int, share: float) -> None:
-    tell(done + share)
 
 
 def _layers(

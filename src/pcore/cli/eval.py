@@ -227,7 +227,7 @@ def finish(
     perceptual: Perceptual,
     notes: Sequence[str] = (),
 ) -> None:
-    """Write rows and summary into `output` and print the table; the first method is the baseline."""
+    """Write rows and summary and print the table; the first method is the baseline."""
     from pcore.cli.results import show_results
     from pcore.evaluation.summary import gains, state_means
     from pcore.evaluation.tables import summary_record, write_tables

@@ -40,7 +40,8 @@ def check(command: ExportCommand) -> None:
 
 def write(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
     """Write depth and normals, cameras, or a data set."""
-    moments = _moments(command, asset)
+    times = times_of(command)
+    moments = [(time, asset.pose(command.edit, time=time)) for time in times]
     views = _views(command, asset, torch.cat([posed.points for _, posed in moments]))
     pictures_folder(command.output, overwrite=command.overwrite)
     if command.to == "depth":
@@ -49,11 +50,6 @@ def write(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
     if command.to == "cameras":
         return [*_write_cameras(command, views, moments), *notes]
     return [_write_pictures(command, asset, views, moments, console), *notes]
-
-
-def _moments(command: ExportCommand, asset: Asset) -> list[Moment]:
-    """The object at each time that is asked for."""
-    return [(time, asset.pose(command.edit, time=time)) for time in times_of(command)]
 
 
 def _shots(command: ExportCommand, views: Named, moments: list[Moment]) -> list[Shot]:

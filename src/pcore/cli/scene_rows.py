@@ -37,7 +37,7 @@ def scene_rows(path: Path) -> list[tuple[str, str]]:
         ("views", ", ".join(f"{len(found)} {name}" for name, found in scene.views.items())),
         ("sizes", _counted(f"{v.camera.width} x {v.camera.height}" for v in views)),
         ("lenses", _lenses(views)),
-        ("masks", _counted("mask file" if v.image.mask else _alpha(v) for v in views)),
+        ("masks", _counted(map(_mask, views))),
         ("sparse points", _points(scene)),
         ("region", _region(scene)),
         ("states", ", ".join(scene.states) or "none"),
@@ -54,8 +54,9 @@ def _counted(values: Iterable[str]) -> str:
     return ", ".join(f"{value} ({count} views)" for value, count in counts.most_common(8))
 
 
-def _alpha(view: View) -> str:
-    return "alpha channel" if view.image.header.has_alpha else "none"
+def _mask(view: View) -> str:
+    alpha = "alpha channel" if view.image.header.has_alpha else "none"
+    return "mask file" if view.image.mask else alpha
 
 
 def _lenses(views: list[View]) -> str:

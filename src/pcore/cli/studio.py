@@ -105,12 +105,9 @@ def _opened(command: StudioCommand, stack: ExitStack) -> Studio:
     outputs = Outputs(folder=folder, edit=command.edit or folder / "edit.json", run=run)
     guard = Guard(host=command.host, port=command.port)
     title = "demo" if command.demo else run.resolve().name
-    return Studio(asset, guard, outputs, title=title, tour=command.demo, report=_report)
-
-
-def _report(error: Exception) -> None:
-    """What should not happen stands in the terminal; the page shows no trace."""
-    traceback.print_exception(error)
+    # What should not happen stands in the terminal; the page shows no trace.
+    report = traceback.print_exception
+    return Studio(asset, guard, outputs, title=title, tour=command.demo, report=report)
 
 
 def _demo(stack: ExitStack) -> Path:
