@@ -133,7 +133,7 @@ def validate_edit(command: ValidateCommand, console: Console) -> None:
 def apply_edit(command: ApplyCommand, console: Console) -> None:
     """Move the points, write them, print what happened."""
     from pcore.asset.posing import script_of
-    from pcore.cli.edit_picture import write_picture
+    from pcore.cli.edit_results import write_picture
     from pcore.data.points import save_moved, save_points
     from pcore.editing.diagnosis import diagnose, with_exposed
     from pcore.editing.handles import handles_of

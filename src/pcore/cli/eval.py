@@ -228,7 +228,7 @@ def finish(
     notes: Sequence[str] = (),
 ) -> None:
     """Write rows and summary and print the table; the first method is the baseline."""
-    from pcore.cli.results import show_results
+    from pcore.cli.eval_results import show_results
     from pcore.evaluation.summary import gains, state_means
     from pcore.evaluation.tables import summary_record, write_tables
 

@@ -43,7 +43,7 @@ class InfoCommand:
 
     def run(self) -> None:
         """Print the table; raises CheckpointError, SceneError or EditError for damaged ones."""
-        from pcore.cli.scene_rows import is_scene, scene_rows
+        from pcore.cli.info_rows import is_scene, scene_rows
 
         console, path = Console(), self.run_or_file
         if path.suffix.lower() == ".json" and path.is_file():
