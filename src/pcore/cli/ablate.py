@@ -182,7 +182,7 @@ def _score(
     methods: list[AssetMethod],
     figure: AblationFigure,
 ) -> None:
-    from pcore.cli.eval import finish
+    from pcore.cli.eval_results import finish
     from pcore.evaluation.figures import png_bytes
     from pcore.evaluation.protocol import load_perceptual
     from pcore.evaluation.runner import evaluate

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from pcore.capture.load import load_scene
-from pcore.cli.compare import CompareCommand, wanted_methods
+from pcore.cli.compare import CompareCommand
+from pcore.cli.compare_results import wanted_methods
 from pcore.cli.main import VERBS, Command, command_of
 from pcore.cli.output import pictures_folder
 from pcore.cli.sweep_processes import TORCHRUN, run_together
