@@ -19,6 +19,7 @@ import torch
 from safetensors.numpy import load_file
 from toys import write_scene
 
+from pcore.cli import sweep_results
 from pcore.cli.main import main
 from pcore.cli.sweep_places import placed
 from pcore.sweep import sweep_storage
@@ -337,7 +338,7 @@ def test_a_storage_that_fails_later_is_one_message(
 
     url = f"memory://{plan.parent}/sweep"
     monkeypatch.setattr(sweep_storage, "_opened", full)
-    monkeypatch.setattr(sweep_storage, "check_storage", lambda url: None)
+    monkeypatch.setattr(sweep_results, "check_storage", lambda url: None)
     assert sweep(plan, "--storage", url) == 2
     told = capsys.readouterr().err
     assert told.startswith(f"Error: storage {url}")

@@ -73,7 +73,10 @@ def draw(
             tell = stack.enter_context(_bar(console, len(views)))
 
             def picture_of(index: int) -> Image:
-                return take(views[index][1], progress=lambda share: tell(index + share)).cpu()
+                def told(share: float) -> None:
+                    tell(index + share)
+
+                return take(views[index][1], progress=told).cpu()
 
             pictures = current_ranks().in_turn(len(views), picture_of)
             for (name, camera), picture in zip(views, pictures, strict=False):

@@ -23,7 +23,7 @@ from pcore.training.measured_speed import measured_speed, papr_step, photos_of
 from pcore.training.speed import Speed
 from pcore.training.time_plan import ShortPromiseError, TimePlan, plan_gaussians, plan_papr
 
-Config = TypeVar("Config", "GaussianConfig", "PretrainConfig")
+Config = TypeVar("Config", bound=GaussianConfig | PretrainConfig)
 
 _LIGHT_STEPS = 2.0
 """What the estimate of the light costs, in steps per view at the finest size."""
