@@ -6,6 +6,7 @@ from numpy.polynomial.legendre import leggauss
 from torch.nn.functional import normalize
 
 from pcore.gaussians.carry import polar
+from pcore.gaussians.seen_colors import seen_colors
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE, basis, brightened, colors, rotated
 
 
@@ -118,3 +119,11 @@ def test_the_colours_are_those_of_gsplat(degree):
     torch.testing.assert_close(
         colors(sh, directions(50)), (0.5 + expected).clamp_min(0), atol=1e-6, rtol=1e-6
     )
+
+
+@pytest.mark.parametrize("degree", range(HIGHEST_DEGREE + 1))
+def test_colours_of_a_page_are_those_of_pictures(degree: int):
+    source = torch.Generator().manual_seed(1)
+    sh = torch.randn(200, (degree + 1) ** 2, 3, generator=source)
+    seen = directions().float()
+    torch.testing.assert_close(seen_colors(sh, seen), colors(sh, seen), rtol=0, atol=1e-5)

@@ -14,7 +14,7 @@ from torch.nn import functional as F
 from pcore.errors import InputError
 from pcore.gaussians.covariance import covariances
 from pcore.gaussians.gaussians import Gaussians
-from pcore.gaussians.spherical_harmonics import colors
+from pcore.gaussians.seen_colors import seen_colors
 from pcore.kernels.cpu_carry import carried_shapes
 
 Floats = NDArray[np.float32]
@@ -104,7 +104,7 @@ class SplatsAtRest:
         seen = F.normalize(centers - eye, dim=1)
         if maps is not None:
             shapes, seen = carried_shapes(shapes, maps, seen)
-        rgb = colors(self.gaussians.sh, seen)
+        rgb = seen_colors(self.gaussians.sh, seen)
         if gains is not None:
             rgb = rgb * gains.detach().cpu().reshape(count, -1)
         return Splats(
