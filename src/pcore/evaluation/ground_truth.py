@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pcore.deform.base import Deformation
+from pcore.deform.proxy import face_frames
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.deformation_record import DeformationRecord
 from pcore.geometry.camera import Camera
@@ -112,8 +113,8 @@ class DeformedTruth:
         vertices = self.vertices(state)
         foot = _interpolate(vertices, self.faces, anchors.surface)
         corners = self.faces[anchors.surface.face]
-        before, area_before = _face_frames(self.canonical[corners])
-        after, area_after = _face_frames(vertices[corners])
+        before, area_before = face_frames(self.canonical[corners])
+        after, area_after = face_frames(vertices[corners])
         left, _, right = np.linalg.svd(after @ np.linalg.pinv(before))
         # A mirrored result can only come from a triangle that lost its area: undo the mirror.
         left[..., 2] *= np.where(np.linalg.det(left @ right) < 0, -1.0, 1.0)[:, None]
@@ -207,15 +208,6 @@ def _as_points(points: Tensor) -> FloatArray:
 
 def _interpolate(vertices: FloatArray, faces: IntArray, surface: SurfacePoints) -> FloatArray:
     return np.einsum("nk,nkd->nd", surface.barycentric, vertices[faces[surface.face]])
-
-
-def _face_frames(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Columns edge, edge, unit normal (N, 3, 3) and areas (N,) of triangles (N, 3, 3)."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(first, second)
-    length = np.linalg.norm(normal, axis=1)
-    unit = normal / np.maximum(length, np.finfo(np.float64).tiny)[:, None]
-    return np.stack([first, second, unit], axis=2), 0.5 * length
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
