@@ -72,6 +72,16 @@ def test_what_needs_no_torch_does_not_wait_for_it(args: list[str]) -> None:
     assert out.stdout.splitlines()[-1] == "[]"
 
 
+def test_options_of_verbs_do_not_wait_for_torch() -> None:
+    modules = sorted({verb.module for verb in VERBS})
+    code = (
+        f"import sys, importlib; [importlib.import_module(one) for one in {modules}]; "
+        "print([m for m in ('torch', 'numba', 'numpy') if m in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.splitlines()[-1] == "[]"
+
+
 def undocumented_fields(kind: type) -> list[str]:
     """Names of the fields of a dataclass that no docstring follows."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
 from tyro.conf import Positional, arg
@@ -12,7 +12,9 @@ from tyro.conf import Positional, arg
 from pcore.cli.console import say
 from pcore.cli.options import optional
 from pcore.errors import InputError
-from pcore.model.papr_config import ReferenceOrigin
+
+if TYPE_CHECKING:
+    from pcore.model.papr_config import ReferenceOrigin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +51,8 @@ class ImportPaprCommand:
         say(Console(), text)
 
     def _reference(self) -> ReferenceOrigin | None:
+        from pcore.model.papr_config import ReferenceOrigin
+
         if self.reference_distance is None:
             if self.reference_center is not None:
                 raise InputError("--reference-center is for --reference-distance: give both")

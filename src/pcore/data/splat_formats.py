@@ -12,6 +12,7 @@ from pcore.data.compressed_gaussians import read_compressed
 from pcore.data.gaussian_ply import CONSTANT, gaussian_ply, is_gaussian, lost, read_gaussian_ply
 from pcore.data.gltf_writer import VERTICES, GltfWriter
 from pcore.data.ply import Ply, parse_ply
+from pcore.data.ply_binary import Binary
 from pcore.data.ply_header import read_header
 from pcore.data.splat_file import SplatFile, sound
 from pcore.data.whole_file import write_whole
@@ -38,7 +39,8 @@ def holds_splats(path: Path | str) -> bool:
             header = read_header(file.read(1 << 16), str(path))
     except (OSError, InputError):
         return False
-    ply = Ply(header=header, content=b"", rows=())
+    nothing = Binary(content=b"", start=0)
+    ply = Ply(header=header, source=nothing, rows=(), where=str(path))
     return _is_compressed(ply) or is_gaussian(ply)
 
 
