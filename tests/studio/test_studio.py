@@ -340,6 +340,7 @@ def test_a_full_disk_at_a_picture_is_said_and_leaves_nothing(page: Studio) -> No
 
 
 def test_messages_to_tabs_do_not_pile_up(page: Studio) -> None:
+    assert page.worker.wait(60)  # It refreshes, too.
     page.editor.add("twist")
     page.editor.add("bend")
     kept = page.server._websock_server._broadcast_buffer.message_from_id  # pyright: ignore
