@@ -25,7 +25,7 @@ from torch.nn import functional as F
 
 from pcore.capture.load import load_scene
 from pcore.data.scene import View
-from pcore.evaluation.ground_truth import mesh_depth
+from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.evaluation.states import CANONICAL, open_states
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import PointCloud

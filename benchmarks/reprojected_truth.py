@@ -18,7 +18,7 @@ from torch import Tensor
 from pcore.data.images import area_downscale
 from pcore.data.scene import Scene, View
 from pcore.deform.base import Deformation
-from pcore.evaluation.ground_truth import mesh_depth
+from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.geometry.camera import Camera
 from pcore.sample.sample_render import MeshCaster
 

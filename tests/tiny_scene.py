@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pcore.asset.asset import Asset
 from pcore.asset.posed_asset import Posed
-from pcore.evaluation.ground_truth import mesh_depth
+from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.files.provenance import provenance_of
 from pcore.files.run_folder import RunFolder
 from pcore.geometry.camera import Camera

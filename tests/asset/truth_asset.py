@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pcore.asset.asset import Asset
 from pcore.asset.content import MovedPoints
-from pcore.evaluation.ground_truth import mesh_depth
+from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.files.provenance import Provenance
 from pcore.files.run_record import RunRecord
 from pcore.gaussians.pinhole import surface_points

@@ -11,7 +11,8 @@ import torch
 from pcore.deform.frame import axis_frame
 from pcore.deform.simple import Twist, rigid
 from pcore.errors import DependencyError, InputError, SceneError
-from pcore.evaluation.ground_truth import DeformedTruth, load_truth, mesh_depth
+from pcore.evaluation.ground_truth import DeformedTruth, load_truth
+from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.geometry.camera import Camera
 
 TWIST = {"type": "simple_deform", "method": "TWIST", "axis": "Z", "value": 1.0}

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import trimesh
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -24,9 +23,9 @@ from pcore.deform.base import Deformation
 from pcore.deform.proxy import face_frames
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.deformation_record import DeformationRecord
+from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.geometry.camera import Camera
 from pcore.geometry.surface_search import SurfacePoints, SurfaceSearch
-from pcore.sample.sample_render import ray_caster_class
 from pcore.validation import parse, read_json
 
 FloatArray = NDArray[np.float64]
@@ -244,34 +243,3 @@ def _vertices(path: Path, name: str, value: NDArray[Any] | None, count: int | No
 
 def _what(value: NDArray[Any] | None) -> str:
     return "nothing" if value is None else f"{value.dtype} of shape {value.shape}"
-
-
-def mesh_depth(vertices: FloatArray, faces: IntArray, camera: Camera) -> Tensor:
-    """Depth of a mesh by ray casting at pixel centres.
-
-    Args:
-        vertices: (V, 3) world units.
-        faces: (F, 3) indices; both sides of a triangle are seen.
-        camera: the view.
-
-    Returns:
-        (H, W) float32 camera z in world units; infinity where nothing is hit.
-
-    Raises:
-        DependencyError: embreex is not installed.
-    """
-    rays = camera.rays().flat()
-    directions = rays.directions.double().numpy()
-    origin = camera.center.double().numpy()
-    mesh = trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
-    first = ray_caster_class()(mesh).intersects_first(rays.origins.numpy(), directions)
-    ray = np.flatnonzero(first >= 0)
-    # embree knows which triangle is hit; where on its plane is computed here in float64.
-    corners = np.asarray(vertices, dtype=np.float64)[faces[first[ray]]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    towards = np.einsum("nd,nd->n", normal, directions[ray])
-    distance = np.einsum("nd,nd->n", normal, corners[:, 0] - origin) / towards
-    forward = -camera.world_from_camera[:3, 2].double().numpy()
-    depth = np.full(camera.height * camera.width, np.inf, dtype=np.float32)
-    depth[ray] = distance * (directions[ray] @ forward)
-    return torch.from_numpy(depth.reshape(camera.height, camera.width))
