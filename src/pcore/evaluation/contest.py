@@ -274,8 +274,12 @@ def _read(path: Path, stamp: Any) -> Outcome | None:
             return None
         record["cost"] = Cost(**record["cost"])
         record["rows"] = tuple(
-            ImageRow(**{**row, "scores": numbers_of(row["scores"])}) for row in record["rows"]
+            _row({**row, "scores": numbers_of(row["scores"])}) for row in record["rows"]
         )
         return Outcome(**record)
     except (OSError, ValueError, KeyError, TypeError):
         return None
+
+
+def _row(values: dict[str, Any]) -> ImageRow:
+    return ImageRow(**values)
