@@ -336,7 +336,7 @@ def test_a_storage_that_fails_later_is_one_message(
         raise OSError(28, "No space left on device")
 
     url = f"memory://{plan.parent}/sweep"
-    monkeypatch.setattr(sweep_storage, "_opened", full)
+    monkeypatch.setattr(sweep_storage, "opened", full)
     monkeypatch.setattr(sweep_storage, "check_storage", lambda url: None)
     assert sweep(plan, "--storage", url) == 2
     told = capsys.readouterr().err

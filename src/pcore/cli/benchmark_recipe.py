@@ -40,11 +40,10 @@ class _Recipe(_Strict):
 
 
 def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
-    """One command for each model of a recipe, into a folder of its name; all checked first.
+    """One command for each model of a recipe, into a folder of its name.
 
     Raises:
-        InputError: a recipe that is wrong, models that are not there, folders in use, or options
-            besides the recipe.
+        InputError: a recipe that is wrong, files that are not there, or options besides the recipe.
     """
     recipe = command.recipe
     assert recipe is not None
@@ -76,18 +75,22 @@ def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
             f"{where}: expected its models beside it, missing: {'; '.join(missing)}; bring them, "
             "or take them out of the recipe"
         )
-    commands = [
+    return [
         _parsed(
             f"{where}: {name}",
             recipe.parent / one.file,
             command.output / name,
-            {**found.options, **one.options},
+            _placed({**found.options, **one.options}, recipe.parent),
         )
         for name, one in found.models.items()
     ]
-    for one in commands:
-        one.folders()
-    return commands
+
+
+def _placed(options: dict[str, Any], beside: Path) -> dict[str, Any]:
+    """Options whose edit files are seen from the recipe's own folder, as models are."""
+    edits = options.get("edits", [])
+    files = edits if isinstance(edits, list) else [edits]
+    return {**options, "edits": [str(beside / str(one)) for one in files]} if files else options
 
 
 def _parsed(where: str, model: Path, output: Path, options: dict[str, Any]) -> BenchmarkMakeCommand:

@@ -70,6 +70,7 @@ def sweep(command: SweepCommand, console: Console) -> None:
     from pcore.cli.sweep_results import show_failures, write_results
     from pcore.cli.sweep_verbs import check_trials, output_folder
     from pcore.files.lock import FolderLock
+    from pcore.sweep.storage_claim import claimed
     from pcore.sweep.sweep_plan import read_plan
     from pcore.sweep.sweep_storage import check_storage, publish
     from pcore.sweep.sweep_tables import SWEEP_FILE, TABLES, write_start
@@ -89,6 +90,8 @@ def sweep(command: SweepCommand, console: Console) -> None:
             at_once = _at_once(command, plan)
             show_plan(console, trials, _known(trials), at_once)
             return
+        if command.storage is not None:
+            stack.enter_context(claimed(command.storage))
         execute = _executor(command, plan, stack)
         output_folder(command.output, SWEEP_FILE)
         lock = FolderLock.acquire(command.output)
@@ -97,10 +100,10 @@ def sweep(command: SweepCommand, console: Console) -> None:
         for one in trials:
             fetch_records(one)
         results = _attempt(console, trials, _finished(trials), execute)
-    failures = [one for one in results if one.failed is not None]
-    write_results(console, command.output, trials, results)
-    if command.storage is not None:
-        publish(command.output, command.storage, TABLES)
+        failures = [one for one in results if one.failed is not None]
+        write_results(console, command.output, trials, results)
+        if command.storage is not None:
+            publish(command.output, command.storage, TABLES)
     if failures:
         show_failures(console, failures)
         raise TrainingError(
