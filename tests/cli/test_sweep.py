@@ -267,6 +267,22 @@ def test_files_of_options_are_seen_from_the_plan(tmp_path: Path) -> None:
     }
 
 
+def test_every_scene_that_cannot_be_used_is_named(
+    plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything starts, so that a night is not lost for each of them."""
+    write_scene(plan.parent / "torn")
+    (plan.parent / "torn" / "transforms_train.json").write_text("{")
+    scenes = "scenes: {ball: ball, torn: torn, gone: not here}"
+    plan.write_text(PLAN.replace("scenes: {ball: ball}", scenes), encoding="utf-8")
+    assert sweep(plan) == 2
+    told = capsys.readouterr().err
+    assert "plan: 2 scenes cannot be used:" in told
+    assert "torn/transforms_train.json" in told
+    assert "not here" in told
+    assert not (plan.parent / "out").exists()
+
+
 def test_a_folder_of_somebody_else_is_left_alone(
     plan: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.console import Console
@@ -171,14 +172,16 @@ class _Job:
     def run(self, console: Console) -> None:
         from pcore.benchmark.making import make_benchmark
         from pcore.benchmark.model import read_model
+        from pcore.capture.load import find_states
         from pcore.cli.results import counting
 
         model = read_model(self.path, up=self.up)
         with counting(console, "pictures") as tell:
             notes = make_benchmark(self.folder, model, self.plan, progress=tell)
         lines = [f"{self.folder}: {len(model.vertices):,} vertices, {len(model.faces):,} triangles"]
+        lines.append(f"  states: {', '.join(find_states(self.folder))}")
         lines += [f"  note: {note}" for note in notes]
-        lines.append(f"next: pcore train {self.folder} -o RUN && pcore eval RUN")
+        lines.append(f"next: pcore train {quote(str(self.folder))} -o RUN && pcore eval RUN")
         print_lines(console, lines)
 
 

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 from rich.text import Text
 
+from pcore.cli.torchrun import is_first
 from pcore.demo.machine import clock
 from pcore.errors import PcoreError
 
@@ -43,7 +44,8 @@ def guarded(action: Callable[[], None]) -> int:
             raise
         return _complain(str(error))
     except KeyboardInterrupt as stop:
-        _say("Interrupted", str(stop) or "nothing more was written")
+        if is_first():  # Of several processes one saves, and says so.
+            _say("Interrupted", str(stop) or "nothing more was written")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # `pcore info RUN | head`: nobody reads on. Python would complain again while it exits.

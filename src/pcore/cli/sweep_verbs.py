@@ -10,7 +10,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pcore.errors import InputError
+from pcore.errors import InputError, SceneError
 
 if TYPE_CHECKING:
     from pcore.cli.main import Command
@@ -91,24 +91,36 @@ def check_trials(trials: Sequence[Trial]) -> None:
         trials: all of the sweep; every setting and every scene is checked once.
 
     Raises:
-        InputError: an unknown option or state.
-        SceneError: a scene that is missing or damaged.
+        InputError: an unknown option or state, or scenes that are missing or damaged, all of them.
     """
-    from pcore.capture.load import load_scene
-    from pcore.evaluation.states import open_states
-
     commands = {one.setting: {verb: parsed(one, verb) for verb in one.verbs} for one in trials}
     processes = {one.setting: one.processes for one in trials}
     for setting, verbs in commands.items():
         for verb, command in verbs.items():
             _check_values(command, f"plan: setting {setting!r}, {verb}", processes[setting])
+    wrong: dict[Path, str] = {}
     for place, setting in dict.fromkeys((one.scene_folder, one.setting) for one in trials):
-        train: Any = commands[setting]["train"]
-        load_scene(place, factor=train.factor)
-        for verb in {"eval", "compare"} & {*commands[setting]}:
-            scored: Any = commands[setting][verb]
-            states = scored.state or (() if verb == "eval" and scored.edit else ("all",))
-            open_states(place, factor=scored.factor or train.factor).select(states)
+        try:
+            _check_scene(place, commands[setting])
+        except (InputError, SceneError) as error:
+            wrong.setdefault(place, str(error))
+    if len(wrong) == 1:
+        raise InputError(*wrong.values())
+    if wrong:
+        told = "".join(f"\n- {one}" for one in wrong.values())
+        raise InputError(f"plan: {len(wrong)} scenes cannot be used:{told}")
+
+
+def _check_scene(place: Path, commands: Mapping[str, Any]) -> None:
+    from pcore.capture.load import load_scene
+    from pcore.evaluation.states import open_states
+
+    train = commands["train"]
+    load_scene(place, factor=train.factor)
+    for verb in {"eval", "compare"} & {*commands}:
+        scored = commands[verb]
+        states = scored.state or (() if verb == "eval" and scored.edit else ("all",))
+        open_states(place, factor=scored.factor or train.factor).select(states)
 
 
 def _check_values(command: Any, where: str, processes: int) -> None:
