@@ -606,6 +606,7 @@ def test_a_recipe_makes_all_its_models(tmp_path: Path, capsys: pytest.CaptureFix
         (RECIPE.replace("size: 16", "sise: 16"), "recipe.yaml: two: "),
         (RECIPE.replace("size: 16", "output: x"), "got one that the recipe gives to each"),
         (RECIPE.replace("version", "versions"), "'version' is missing"),
+        (RECIPE.replace("  two:", "  ../two:"), "can be folders, of letters, digits"),
         ("[", "expected YAML"),
     ):
         recipe.write_text(text)

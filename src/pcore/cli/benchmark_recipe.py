@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from pcore.cli.benchmark import BenchmarkMakeCommand
 from pcore.cli.sweep_verbs import option_words
 from pcore.errors import InputError
-from pcore.validation import parse, read_text
+from pcore.validation import check_folder_name, parse, read_text
 
 _OURS = {"models", "output", "o", "recipe"}
 
@@ -65,6 +65,8 @@ def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
         told = " ".join(str(error).split())
         raise InputError(f"{where}: expected YAML, got text that does not parse: {told}") from error
     found = parse(_Recipe, data, where=where, error=InputError)
+    for name in found.models:
+        check_folder_name(f"{where}: 'models'", name)
     missing = [
         f"{one.file} ({one.source})" if one.source else one.file
         for one in found.models.values()

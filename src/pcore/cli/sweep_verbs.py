@@ -98,14 +98,14 @@ def check_trials(trials: Sequence[Trial]) -> None:
     for setting, verbs in commands.items():
         for verb, command in verbs.items():
             _check_values(command, f"plan: setting {setting!r}, {verb}", processes[setting])
-    wrong: dict[Path, str] = {}
-    for place, setting in dict.fromkeys((one.scene_folder, one.setting) for one in trials):
+    wrong: dict[str, str] = {}
+    for one in {(one.scene, one.setting): one for one in trials}.values():
         try:
-            _check_scene(place, commands[setting])
+            _check_scene(one.scene_folder, commands[one.setting])
         except (InputError, SceneError) as error:
-            wrong.setdefault(place, str(error))
+            wrong.setdefault(one.scene, f"scene {one.scene!r}, setting {one.setting!r}: {error}")
     if len(wrong) == 1:
-        raise InputError(*wrong.values())
+        raise InputError(f"plan: {next(iter(wrong.values()))}")
     if wrong:
         told = "".join(f"\n- {one}" for one in wrong.values())
         raise InputError(f"plan: {len(wrong)} scenes cannot be used:{told}")
