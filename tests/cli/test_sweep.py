@@ -19,8 +19,10 @@ import torch
 from safetensors.numpy import load_file
 from toys import write_scene
 
+from pcore.cli import sweep_verbs
 from pcore.cli.main import main
 from pcore.cli.sweep_places import placed
+from pcore.cli.sweep_verbs import run_trial
 from pcore.sweep import sweep_storage
 from pcore.sweep.sweep_storage import fetch
 from pcore.sweep.sweep_tables import TABLES
@@ -265,6 +267,29 @@ def test_files_of_options_are_seen_from_the_plan(tmp_path: Path) -> None:
         "eval": {"edit": [str(tmp_path / "lean.json")]},
         "compare": {"pictures": [f"other={tmp_path / 'theirs'}"]},
     }
+
+
+def test_tables_are_there_before_the_last_trial_has_ended(
+    plan: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped in its second trial, a sweep has the scores of the first one."""
+    first, _, second = PLAN.partition("  papr:")
+    plan.write_text(first + second[second.index("  more:") :], encoding="utf-8")
+
+    def stopped(trial: Trial) -> None:
+        if trial.seed == 1:
+            raise KeyboardInterrupt
+        run_trial(trial)
+
+    monkeypatch.setattr(sweep_verbs, "run_trial", stopped)
+    assert sweep(plan) == 130
+    out = plan.parent / "out"
+    assert {row["seed"] for row in rows(out / "results.csv")} == {"0"}
+    assert json.loads((out / "sweep.json").read_text())["status"] == "not finished"
+    monkeypatch.undo()
+    assert sweep(plan) == 0
+    assert {row["seed"] for row in rows(out / "results.csv")} == {"0", "1"}
+    assert json.loads((out / "sweep.json").read_text())["status"] == "finished"
 
 
 def test_every_scene_that_cannot_be_used_is_named(

@@ -67,13 +67,13 @@ def sweep(command: SweepCommand, console: Console) -> None:
         KeyboardInterrupt: Ctrl-C; trainings have saved their state.
     """
     from pcore.cli.sweep_places import placed
-    from pcore.cli.sweep_results import show_failures, write_results
+    from pcore.cli.sweep_results import show_failures, show_results
     from pcore.cli.sweep_verbs import check_trials, output_folder
     from pcore.files.lock import FolderLock
     from pcore.sweep.storage_claim import claimed
     from pcore.sweep.sweep_plan import read_plan
     from pcore.sweep.sweep_storage import check_storage, publish
-    from pcore.sweep.sweep_tables import SWEEP_FILE, TABLES, write_start
+    from pcore.sweep.sweep_tables import SWEEP_FILE, TABLES
     from pcore.sweep.sweep_trial import fetch_records, trials_of
 
     plan = read_plan(command.plan)
@@ -96,12 +96,11 @@ def sweep(command: SweepCommand, console: Console) -> None:
         output_folder(command.output, SWEEP_FILE)
         lock = FolderLock.acquire(command.output)
         stack.callback(lock.release)
-        write_start(command.output)
         for one in trials:
             fetch_records(one)
-        results = _attempt(console, trials, _finished(trials), execute)
+        results = _attempt(console, command.output, trials, execute)
         failures = [one for one in results if one.failed is not None]
-        write_results(console, command.output, trials, results)
+        show_results(console, command.output, trials, results)
         if command.storage is not None:
             publish(command.output, command.storage, TABLES)
     if failures:
@@ -111,12 +110,6 @@ def sweep(command: SweepCommand, console: Console) -> None:
             f"{', '.join(one.trial.name for one in failures)}; mend what they say, then give the "
             "same command again"
         )
-
-
-def _finished(trials: Sequence[Trial]) -> list[TrialResult]:
-    from pcore.sweep.sweep_trial import finished_trial
-
-    return [one for one in map(finished_trial, trials) if one is not None]
 
 
 def _known(trials: Sequence[Trial]) -> list[TrialResult]:
@@ -189,22 +182,30 @@ def _machine() -> Machine:
 
 
 def _attempt(
-    console: Console, trials: Sequence[Trial], done: Sequence[TrialResult], execute: Execute
+    console: Console, folder: Path, trials: Sequence[Trial], execute: Execute
 ) -> list[TrialResult]:
-    """Results of all trials, in their order."""
+    """Results of all trials, in their order; the files are written anew after each of them."""
+    from pcore.cli.sweep_results import write_results
     from pcore.cli.sweep_verbs import run_trial
     from pcore.demo.machine import clock
-    from pcore.sweep.sweep_trial import fetch_records
+    from pcore.sweep.sweep_trial import fetch_records, finished_trial
 
+    done = [one for one in map(finished_trial, trials) if one is not None]
     results = {one.trial.name: one for one in done}
     if done:
         console.print(f"{len(done)} of {len(trials)} trials are finished already")
     left = [one for one in trials if one.name not in results]
+
+    def so_far() -> list[TrialResult]:
+        return [results[one.name] for one in trials if one.name in results]
+
+    write_results(folder, trials, so_far())
     for result in execute(left, run_trial):
         fetch_records(result.trial)
         results[result.trial.name] = result
+        write_results(folder, trials, so_far())
         took = "" if result.seconds is None else f" in {clock(result.seconds)}"
         said = f"finished{took}" if result.failed is None else f"failed: {result.failed}"
         line = f"{len(results)}/{len(trials)} {result.trial.name}: {said}"
         console.print(Text(line), soft_wrap=True)
-    return [results[one.name] for one in trials]
+    return so_far()

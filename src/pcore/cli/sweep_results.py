@@ -30,27 +30,38 @@ _SHOWN = "standard"
 
 
 def write_results(
-    console: Console, folder: Path, trials: Sequence[Trial], results: Sequence[TrialResult]
-) -> None:
-    """Gather the scores of finished trials, write the files and print the tables.
+    folder: Path, trials: Sequence[Trial], results: Sequence[TrialResult]
+) -> tuple[list[VariantMean], list[PairedDifference], int]:
+    """Gather the scores of the trials that have finished so far, and write the files.
+
+    Returns:
+        Means, differences, and how many seeds there are.
 
     Raises:
         InputError: a trial's results are damaged.
         OSError: a file cannot be written.
     """
     from pcore.sweep.spread import paired_differences, variant_means
-    from pcore.sweep.sweep_scores import notes_of, scores_of
+    from pcore.sweep.sweep_scores import scores_of
     from pcore.sweep.sweep_tables import write_sweep
 
-    failed = {one.trial.name for one in results if one.failed is not None}
-    finished = [one for one in trials if one.name not in failed]
-    scores = scores_of(finished)
+    scores = scores_of([one.trial for one in results if one.failed is None])
     means, differences = variant_means(scores), paired_differences(scores)
-    write_sweep(folder, results, scores, means, differences)
-    seeds = len({one.seed for one in scores})
+    write_sweep(folder, results, scores, means, differences, trials=len(trials))
+    return means, differences, len({one.seed for one in scores})
+
+
+def show_results(
+    console: Console, folder: Path, trials: Sequence[Trial], results: Sequence[TrialResult]
+) -> None:
+    """Write the files and print the tables; errors are those of `write_results`."""
+    from pcore.sweep.sweep_scores import notes_of
+
+    means, differences, seeds = write_results(folder, trials, results)
     for sheet in (_mean_sheet(means, seeds), _difference_sheet(differences)):
         if sheet.rows:
             print_lines(console, [*sheet_lines(_filled(sheet), room(console)), ""])
+    finished = [one.trial for one in results if one.failed is None]
     print_lines(console, [f"note: {note}" for note in notes_of(finished)])
     console.print(Text(f"written to {folder}"), soft_wrap=True)
 
