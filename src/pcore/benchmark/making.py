@@ -76,6 +76,9 @@ def make_benchmark(
         _write(made, model, plan, vertices, states, progress)
         _write_manifest(made / MANIFEST, model, plan, (center, scale), states)
         made.replace(folder)
+    except OSError as error:
+        error.filename = error.filename or str(folder)  # Of a full disk Pillow tells no place.
+        raise
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     return tuple(notes)

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from rich.console import Console
@@ -30,11 +31,12 @@ class InfoCommand:
     """Say what a run is: stage, steps, points, scores; its settings on demand.
 
     Of a scene: its layout, its photos, and which of them are not used and why. Of an edit file:
-    its edits, and what can be done with it.
+    its edits, and what can be done with it. Of a model for `pcore benchmark make`: its clips.
     """
 
     run_or_file: Annotated[Positional[Path], arg(metavar="RUN|SCENE|FILE")]
-    """Folder of a run, its model file, folder of a scene, or an edit file (JSON)."""
+    """Folder of a run, its model file, folder of a scene, an edit file (JSON), or a model of a mesh
+    (.glb, .gltf, .obj)."""
 
     settings: bool = False
     """Also print every setting of the network and of the training."""
@@ -44,8 +46,11 @@ class InfoCommand:
         from pcore.cli.scene_rows import is_scene, scene_rows
 
         console, path = Console(), self.run_or_file
-        if path.suffix.lower() == ".json" and path.is_file():
+        suffix = path.suffix.lower() if path.is_file() else ""
+        if suffix == ".json":
             rows = _edit_rows(path)
+        elif suffix in (".glb", ".gltf", ".obj"):
+            rows = _mesh_rows(path)
         else:
             rows = scene_rows(path) if is_scene(path) else describe(path)
         if not self.settings:
@@ -121,6 +126,28 @@ def _edit_rows(path: Path) -> Rows:
     )
     apply = f"pcore edit apply RUN --edit {path} -o moved.ply --picture health.png"
     return [*rows, ("pictures", verb), ("points, and how it does", apply)]
+
+
+def _mesh_rows(path: Path) -> Rows:
+    """What a benchmark can be made of."""
+    import numpy as np
+
+    from pcore.benchmark.model import read_model
+
+    model = read_model(path)
+    size = " x ".join(f"{side:.4g}" for side in np.ptp(model.vertices, axis=0))
+    painted = sum(one.texture is not None for one in model.look.materials)
+    used = len({*model.look.material_of_face.tolist()})
+    rows: Rows = [
+        ("model", str(path)),
+        ("mesh", f"{len(model.vertices):,} vertices, {len(model.faces):,} triangles"),
+        ("size", f"{size} units of the file, z up"),
+        ("materials", f"{used}, {painted} with a texture"),
+    ]
+    for clip in model.clips:
+        first, last = clip.span
+        rows.append(("clip", f"{clip.name}: {first:g} to {last:g} seconds"))
+    return [*rows, ("benchmark", f"pcore benchmark make {quote(str(path))} -o bench")]
 
 
 def _score_rows(folder: Path) -> Rows:
