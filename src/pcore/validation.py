@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Hashable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -204,6 +205,18 @@ def describe_problem(problem: ValidationError) -> str:
     got = _JSON_NAMES.get(repr(first["input"]), repr(first["input"]))
     short = got if len(got) <= 60 else got[:57] + "..."
     return f"'{field}': {message}, got {short}{more}"
+
+
+def check_folder_name(where: str, name: str) -> None:
+    """Raise InputError unless a name that somebody gave to a thing can be that of its folder."""
+    if not _FOLDER_NAME.fullmatch(name):
+        raise InputError(
+            f"{where}: expected names that can be folders, of letters, digits, '.', '_' and '-', "
+            f"the first a letter or digit, 64 at most; got {name!r}"
+        )
+
+
+_FOLDER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
 # Where pydantic speaks of Python's types, which users of a JSON file need not know.

@@ -147,3 +147,16 @@ def test_an_interrupt_passes_on_how_to_go_on(capsys: pytest.CaptureFixture[str])
 
     assert guarded(stop) == 130
     assert "go on with `pcore train S -o R --resume`" in capsys.readouterr().err
+
+
+def test_of_several_processes_one_tells_of_the_interruption(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop() -> None:
+        raise KeyboardInterrupt("step 7 is saved")
+
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    for rank, told in (("0", "Interrupted: step 7 is saved\n"), ("1", "")):
+        monkeypatch.setenv("RANK", rank)
+        assert guarded(stop) == 130
+        assert capsys.readouterr().err == told

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from pathlib import Path
 from typing import Any, Literal, cast
 
 from pydantic import Field
@@ -10,7 +11,7 @@ from pydantic import Field
 from pcore.cli.benchmark import BenchmarkMakeCommand
 from pcore.cli.sweep_verbs import option_words, parsed_words
 from pcore.errors import InputError
-from pcore.validation import Strict, parse, read_yaml
+from pcore.validation import Strict, check_folder_name, parse, read_yaml
 
 _OURS = {"models", "output", "o", "recipe"}
 
@@ -31,7 +32,7 @@ class _Recipe(Strict):
 
 
 def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
-    """One command for each model of a recipe, into a folder of its name; all checked first."""
+    """One command for each model of a recipe, into a folder of its name."""
     recipe = command.recipe
     assert recipe is not None
     plain = BenchmarkMakeCommand(models=(), output=command.output, recipe=recipe)
@@ -48,6 +49,8 @@ def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
     where = f"recipe {recipe}"
     data = read_yaml(recipe, where=where, error=InputError)
     found = parse(_Recipe, data, where=where, error=InputError)
+    for name in found.models:
+        check_folder_name(f"{where}: 'models'", name)
     missing = [
         f"{one.file} ({one.source})" if one.source else one.file
         for one in found.models.values()
@@ -58,17 +61,21 @@ def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
             f"{where}: expected its models beside it, missing: {'; '.join(missing)}; bring them, "
             "or take them out of the recipe"
         )
-    commands = [
+    return [
         _parsed(
             f"{where}: {name}",
             [str(recipe.parent / one.file), "--output", str(command.output / name)],
-            {**found.options, **one.options},
+            _placed({**found.options, **one.options}, recipe.parent),
         )
         for name, one in found.models.items()
     ]
-    for one in commands:
-        one.folders()
-    return commands
+
+
+def _placed(options: dict[str, Any], beside: Path) -> dict[str, Any]:
+    """Options whose edit files are seen from the recipe's own folder, as models are."""
+    edits = options.get("edits", [])
+    files = edits if isinstance(edits, list) else [edits]
+    return {**options, "edits": [str(beside / str(one)) for one in files]} if files else options
 
 
 def _parsed(where: str, own: list[str], options: dict[str, Any]) -> BenchmarkMakeCommand:

@@ -22,6 +22,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from pcore.cli.torchrun import is_first
 from pcore.demo.machine import clock
 from pcore.errors import PcoreError
 
@@ -90,7 +91,8 @@ def guarded(action: Callable[[], None]) -> int:
             raise
         return _complain("Error", str(error))
     except KeyboardInterrupt as stop:
-        _complain("Interrupted", str(stop) or "nothing more was written")
+        if is_first():  # Of several processes one saves, and says so.
+            _complain("Interrupted", str(stop) or "nothing more was written")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # `pcore info RUN | head`: nobody reads on. Python would complain again while it exits.
@@ -154,7 +156,7 @@ class ProgressDisplay:
             self._step(event)
         elif isinstance(event, ValidationReport):
             best = ", the best so far" if event.best else ""
-            best = best if event.accepted else ", less than the budget allows"
+            best = best if event.accepted else ", a view lost more than the budget allows"
             say(
                 self._console,
                 f"{event.stage} {event.step}: held-out views {event.psnr:.2f} dB "
@@ -201,7 +203,7 @@ def _trade(event: BudgetReport) -> str:
     took = "all" if whole else f"{event.share:.2f}"
     cost = f"held-out views {event.psnr - event.before:+.2f} dB"
     rest = "" if whole else f", all of it {event.after - event.before:+.2f} dB"
-    return f"took {took} of the change: {cost} (budget {event.largest_loss:g}{rest})"
+    return f"took {took} of the change: {cost} (budget {event.largest_loss:g} for each view{rest})"
 
 
 def _figures(event: StepReport) -> str:

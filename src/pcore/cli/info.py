@@ -18,11 +18,12 @@ class InfoCommand:
     """Say what a run is: stage, steps, points, scores; its settings on demand.
 
     Of a scene: its layout, its photos, and which of them are not used and why. Of an edit file:
-    its edits, and what can be done with it.
+    its edits, and what can be done with it. Of a model for `pcore benchmark make`: its clips.
     """
 
     run_or_file: Annotated[Positional[Path], arg(metavar="RUN|SCENE|FILE")]
-    """Folder of a run, its model file, folder of a scene, or an edit file (JSON)."""
+    """Folder of a run, its model file, folder of a scene, an edit file (JSON), or a model of a mesh
+    (.glb, .gltf, .obj)."""
 
     settings: bool = False
     """Also print every setting of the network and of the training."""

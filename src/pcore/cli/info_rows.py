@@ -6,9 +6,13 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from shlex import quote
 from typing import Any, cast
 
+import numpy as np
+
 from pcore.asset.asset_summary import summarize
+from pcore.benchmark.model import read_model
 from pcore.capture.layouts import PHOTOS, VIDEO, layouts_of
 from pcore.capture.load import load_scene
 from pcore.cli.edit_results import lines_of
@@ -103,8 +107,11 @@ _SETTINGS = ("papr.", "config.", "skinning.")
 
 def rows_of(path: Path, *, settings: bool) -> Rows:
     """Name and value of what is to be said; settings of networks and trainings on demand."""
-    if path.suffix.lower() == ".json" and path.is_file():
+    suffix = path.suffix.lower() if path.is_file() else ""
+    if suffix == ".json":
         return _edit_rows(path)
+    if suffix in (".glb", ".gltf", ".obj"):
+        return _mesh_rows(path)
     rows = scene_rows(path) if is_scene(path) else describe(path)
     short = [row for row in rows if not row[0].startswith(_SETTINGS)]
     if settings or len(short) == len(rows):
@@ -166,6 +173,24 @@ def _edit_rows(path: Path) -> Rows:
     )
     apply = f"pcore edit apply RUN --edit {path} -o moved.ply --picture health.png"
     return [*rows, ("pictures", verb), ("points, and how it does", apply)]
+
+
+def _mesh_rows(path: Path) -> Rows:
+    """What a benchmark can be made of."""
+    model = read_model(path)
+    size = " x ".join(f"{side:.4g}" for side in np.ptp(model.vertices, axis=0))
+    painted = sum(one.texture is not None for one in model.look.materials)
+    used = len({*model.look.material_of_face.tolist()})
+    rows: Rows = [
+        ("model", str(path)),
+        ("mesh", f"{len(model.vertices):,} vertices, {len(model.faces):,} triangles"),
+        ("size", f"{size} units of the file, z up"),
+        ("materials", f"{used}, {painted} with a texture"),
+    ]
+    for clip in model.clips:
+        first, last = clip.span
+        rows.append(("clip", f"{clip.name}: {first:g} to {last:g} seconds"))
+    return [*rows, ("benchmark", f"pcore benchmark make {quote(str(path))} -o bench")]
 
 
 def _score_rows(folder: Path) -> Rows:

@@ -39,10 +39,11 @@ from pcore.sweep.spread import (
     paired_differences,
     variant_means,
 )
+from pcore.sweep.storage_claim import claimed
 from pcore.sweep.sweep_plan import ALL, SweepPlan, read_plan
 from pcore.sweep.sweep_scores import notes_of, scores_of
 from pcore.sweep.sweep_storage import check_storage, publish
-from pcore.sweep.sweep_tables import SWEEP_FILE, TABLES, write_start, write_sweep
+from pcore.sweep.sweep_tables import SWEEP_FILE, TABLES, write_sweep
 from pcore.sweep.sweep_trial import (
     OUTPUT_FILE,
     Trial,
@@ -66,18 +67,28 @@ _SHOWN = "standard"
 
 
 def write_results(
+    folder: Path, trials: Sequence[Trial], results: Sequence[TrialResult]
+) -> tuple[list[VariantMean], list[PairedDifference], int]:
+    """Gather the scores of the trials that have finished so far, and write the files.
+
+    Returns:
+        Means, differences, and how many seeds there are.
+    """
+    scores = scores_of([one.trial for one in results if one.failed is None])
+    means, differences = variant_means(scores), paired_differences(scores)
+    write_sweep(folder, results, scores, means, differences, trials=len(trials))
+    return means, differences, len({one.seed for one in scores})
+
+
+def show_results(
     console: Console, folder: Path, trials: Sequence[Trial], results: Sequence[TrialResult]
 ) -> None:
-    """Gather the scores of finished trials, write the files and print the tables."""
-    failed = {one.trial.name for one in results if one.failed is not None}
-    finished = [one for one in trials if one.name not in failed]
-    scores = scores_of(finished)
-    means, differences = variant_means(scores), paired_differences(scores)
-    write_sweep(folder, results, scores, means, differences)
-    seeds = len({one.seed for one in scores})
+    """Write the files and print the tables."""
+    means, differences, seeds = write_results(folder, trials, results)
     for sheet in (_mean_sheet(means, seeds), _difference_sheet(differences)):
         if sheet.rows:
             say(console, *sheet_lines(_filled(sheet), room(console)), "")
+    finished = [one.trial for one in results if one.failed is None]
     say(console, *[f"note: {note}" for note in notes_of(finished)])
     say(console, f"written to {folder}")
 
@@ -157,18 +168,19 @@ def sweep(command: SweepCommand, console: Console) -> None:
             at_once = _at_once(command, plan)
             show_plan(console, trials, _known(trials), at_once)
             return
+        if command.storage is not None:
+            stack.enter_context(claimed(command.storage))
         execute = _executor(command, plan, stack)
         output_folder(command.output, SWEEP_FILE)
         lock = FolderLock.acquire(command.output)
         stack.callback(lock.release)
-        write_start(command.output)
         for one in trials:
             fetch_records(one)
-        results = _attempt(console, trials, _finished(trials), execute)
-    failures = [one for one in results if one.failed is not None]
-    write_results(console, command.output, trials, results)
-    if command.storage is not None:
-        publish(command.output, command.storage, TABLES)
+        results = _attempt(console, command.output, trials, execute)
+        failures = [one for one in results if one.failed is not None]
+        show_results(console, command.output, trials, results)
+        if command.storage is not None:
+            publish(command.output, command.storage, TABLES)
     if failures:
         show_failures(console, failures)
         raise TrainingError(
@@ -176,10 +188,6 @@ def sweep(command: SweepCommand, console: Console) -> None:
             f"{', '.join(one.trial.name for one in failures)}; mend what they say, then give the "
             "same command again"
         )
-
-
-def _finished(trials: Sequence[Trial]) -> list[TrialResult]:
-    return [one for one in map(finished_trial, trials) if one is not None]
 
 
 def _known(trials: Sequence[Trial]) -> list[TrialResult]:
@@ -239,18 +247,24 @@ def _machine() -> Machine:
 
 
 def _attempt(
-    console: Console, trials: Sequence[Trial], done: Sequence[TrialResult], execute: Execute
+    console: Console, folder: Path, trials: Sequence[Trial], execute: Execute
 ) -> list[TrialResult]:
-    """Results of all trials, in their order."""
+    """Results of all trials, in their order; the files are written anew after each of them."""
+    done = [one for one in map(finished_trial, trials) if one is not None]
     results = {one.trial.name: one for one in done}
     if done:
         say(console, f"{len(done)} of {len(trials)} trials are finished already")
     left = [one for one in trials if one.name not in results]
+
+    def so_far() -> list[TrialResult]:
+        return [results[one.name] for one in trials if one.name in results]
+
+    write_results(folder, trials, so_far())
     for result in execute(left, run_trial):
         fetch_records(result.trial)
         results[result.trial.name] = result
+        write_results(folder, trials, so_far())
         took = "" if result.seconds is None else f" in {clock(result.seconds)}"
         said = f"finished{took}" if result.failed is None else f"failed: {result.failed}"
-        line = f"{len(results)}/{len(trials)} {result.trial.name}: {said}"
-        say(console, line)
-    return [results[one.name] for one in trials]
+        say(console, f"{len(results)}/{len(trials)} {result.trial.name}: {said}")
+    return so_far()

@@ -16,7 +16,7 @@ from pcore.cli.compare_results import wanted_methods
 from pcore.cli.main import VERBS, Command, command_of
 from pcore.cli.output import pictures_folder
 from pcore.cli.sweep_processes import TORCHRUN, run_together
-from pcore.errors import InputError
+from pcore.errors import InputError, SceneError
 from pcore.evaluation.states import open_states
 from pcore.files.run_place import bytes_needed, check_space
 from pcore.files.run_record import begun
@@ -87,19 +87,35 @@ def check_trials(trials: Sequence[Trial]) -> None:
 
     Args:
         trials: all of the sweep; every setting and every scene is checked once.
+
+    Raises:
+        InputError: an unknown option or state, or scenes that are missing or damaged, all of them.
     """
     commands = {one.setting: {verb: parsed(one, verb) for verb in one.verbs} for one in trials}
     processes = {one.setting: one.processes for one in trials}
     for setting, verbs in commands.items():
         for verb, command in verbs.items():
             _check_values(command, f"plan: setting {setting!r}, {verb}", processes[setting])
-    for place, setting in dict.fromkeys((one.scene_folder, one.setting) for one in trials):
-        train: Any = commands[setting]["train"]
-        load_scene(place, factor=train.factor)
-        for verb in {"eval", "compare"} & {*commands[setting]}:
-            scored: Any = commands[setting][verb]
-            states = scored.state or (() if verb == "eval" and scored.edit else ("all",))
-            open_states(place, factor=scored.factor or train.factor).select(states)
+    wrong: dict[str, str] = {}
+    for one in {(one.scene, one.setting): one for one in trials}.values():
+        try:
+            _check_scene(one.scene_folder, commands[one.setting])
+        except (InputError, SceneError) as error:
+            wrong.setdefault(one.scene, f"scene {one.scene!r}, setting {one.setting!r}: {error}")
+    if len(wrong) == 1:
+        raise InputError(f"plan: {next(iter(wrong.values()))}")
+    if wrong:
+        told = "".join(f"\n- {one}" for one in wrong.values())
+        raise InputError(f"plan: {len(wrong)} scenes cannot be used:{told}")
+
+
+def _check_scene(place: Path, commands: Mapping[str, Any]) -> None:
+    train = commands["train"]
+    load_scene(place, factor=train.factor)
+    for verb in {"eval", "compare"} & {*commands}:
+        scored = commands[verb]
+        states = scored.state or (() if verb == "eval" and scored.edit else ("all",))
+        open_states(place, factor=scored.factor or train.factor).select(states)
 
 
 def _check_values(command: Any, where: str, processes: int) -> None:

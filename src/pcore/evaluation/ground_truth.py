@@ -31,7 +31,9 @@ from pcore.validation import parse, read_json
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_NOT_STATES = ("canonical", "faces", "sample_face", "sample_barycentric", "sample_visible")
+_CUT_OUT = "cut_out"
+_SAMPLES = ("sample_face", "sample_barycentric", "sample_visible")
+_NOT_STATES = ("canonical", "faces", _CUT_OUT, *_SAMPLES)
 _STATE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _LARGEST_SCALE = 4.0
 
@@ -58,12 +60,14 @@ class DeformedTruth:
         canonical: (V, 3) vertices before deformation.
         faces: (F, 3) corners of the triangles.
         states: (V, 3) vertices by state, same order as `canonical`.
+        cut_out: (F,) triangles in which something is cut out by its texture; None: none.
     """
 
     root: Path
     canonical: FloatArray
     faces: IntArray
     states: Mapping[str, FloatArray]
+    cut_out: NDArray[np.bool_] | None = None
 
     def object_size(self, state: str | None = None) -> float:
         """Diagonal of the bounding box of a state (None: canonical), world units."""
@@ -85,7 +89,7 @@ class DeformedTruth:
 
     def depth(self, state: str | None, camera: Camera) -> Tensor:
         """Return the true depth (H, W) of a state (None: canonical); see `mesh_depth`."""
-        return mesh_depth(self.vertices(state), self.faces, camera)
+        return mesh_depth(self.vertices(state), self.faces, camera, cut_out=self.cut_out)
 
     def anchor(self, points: Tensor) -> SurfaceAnchors:
         """Hang points (N, 3), world units, on the canonical mesh: exact closest points.
@@ -179,6 +183,12 @@ def load_truth(root: Path) -> DeformedTruth:
         raise SceneError(
             f"{path}: expected at least one triangle with corners from 0 to {len(canonical) - 1}"
         )
+    cut_out = arrays.get(_CUT_OUT)
+    if cut_out is not None and (cut_out.shape, cut_out.dtype) != ((len(faces),), np.bool_):
+        raise SceneError(
+            f"{path}: expected a truth value for each of {len(faces)} triangles in {_CUT_OUT!r}, "
+            f"got {_what(cut_out)}"
+        )
     states = {k: v for k, v in arrays.items() if k not in _NOT_STATES}
     for name in states:
         if not _STATE_NAME.fullmatch(name):
@@ -190,6 +200,7 @@ def load_truth(root: Path) -> DeformedTruth:
         canonical=canonical,
         faces=faces.astype(np.int64),
         states={k: _vertices(path, k, v, len(canonical)) for k, v in states.items()},
+        cut_out=cut_out,
     )
 
 

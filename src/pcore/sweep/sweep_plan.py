@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field, StringConstraints, ValidationError
+from pydantic import Field, ValidationError
 
 from pcore.errors import InputError
-from pcore.validation import Strict, describe_problem, read_yaml
+from pcore.validation import Strict, check_folder_name, describe_problem, read_yaml
 
 ALL = "all"
 """Name of the mean over scenes; no scene may be called so."""
@@ -18,7 +18,6 @@ VerbName = Literal["train", "finetune", "eval", "compare"]
 VERB_NAMES: tuple[VerbName, ...] = get_args(VerbName)
 """What a trial may do, in this order."""
 
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=64)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
@@ -62,9 +61,9 @@ class SweepPlan(Strict):
     """Every scene with every setting and every seed is one trial."""
 
     version: Literal[1]
-    scenes: dict[Name, str] = Field(min_length=1)
+    scenes: dict[str, str] = Field(min_length=1)
     """Name -> folder, seen from the plan's own folder."""
-    settings: dict[Name, SweepSetting] = Field(min_length=1)
+    settings: dict[str, SweepSetting] = Field(min_length=1)
     """Name -> verbs; the first setting is what the others are compared with."""
     seeds: list[Seed] = Field(min_length=1)
     resources: TrialResources = TrialResources()
@@ -113,6 +112,8 @@ def _check_names(plan: SweepPlan, where: str) -> None:
             "over scenes; rename the scene"
         )
     for kind, names in (("scenes", plan.scenes), ("settings", plan.settings)):
+        for name in names:
+            check_folder_name(f"{where}: '{kind}'", name)
         # They become folders, and some disks do not tell case apart.
         if len({name.lower() for name in names}) < len(names):
             raise InputError(
