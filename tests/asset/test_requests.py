@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 import torch
 from tests.cli.toys import CONFIG, toy_cameras, toy_cloud
+from tests.gaussians.some import some_gaussians
 
 import pcore
-from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
 from pcore.asset.saving import asset_of
+from pcore.deform.base import Affine
 from pcore.deform.simple import uniform_scale
-from pcore.errors import InputError
+from pcore.errors import EditError, InputError
 from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.camera import Camera
+from pcore.geometry.rotation import rotations
 from pcore.model.papr import Papr
 
 KINDS = ("neural points", "gaussians")
@@ -37,7 +39,7 @@ def made(kind: str, shift: float = 0.0) -> Asset:
         torch.manual_seed(0)  # The same networks every time.
         return asset_of(Papr(CONFIG).requires_grad_(False).eval(), cloud)
     count = len(cloud)
-    return asset_of_gaussians(
+    return asset_of(
         Gaussians(
             means=cloud.positions,
             quats=torch.eye(4)[:1].repeat(count, 1),
@@ -65,6 +67,30 @@ def test_points_that_are_torn_to_nan(asset: Asset, camera: Camera) -> None:
     positions[3] = math.nan
     with pytest.raises(InputError, match=r"NaN or infinity in .*1 of "):
         asset.render(asset.pose(pcore.MovedPoints(positions=positions)), camera)
+
+
+def test_maps_of_moved_points_are_estimated_where_rays_ask_for_them(camera: Camera) -> None:
+    neural = asset_of(Papr(CONFIG).requires_grad_(False).eval(), toy_cloud())
+    for asset in (asset_of(some_gaussians(60)), neural):
+        turned = Affine(rotations(torch.tensor([1.0, 0.0, 0.5, 0.2])), torch.zeros(3))
+        exact = asset.pose(turned, light="baked")
+        moved = pcore.MovedPoints(positions=exact.points)
+        posed = asset.pose(moved, light="baked")
+        assert posed.local_maps is not None
+        assert exact.local_maps is not None
+        torch.testing.assert_close(
+            posed.local_maps.to_rest, exact.local_maps.to_rest, atol=1e-4, rtol=0
+        )
+        torch.testing.assert_close(
+            asset.render(posed, camera).rgb, asset.render(exact, camera).rgb, atol=1e-3, rtol=0
+        )
+        assert asset.pose(moved, rays="plain").local_maps is None
+        still = asset.pose(pcore.MovedPoints(positions=asset.points))
+        assert torch.equal(asset.render(still, camera).rgb, asset.render(None, camera).rgb)
+        followed = pcore.MovedPoints(positions=exact.points.clone().requires_grad_())
+        with pytest.raises(EditError, match="draw with plain rays"):
+            asset.pose(followed)
+        assert asset.pose(followed, rays="plain").points.requires_grad
 
 
 def test_rays_that_are_no_unit_vectors_or_none_at_all(asset: Asset, camera: Camera) -> None:

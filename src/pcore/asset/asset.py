@@ -38,10 +38,6 @@ class Asset:
     Everything that goes in or comes out (edits, cameras, rays, points, depth, surface) is in world
     units and axes and passes through here; its content keeps its own.
 
-        asset = pcore.load("runs/toy")
-        posed = asset.pose("edit.json")
-        picture = asset.render(posed, camera)  # rgb, alpha, depth, surface
-
     Attributes:
         content: what it is made of.
         provenance: where it comes from.
@@ -116,13 +112,8 @@ class Asset:
             InputError: something else than the above, of another object, or a light is asked for
                 and there is none.
         """
-        bound = bind_motion(
-            edit,
-            self.points,
-            lambda: self.rig,
-            time=time,
-            check=rays == "aware" or light == "still",
-        )
+        aware = rays == "aware" or light == "still"
+        bound = bind_motion(edit, self.points, lambda: self.rig, time=time, aware=aware)
         posed = self.content.pose(bound.motion, rays=rays, light=light)
         return Posed.of(self.content, posed, bound.notes)
 
@@ -275,6 +266,13 @@ class Asset:
         chosen = record.factor if factor is None else factor
         scene = load_scene(record.scene_or(folder), factor=chosen, masks=masks)
         return scene if record.region is None else replace(scene, region=record.region)
+
+    @property
+    def settings(self) -> Any:
+        """What `pcore.train` or `pcore.finetune` was given; InputError where none is on record."""
+        from pcore.asset.training import settings_of
+
+        return settings_of(self.record)
 
     @property
     def path(self) -> Path:

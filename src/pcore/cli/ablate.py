@@ -197,10 +197,12 @@ def _score(
 ) -> None:
     from pcore.cli.eval import finish
     from pcore.cli.results import counting
+    from pcore.cli.runtime import pick_device
     from pcore.evaluation.figures import png_bytes
     from pcore.evaluation.protocol import load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.files.atomic import write_atomically
+    from pcore.files.provenance import made_by
     from pcore.files.run_record import relative
 
     asset, places = source
@@ -217,6 +219,7 @@ def _score(
         "run": relative(asset.path, output),
         "scene": relative(places.path, output),
         "factor": places.factor,
+        "made_by": made_by(pick_device(command.device)),
     }
     write_atomically(output / FIGURE_FILE, png_bytes(figure.pixels([m.name for m in methods])))
     finish(console, output, rows, about=about, perceptual=perceptual)

@@ -140,6 +140,7 @@ def _compare(
     from pcore.cli.compare_results import finish, teller
     from pcore.evaluation.contest import Contest
     from pcore.evaluation.protocol import load_perceptual
+    from pcore.files.provenance import made_by
 
     places, states = where
     output = ranks.from_first(_output(command, runs, places) if ranks.rank == 0 else Path())
@@ -156,7 +157,8 @@ def _compare(
     outcomes = contest.run(entries, teller(console, len(entries) * len(states)))
     if ranks.rank > 0:
         return
-    about, names = _about(command, places, states, output), [state.name for state in states]
+    about = {**_about(command, places, states, output), "made_by": made_by(device)}
+    names = [state.name for state in states]
     notes = [places.left_out] if places.left_out else []
     finish(console, output, outcomes, names, about=about, notes=notes)
 

@@ -132,6 +132,7 @@ def _evaluate(command: EvalCommand, device: str, ranks: Ranks, console: Console)
     from pcore.evaluation.protocol import PROTOCOLS, load_perceptual
     from pcore.evaluation.runner import evaluate
     from pcore.evaluation.states import open_states
+    from pcore.files.provenance import made_by
 
     run = open_subject(command.run_folder, device=device)
     base = baseline_of(run, command.baseline, device=device)
@@ -175,7 +176,7 @@ def _evaluate(command: EvalCommand, device: str, ranks: Ranks, console: Console)
         odd.append("the runs send another number of rays per pixel each; give --samples for one")
     left_out = [places.left_out] if places.left_out else []
     notes = [*left_out, *odd, *mended_notes(rows, methods, states)]
-    about = _about(command, runs, places, output)
+    about = {**_about(command, runs, places, output), "made_by": made_by(device)}
     finish(console, output, rows, about=about, perceptual=perceptual, notes=notes)
 
 

@@ -40,13 +40,15 @@ def export_field(
     from pcore.cli.output import pictures_folder
     from pcore.data.points import read_point_file
     from pcore.evaluation.field_files import own_sources, write_cameras, write_field
+    from pcore.evaluation.methods import apart
 
     places, states = where
     pictures_folder(folder, overwrite=None)
     sources = {name: read_point_file(path) for name, path in given}
     if not sources:
         for asset in runs:
-            sources |= own_sources(folder / _REST, asset, places.scene)
+            name = apart(asset, runs).replace("/", "-")
+            sources |= own_sources(folder / _REST, name, asset, places.scene)
     notes: list[str] = []
     for name, source in sources.items():
         notes += write_field(folder, name, source, states)

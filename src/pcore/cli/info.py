@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Rows = list[tuple[str, str]]
 
-_SETTINGS = ("papr.", "config.", "skinning.")
+_SETTINGS = ("papr.", "config.", "skinning.", "made_by")
 """How names of settings begin."""
 
 
