@@ -12,6 +12,7 @@ import pytest
 import torch
 from tests.cli.toys import CONFIG, toy_cameras, toy_cloud
 from tests.gaussians.some import some_gaussians
+from torch import Tensor
 
 import pcore
 from pcore.asset.asset import Asset
@@ -100,6 +101,21 @@ def test_rays_that_are_no_unit_vectors_or_none_at_all(asset: Asset, camera: Came
         asset.trace(None, longer)
     with pytest.raises(InputError, match="of unit length, got no rays"):
         asset.trace(None, rays[:0])
+
+
+def test_rays_of_another_type_and_colours_as_numbers(asset: Asset, camera: Camera) -> None:
+    rays = camera.rays()
+    exact = rays.each(Tensor.double)
+    red = torch.tensor([1.0, 0.0, 0.0])
+    expected = asset.trace(None, rays, red)
+    torch.testing.assert_close(asset.trace(None, exact, (1.0, 0.0, 0.0)).rgb, expected.rgb)
+    with pytest.raises(InputError, match=r"expected `camera.rays\(\)`, got Camera"):
+        asset.trace(None, camera)  # pyright: ignore[reportArgumentType]
+
+
+def test_what_rays_hit_is_not_known_of_cameras(asset: Asset, camera: Camera) -> None:
+    with pytest.raises(InputError, match=r"only `asset.trace` of neural points keeps"):
+        _ = asset.render(None, camera).ray_hits
 
 
 def test_rays_that_are_no_picture_for_networks(camera: Camera) -> None:

@@ -220,18 +220,20 @@ class Asset:
         return self.content.film_detail(poses, checked_cameras(cameras))
 
     def trace(
-        self, posed: Posed | None, rays: RayBundle, background: Tensor | None = None
+        self, posed: Posed | None, rays: RayBundle, background: Tensor | Color | None = None
     ) -> Image:
         """Render rays of pixels (..., H, W) in one piece, with what each hits; autograd follows.
 
         Args:
             posed: from `pose`; None is the object as it was photographed.
-            rays: world units, on the device of the networks.
+            rays: world units.
             background: (3,) colour behind the object; None takes its own.
 
         Raises:
             InputError: no rays, or directions that are not of unit length.
         """
+        if not isinstance(rays, RayBundle):
+            raise InputError(f"trace: expected `camera.rays()`, got {type(rays).__name__}")
         content = content_of(self.pose() if posed is None else posed, self.content)
         return self.content.trace(content, rays.checked(), background)
 

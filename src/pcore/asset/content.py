@@ -169,7 +169,7 @@ class Content(Protocol[P]):
         """(N,) factors on the brightness of its points, for a light; None: that of the photos."""
         ...
 
-    def trace(self, posed: P, rays: RayBundle, background: Tensor | None) -> Image:
+    def trace(self, posed: P, rays: RayBundle, background: Tensor | Color | None) -> Image:
         """Render rays of pixels (..., H, W), with what each hits; autograd follows."""
         ...
 
