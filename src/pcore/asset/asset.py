@@ -11,7 +11,7 @@ from typing import Any, Unpack, overload
 from torch import Tensor
 
 from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
-from pcore.asset.posed_asset import How, Posed, checked_cameras, content_of
+from pcore.asset.posed_asset import How, Posed, checked_cameras, checked_rays, content_of
 from pcore.asset.posing import Edit, EditLike, begin_with, bind_motion, check_bound
 from pcore.capture.load import load_scene
 from pcore.contrib.learned_skinning import Skinning
@@ -232,10 +232,8 @@ class Asset:
         Raises:
             InputError: no rays, or directions that are not of unit length.
         """
-        if not isinstance(rays, RayBundle):
-            raise InputError(f"trace: expected `camera.rays()`, got {type(rays).__name__}")
         content = content_of(self.pose() if posed is None else posed, self.content)
-        return self.content.trace(content, rays.checked(), background)
+        return self.content.trace(content, checked_rays(rays), background)
 
     def session(self, edit: EditLike | None = None, *, time: float | None = None) -> EditSession:
         """Begin to edit it step by step, with the weights it learned; see `EditSession`.

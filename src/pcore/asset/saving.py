@@ -105,9 +105,9 @@ def asset_of(
         scene, stage = like.provenance.scene, like.provenance.stage
         record = replace(like.record.without_folder(), notes={})
     read_light = light and (lambda: light)
-    content: GaussianContent | NeuralPoints
     if isinstance(learned, Gaussians):
         content = _gaussian_content(learned, like)
+        color = content.background
     else:
         points = neural_points_of(like, "networks").cloud if cloud is None and like else cloud
         if points is None:
@@ -117,7 +117,7 @@ def asset_of(
             cloud=points.to("cpu"),
             surfels=None if surfels is None else surfels.to("cpu"),
         )
-    color = learned.config.background if isinstance(learned, Papr) else content.background
+        color = learned.config.background
     came = provenance_of(content.points, color, scene=scene, stage=stage, step=step)
     return Asset(
         content=replace(content, read_light=read_light),
