@@ -5,27 +5,23 @@ from __future__ import annotations
 import statistics
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, get_args
 
 from pcore.evaluation.contest import Cost, Outcome, Setting
+from pcore.evaluation.health import HEALTH
 from pcore.evaluation.runner import Value, mean
 from pcore.evaluation.tables import csv_of, jsonable, shown
+from pcore.metrics.geometry_metrics import GeometryScores
+from pcore.metrics.trunks import TrunkName
 
 COMPARE_FILE = "compare.json"
 METRICS = (
-    "foreground_psnr",
-    "psnr",
-    "ssim",
-    "lpips_alex",
-    "lpips_squeeze",
-    "lpips_vgg",
-    "hole_rate",
-    "see_through_rate",
-    "depth_error_relative",
-    "spill_to_object",
-    "strain_99",
-    "unseen",
+    *("foreground_psnr", "psnr", "foreground_ssim", "ssim"),
+    *(f"lpips_{trunk}" for trunk in get_args(TrunkName)),
+    *(name for name in GeometryScores.__dataclass_fields__ if not name.endswith("_pixels")),
+    *HEALTH,
 )
+"""Of which there are means."""
 _IMAGE_KEYS = ("method", "setting", "seed", "state", "kind", "protocol", "view")
 _SETTINGS: dict[Setting, str] = {
     "given": "as given",
