@@ -138,6 +138,7 @@ def _compare(
     where: tuple[SceneStates, Sequence[State]],
 ) -> None:
     from pcore.cli.compare_results import finish, teller
+    from pcore.cli.results import missing_lpips
     from pcore.evaluation.contest import Contest
     from pcore.evaluation.protocol import load_perceptual
     from pcore.files.provenance import made_by
@@ -159,7 +160,7 @@ def _compare(
         return
     about = {**_about(command, places, states, output), "made_by": made_by(device)}
     names = [state.name for state in states]
-    notes = [places.left_out] if places.left_out else []
+    notes = [*([places.left_out] if places.left_out else []), *missing_lpips(perceptual)]
     finish(console, output, outcomes, names, about=about, notes=notes)
 
 

@@ -92,19 +92,27 @@ def finish(
 
 
 _SHOWN = (
-    ("foreground PSNR, dB", "foreground_psnr", False),
-    ("holes", "hole_rate", True),
-    ("depth error, of the object's size", "depth_error_relative", True),
-    ("spill, of the object's pixels", "spill_to_object", True),
+    ("foreground PSNR, dB", "foreground_psnr", 2, False),
+    ("PSNR of whole images, dB", "psnr", 2, False),
+    ("SSIM", "ssim", 3, False),
+    ("LPIPS of AlexNet", "lpips_alex", 3, False),
+    ("holes", "hole_rate", 1, True),
+    ("depth error, of the object's size", "depth_error_relative", 1, True),
+    ("spill, of the object's pixels", "spill_to_object", 1, True),
 )
+"""Title, metric, digits, whether in percent."""
 
 
 def _tables(console: Console, lines: Sequence[Line], states: Sequence[str]) -> str:
     """Print the tables; return them for a document."""
     from pcore.cli.layout import Sheet, print_lines, room, sheet_lines
-    from pcore.evaluation.contest_tables import COSTS, cost_rows, markdown, quality_rows
+    from pcore.evaluation.contest_tables import COSTS, cost_rows, known, markdown, quality_rows
 
-    tables = [(t, (*states,), quality_rows(lines, states, m, percent=p)) for t, m, p in _SHOWN]
+    tables: list[tuple[str, Sequence[str], Any]] = [
+        (title, states, quality_rows(lines, states, metric, digits, percent=percent))
+        for title, metric, digits, percent in _SHOWN
+        if known(lines, metric)
+    ]
     tables.append(("cost", COSTS, cost_rows(lines)))
     text = ""
     for title, heads, rows in tables:

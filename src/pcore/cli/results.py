@@ -94,10 +94,15 @@ def show_results(
                 console.print(Text(gain_text(gain)), soft_wrap=True)
         console.print()
     _show_health(console, means)
+    for line in [*notes, *missing_lpips(perceptual)]:
+        console.print(Text(f"note: {line}"), soft_wrap=True)
+
+
+def missing_lpips(perceptual: Perceptual | None) -> list[str]:
+    """Say why columns of LPIPS are empty; nothing where none is."""
     missing = ", ".join(perceptual.missing) if perceptual is not None else ""
     why = f"no LPIPS with {missing}: no weights; `pcore doctor --weights` says what goes where"
-    for line in [*notes, *([why] if missing else [])]:
-        console.print(Text(f"note: {line}"), soft_wrap=True)
+    return [why] if missing else []
 
 
 def gain_text(gain: Gain) -> str:

@@ -149,15 +149,25 @@ def images_csv(outcomes: Sequence[Outcome]) -> bytes:
 
 
 def quality_rows(
-    lines: Sequence[Line], states: Sequence[str], metric: str, *, percent: bool = False
+    lines: Sequence[Line],
+    states: Sequence[str],
+    metric: str,
+    digits: int = 2,
+    *,
+    percent: bool = False,
 ) -> list[tuple[tuple[str, str], tuple[str, ...]]]:
     """Keys (method, setting) and figures by state of one metric, for people."""
-    digits = 1 if percent else 2
     rows: list[tuple[tuple[str, str], tuple[str, ...]]] = []
     for line in lines:
         texts = [_text(line, state, metric, digits, percent) for state in states]
         rows.append(((line.name, line.title), tuple(texts)))
     return rows
+
+
+def known(lines: Sequence[Line], metric: str) -> bool:
+    """Whether any method has figures of a metric; also where all of them failed."""
+    values = [cells[metric].value for line in lines for cells in line.cells.values()]
+    return not values or any(value is not None for value in values)
 
 
 def cost_rows(lines: Sequence[Line]) -> list[tuple[tuple[str, str], tuple[str, ...]]]:
