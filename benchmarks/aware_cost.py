@@ -2,7 +2,7 @@
 
 Where the run has a light, of pictures in that light as well ("lit").
 
-python benchmarks/aware_cost.py RUN SCENE [--factor 2] [--rounds 8] [--states run twist60]
+python -m benchmarks.aware_cost RUN SCENE [--factor 2] [--rounds 8] [--states run twist60]
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Figures of the guides: truth and methods on deformed states.
 
-    python benchmarks/aware_figure.py OUT.png DATA RUNS scene:state:view [scene:state:view ...]
+    python -m benchmarks.aware_figure OUT.png DATA RUNS scene:state:view [scene:state:view ...]
         [--methods aware "aware + light"]
 
 RUNS holds a run NAME and its fine-tuned NAME-pcore for every scene NAME of DATA, with their lights.

@@ -1,7 +1,7 @@
 """What remains of a deformed state when light stays baked in: an estimate, no bound.
 
-    python benchmarks/baked_light.py SCENE [SCENE ...] [--factor 2] [--every 1]
-    python benchmarks/baked_light.py SCENE --run RUN [--method "aware + P-CORE"]
+    python -m benchmarks.baked_light SCENE [SCENE ...] [--factor 2] [--every 1]
+    python -m benchmarks.baked_light SCENE --run RUN [--method "aware + P-CORE"]
 
 Every pixel of a true picture is traced to the true deformed mesh, carried back to the canonical
 surface and looked up in the training photo that sees that spot from the most similar direction;

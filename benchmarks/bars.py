@@ -14,12 +14,12 @@ from pathlib import Path
 import torch
 
 import pcore
+from benchmarks.capture_figures import scores_of
 from pcore.asset.training import RunOptions
-from pcore.evaluation.methods import methods_of, open_subject
-from pcore.evaluation.protocol import STANDARD
-from pcore.evaluation.runner import evaluate, mean
-from pcore.evaluation.states import CANONICAL, open_states
-from pcore.evaluation.summary import StateMean, state_means
+from pcore.evaluation.methods import open_subject
+from pcore.evaluation.runner import mean
+from pcore.evaluation.states import CANONICAL
+from pcore.evaluation.summary import StateMean
 from pcore.files.run_record import begun
 from pcore.kernels.memory import keep_freed_memory
 
@@ -96,9 +96,7 @@ def scored(scene: Path, folder: Path, factor: int) -> list[StateMean]:
         folder=folder,
         options=RunOptions(resume=begun(folder), tensorboard=False),
     )
-    places = open_states(scene, factor=factor)
-    methods = methods_of([open_subject(folder)], places.scene, rays="aware", light=None)
-    return state_means(evaluate(methods, places.select(["all"]), protocols=[STANDARD]))
+    return scores_of(folder, ["all"])
 
 
 def score(means: Sequence[StateMean], state: str, metric: str, method: str = LIT) -> float:

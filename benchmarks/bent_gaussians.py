@@ -1,6 +1,6 @@
 """What splitting Gaussians that an edit bends inside themselves would win.
 
-    python benchmarks/bent_gaussians.py RUN SCENE [--factor 2] [--every 4]
+    python -m benchmarks.bent_gaussians RUN SCENE [--factor 2] [--every 4]
 
 Every state of SCENE with a formula is drawn with affine covariances and the light baked in, from
 the Gaussians as trained and from ones that were split to a tolerance (`pcore.gaussians.refine`).

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.commands import run_pcore
+from pcore.asset.content import LightName
 from pcore.errors import PcoreError
 from pcore.evaluation.methods import methods_of, open_subject
 from pcore.evaluation.protocol import STANDARD
 from pcore.evaluation.runner import evaluate
 from pcore.evaluation.states import CANONICAL, open_states
-from pcore.evaluation.summary import state_means
+from pcore.evaluation.summary import StateMean, state_means
 from pcore.files.run_record import begun
 
 
@@ -107,10 +108,16 @@ def scored(place: Place, metric: str, bar: float) -> Figure:
 
 def means(run: Path) -> Mapping[str, float]:
     """Mean scores of a run on the test views of its scene."""
+    scores = scores_of(run, [CANONICAL], light="baked")[0].scores
+    return {name: math.nan if value is None else value for name, value in scores.items()}
+
+
+def scores_of(
+    run: Path, states: Sequence[str], *, light: LightName | None = None
+) -> list[StateMean]:
+    """Means over the test views of states of the scene that a run was trained on."""
     asset = open_subject(run)
     record = asset.record
     places = open_states(record.scene_or(None), factor=record.factor, masks=record.masks)
-    methods = methods_of([asset], places.scene, rays="aware", light="baked")
-    rows = evaluate(methods, places.select([CANONICAL]), protocols=[STANDARD])
-    scores = state_means(rows)[0].scores
-    return {name: math.nan if value is None else value for name, value in scores.items()}
+    methods = methods_of([asset], places.scene, rays="aware", light=light)
+    return state_means(evaluate(methods, places.select(states), protocols=[STANDARD]))

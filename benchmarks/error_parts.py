@@ -1,6 +1,6 @@
 """Where the error is: squared error of object pixels by edge, depth jump and interior.
 
-    python benchmarks/error_parts.py RUN SCENE [--factor 2] [--every 3] [--states run twist60]
+    python -m benchmarks.error_parts RUN SCENE [--factor 2] [--every 3] [--states run twist60]
 
 For the pictures of a run with deformation-aware rays and for the training photos projected on the
 true mesh (`baked_light.py`), by state; the canonical state is the first. Object pixels are those

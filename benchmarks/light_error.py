@@ -1,6 +1,6 @@
 """How well the light is estimated, apart from any model: colours of spots on true meshes.
 
-    python benchmarks/light_error.py SCENE [SCENE ...] [--factor 1] [--points 6000]
+    python -m benchmarks.light_error SCENE [SCENE ...] [--factor 1] [--points 6000]
 
 Spots all over the canonical mesh get their colours from the training photos and their normals from
 the mesh. The light is estimated from them, and their colours in every deformed state are compared

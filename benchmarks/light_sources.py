@@ -1,6 +1,6 @@
 """Deformed Gaussians under the light that they tell themselves and under one that a PAPR run tells.
 
-    python benchmarks/light_sources.py GAUSSIANS PAPR SCENE [--factor 2] [--every 1] [--states all]
+    python -m benchmarks.light_sources GAUSSIANS PAPR SCENE [--factor 2] [--every 1] [--states all]
 
 Both runs are of SCENE and have a light. Only the lamps are exchanged: brightness and shape stay
 those of the Gaussians. PSNR of the object in dB, mean of the views; the last column is how many

@@ -1,6 +1,6 @@
 """An object of the evaluation set made again from its mesh, against the pictures Blender gave.
 
-    python benchmarks/made_again.py DATA/knight [--renderer blender] [--states test run] [--views 4]
+    python -m benchmarks.made_again DATA/knight [--renderer blender] [--states test run] [--views 4]
 
 First the numbers: camera poses of both splits, and the maps of the analytic states (bent about the
 axis of the set's own `bend60`), as `pcore benchmark make` makes them, and their largest difference

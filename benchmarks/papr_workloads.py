@@ -90,7 +90,8 @@ def _gradient_errors(
     """Error of gradients against float64 relative to the largest entry, ours and the dense one's.
 
     Of the worst parameter, of 999 entries in 1,000: a unit that lies on the kink of its ReLU may
-    go either way in float32, which changes the gradient of a single point.
+    go either way in float32, which changes the gradient of a single point. That is a share of
+    1,000 only of sizes that count, so others promise nothing.
     """
     rays = scenes.on_device(scenes.patch(8, 40), plan.device)
     exact_papr, exact_rays = deepcopy(papr).double(), scenes.doubled(rays)
@@ -114,7 +115,7 @@ def _gradient_errors(
         )
         yield (
             f"{name}/gradient_error/{kind}",
-            Metric(value=error, direction="lower", tolerance=9.0, bar=1e-3),
+            Metric(value=error, direction="lower", tolerance=9.0, bar=None if plan.quick else 1e-3),
         )
 
 

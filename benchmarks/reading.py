@@ -1,6 +1,6 @@
 """Processor seconds that files of a million points or triangles take to read and to write.
 
-python benchmarks/reading.py [--points 1000000]
+python -m benchmarks.reading [--points 1000000]
 """
 
 from __future__ import annotations

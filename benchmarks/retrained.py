@@ -1,6 +1,6 @@
 """One edit file on two runs of the same object: does the surface move by the same field?
 
-    python benchmarks/retrained.py RUN OTHER SCENE EDIT [EDIT ...]
+    python -m benchmarks.retrained RUN OTHER SCENE EDIT [EDIT ...]
 
 RUN and OTHER were trained with different seeds, so their points lie elsewhere. A run with learned
 skinning uses it, as the commands do. Both fields are

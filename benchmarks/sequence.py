@@ -1,6 +1,6 @@
 """What a sequence of many edits costs a picture, against the one edit that means the same.
 
-    python benchmarks/sequence.py RUN SCENE [--factor 2] [--every 4]
+    python -m benchmarks.sequence RUN SCENE [--factor 2] [--every 4]
 
 A twist in many steps, each an edit of its own, against the whole twist at once: by formula, and as
 displacements of the points, whose Jacobians are fitted anew at every step. PSNR in dB over all

@@ -6,10 +6,10 @@ grew from a tenth of the commands to the last.
 
 from __future__ import annotations
 
+import argparse
 import json
 import random
 import socket
-import sys
 import time
 from contextlib import closing
 from importlib.resources import as_file, files
@@ -128,4 +128,6 @@ def _free_port() -> int:
 
 
 if __name__ == "__main__":
-    print(json.dumps(main(int(sys.argv[1]))))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("commands", type=int, help="how many edits")
+    print(json.dumps(main(parser.parse_args().commands)))

@@ -1,6 +1,6 @@
 """Five objects of our own with paint as fine as a few pixels, and true pictures of their states.
 
-    python benchmarks/textured_scenes.py OUT [--resolution 50] [--views 60] [--only NAME]
+    python -m benchmarks.textured_scenes OUT [--resolution 50] [--views 60] [--only NAME]
 
 Makes OUT/vase, OUT/ring, OUT/knot, OUT/pebble and OUT/figure in the layout of evaluation sets
 (states `twist60`, `bend60`, `stretch`, `scale2x`), ray cast by the renderer of the embedded sample:

@@ -1,6 +1,6 @@
 """How well frames are estimated where an object is torn apart: the error at the seam of two parts.
 
-    python benchmarks/torn_frames.py RUN [RUN ...]
+    python -m benchmarks.torn_frames RUN [RUN ...]
 
 The points on one side of a plane through the object are turned and moved away, the others stay, so
 every true frame is known. Printed is |A - A_true| (Frobenius) of the points within 0.06 world units

@@ -1,6 +1,6 @@
 """What no light could win more: deformed states with TRUE factors of brightness.
 
-    python benchmarks/true_light.py RUN SCENE [--factor 2] [--every 1] [--states all]
+    python -m benchmarks.true_light RUN SCENE [--factor 2] [--every 1] [--states all]
 
 Pictures of aware rays with the light baked in are multiplied by how much brighter the true picture
 is than the photos on the true deformed mesh (`baked_light.py`): pixel by pixel, averaged over 0.7

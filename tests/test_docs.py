@@ -149,6 +149,16 @@ def test_python_blocks_import_what_is_there(page: Path) -> None:
                 assert node.attr in pcore.__all__ or import_spec(f"pcore.{node.attr}"), node.attr
 
 
+@pytest.mark.parametrize("page", pages_with(re.compile(r"^\|", re.MULTILINE)))
+def test_tables_are_whole(page: Path) -> None:
+    """Every row is a line of its own with as many cells as the head; a wrapped row ends a table."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.M)
+    for block in re.findall(r"^\|.*(?:\n.+)*", text, flags=re.MULTILINE):
+        rows = [re.sub(r"`[^`]*`|\\\|", "", row) for row in block.splitlines()]
+        cells = [row.count("|") if row.startswith("|") else 0 for row in rows]
+        assert set(cells) == {cells[0]}, block.splitlines()[cells.index(min(cells))]
+
+
 def test_pages_that_the_code_names_are_there() -> None:
     """Messages and comments send people to pages; a page that moved takes its name along."""
     named = {

@@ -10,10 +10,9 @@ import pytest
 import torch
 
 import pcore
-from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
-from pcore.asset.saving import load
+from pcore.asset.saving import asset_of, load
 from pcore.asset.training import RunOptions, train
 from pcore.capture.load import load_scene
 from pcore.cli.main import main
@@ -42,7 +41,7 @@ def an_asset(count: int = 60, degree: int = 1) -> Asset:
         opacities=0.2 + 0.7 * torch.rand(count, generator=draw),
         sh=0.3 * torch.randn(count, (degree + 1) ** 2, 3, generator=draw),
     )
-    return asset_of_gaussians(gaussians)
+    return asset_of(gaussians)
 
 
 def camera(distance: float = 4.0) -> Camera:

@@ -16,10 +16,10 @@ from safetensors.torch import load_file, save_file
 from tests.render.test_gaussian_surfels import COUNT, a_ball, photos
 
 import pcore
-from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
 from pcore.asset.content import MovedPoints
 from pcore.asset.gaussian_content import GaussianContent
+from pcore.asset.saving import asset_of
 from pcore.cli.main import main
 from pcore.errors import CheckpointError, InputError
 from pcore.files.gaussian_file import GAUSSIANS_FILE
@@ -38,7 +38,7 @@ TURN: dict[str, Any] = {
 
 
 def dark_asset() -> Asset:
-    return asset_of_gaussians(a_ball())
+    return asset_of(a_ball())
 
 
 def lit_asset() -> Asset:

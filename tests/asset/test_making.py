@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from tests.cli.toys import toy_surfels, write_scene
+from tests.cli.toys import toy_surfels, write_run, write_scene
+from tests.gaussians.some import some_gaussians
 from torch import Tensor
 
 import pcore
 from pcore.asset.asset import Asset
 from pcore.asset.neural_points import NeuralPoints
+from pcore.asset.training import finetune_settings
 from pcore.cli.main import main
 from pcore.errors import InputError
 from pcore.files.run_record import RunRecord
@@ -20,7 +23,12 @@ from pcore.relight.lamps import Light, sphere
 from pcore.relight.light_file import LIGHT_FILE
 from pcore.relight.relighting import Relighting
 from pcore.render.surfel_fit import Observed
-from pcore.training.presets import finetune_preset, preset, skinning_preset
+from pcore.training.presets import (
+    finetune_preset,
+    gaussian_preset,
+    preset,
+    skinning_preset,
+)
 
 STEPS, POINTS = 4, 200
 
@@ -109,6 +117,80 @@ def test_training_and_tuning_make_what_the_commands_make(
     assert_same(kept, memory)
     assert kept.record.base is not None
     assert kept.record.base.samefile(mine.path)
+
+
+@pytest.mark.parametrize("kind", ["gaussians", "papr"])
+def test_a_run_can_be_made_again_from_its_record(scene: Path, tmp_path: Path, kind: str) -> None:
+    config = replace(gaussian_preset("tiny"), steps=STEPS, points=POINTS)
+    chosen = settings() if kind == "papr" else config
+    options = pcore.RunOptions(light=False)
+    views = pcore.load_scene(scene, factor=2)
+    first = pcore.train(views, replace(chosen, seed=5), folder=tmp_path / "run", options=options)
+    tuned = pcore.finetune(
+        first,
+        views,
+        folder=tmp_path / "tuned",
+        options=options,
+        settings=(replace(finetune_settings(first)[1], steps=2, seed=7)),
+    )
+    for made in (first, tuned):
+        record = json.loads((made.path / "run.json").read_text())
+        (began,) = record["notes"]["made_by"]
+        assert (began["step"], began["device"]) == (0, "cpu")
+        assert began["threads"] == torch.get_num_threads()
+        assert began["torch"] == torch.__version__
+    asset = pcore.load(tmp_path / "run")
+    assert asset.settings == replace(chosen, seed=5)
+    again = pcore.train(asset.scene(), asset.settings, options=options)
+    assert torch.equal(again.points, first.points)
+    more = pcore.load(tmp_path / "tuned")
+    assert more.settings.seed == 7
+    repeated = pcore.finetune(again, more.scene(), more.settings, options=options)
+    camera = views.split("test")[0].camera
+    assert torch.equal(repeated.render(None, camera).rgb, tuned.render(None, camera).rgb)
+
+
+def test_what_was_imported_has_no_settings(tmp_path: Path) -> None:
+    papr, cloud = write_run(tmp_path / "run")
+    with pytest.raises(InputError, match="got one without settings on record"):
+        _ = pcore.asset_of(papr, cloud).settings
+
+
+def test_a_loop_of_ones_own_leaves_the_run_that_it_began_with(scene: Path, tmp_path: Path) -> None:
+    config = replace(gaussian_preset("tiny"), steps=STEPS, points=POINTS)
+    masks = tmp_path / "deep" / "masks"
+    masks.mkdir(parents=True)
+    options = pcore.RunOptions(light=False)
+    run = pcore.train(pcore.load_scene(scene), config, folder=tmp_path / "run", options=options)
+    run = replace(
+        run, record=replace(run.record, config={**run.record.config, "masks": "../deep/masks"})
+    )
+    before = {path.name: path.read_bytes() for path in run.path.iterdir() if path.is_file()}
+    gaussians = run.content.gaussians
+    mine = pcore.asset_of(replace(gaussians, means=gaussians.means + 0.01), like=run, step=3)
+    assert mine.content.normals is None
+    assert mine.provenance.step == 3
+    assert mine.content.footprint == run.content.footprint
+    with pytest.raises(InputError, match="never saved"):
+        _ = mine.path
+    kept = mine.save(tmp_path / "far" / "away" / "mine")
+    assert kept.record.masks is not None
+    assert kept.record.masks.samefile(masks)
+    assert kept.record.scene_folder is not None
+    assert kept.record.scene_folder.samefile(scene)
+    assert {path.name: path.read_bytes() for path in run.path.iterdir() if path.is_file()} == before
+
+
+def test_parts_of_another_kind_of_object(scene: Path, tmp_path: Path) -> None:
+    papr, cloud = write_run(tmp_path / "run")
+    points = pcore.load(tmp_path / "run")
+    with pytest.raises(InputError, match="the canonical points too"):
+        pcore.asset_of(papr)
+    with pytest.raises(InputError, match="`like` to be one of Gaussians, got NeuralPoints"):
+        pcore.asset_of(some_gaussians(5), like=points)
+    with pytest.raises(InputError, match="got GaussianContent"):
+        pcore.asset_of(papr, like=pcore.asset_of(some_gaussians(5)))
+    assert torch.equal(pcore.asset_of(papr, like=points).points, cloud.positions)
 
 
 def test_a_finished_run_is_handed_over(scene: Path, tmp_path: Path) -> None:

@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 import torch
 from tests.cli.toys import CONFIG, toy_cameras, toy_cloud
+from tests.gaussians.some import some_gaussians
+from torch import Tensor
 
 import pcore
-from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
 from pcore.asset.saving import asset_of
+from pcore.deform.base import Affine
 from pcore.deform.simple import uniform_scale
-from pcore.errors import InputError
+from pcore.errors import EditError, InputError
 from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.camera import Camera
+from pcore.geometry.rotation import rotations
 from pcore.model.papr import Papr
 
 KINDS = ("neural points", "gaussians")
@@ -37,7 +40,7 @@ def made(kind: str, shift: float = 0.0) -> Asset:
         torch.manual_seed(0)  # The same networks every time.
         return asset_of(Papr(CONFIG).requires_grad_(False).eval(), cloud)
     count = len(cloud)
-    return asset_of_gaussians(
+    return asset_of(
         Gaussians(
             means=cloud.positions,
             quats=torch.eye(4)[:1].repeat(count, 1),
@@ -67,6 +70,30 @@ def test_points_that_are_torn_to_nan(asset: Asset, camera: Camera) -> None:
         asset.render(asset.pose(pcore.MovedPoints(positions=positions)), camera)
 
 
+def test_maps_of_moved_points_are_estimated_where_rays_ask_for_them(camera: Camera) -> None:
+    neural = asset_of(Papr(CONFIG).requires_grad_(False).eval(), toy_cloud())
+    for asset in (asset_of(some_gaussians(60)), neural):
+        turned = Affine(rotations(torch.tensor([1.0, 0.0, 0.5, 0.2])), torch.zeros(3))
+        exact = asset.pose(turned, light="baked")
+        moved = pcore.MovedPoints(positions=exact.points)
+        posed = asset.pose(moved, light="baked")
+        assert posed.local_maps is not None
+        assert exact.local_maps is not None
+        torch.testing.assert_close(
+            posed.local_maps.to_rest, exact.local_maps.to_rest, atol=1e-4, rtol=0
+        )
+        torch.testing.assert_close(
+            asset.render(posed, camera).rgb, asset.render(exact, camera).rgb, atol=1e-3, rtol=0
+        )
+        assert asset.pose(moved, rays="plain").local_maps is None
+        still = asset.pose(pcore.MovedPoints(positions=asset.points))
+        assert torch.equal(asset.render(still, camera).rgb, asset.render(None, camera).rgb)
+        followed = pcore.MovedPoints(positions=exact.points.clone().requires_grad_())
+        with pytest.raises(EditError, match="draw with plain rays"):
+            asset.pose(followed)
+        assert asset.pose(followed, rays="plain").points.requires_grad
+
+
 def test_rays_that_are_no_unit_vectors_or_none_at_all(asset: Asset, camera: Camera) -> None:
     rays = camera.rays()
     longer = replace(rays, directions=2 * rays.directions)
@@ -74,6 +101,21 @@ def test_rays_that_are_no_unit_vectors_or_none_at_all(asset: Asset, camera: Came
         asset.trace(None, longer)
     with pytest.raises(InputError, match="of unit length, got no rays"):
         asset.trace(None, rays[:0])
+
+
+def test_rays_of_another_type_and_colours_as_numbers(asset: Asset, camera: Camera) -> None:
+    rays = camera.rays()
+    exact = rays.each(Tensor.double)
+    red = torch.tensor([1.0, 0.0, 0.0])
+    expected = asset.trace(None, rays, red)
+    torch.testing.assert_close(asset.trace(None, exact, (1.0, 0.0, 0.0)).rgb, expected.rgb)
+    with pytest.raises(InputError, match=r"expected `camera.rays\(\)`, got Camera"):
+        asset.trace(None, camera)  # pyright: ignore[reportArgumentType]
+
+
+def test_what_rays_hit_is_not_known_of_cameras(asset: Asset, camera: Camera) -> None:
+    with pytest.raises(InputError, match=r"only `asset.trace` of neural points keeps"):
+        _ = asset.render(None, camera).ray_hits
 
 
 def test_rays_that_are_no_picture_for_networks(camera: Camera) -> None:

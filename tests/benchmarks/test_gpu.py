@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from benchmarks.__main__ import main
+from benchmarks.__main__ import COMMANDS, main
 from benchmarks.metrics import Metric, missed, read
 from benchmarks.parity import measure_parity
 from benchmarks.plan import Plan
@@ -139,3 +139,17 @@ def test_missing_packages_are_named() -> None:
     shown = bare("pydantic", "PIL")
     assert shown.returncode == 2
     assert "missing packages: pillow, pydantic; install them, or bring" in shown.stderr
+
+
+def test_help_lists_every_command_and_every_program(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["benchmarks", "--help"])
+    assert main() == 0
+    shown = capsys.readouterr().out
+    commands, programs = shown.split("\n\n")
+    assert [line.split()[0] for line in commands.splitlines()[1:]] == list(COMMANDS)
+    assert {"paper", "skinning", "sequential_edits"} <= {
+        line.split()[0] for line in programs.splitlines()[1:]
+    }
+    assert all(len(line.split()) > 4 for line in shown.splitlines() if line.startswith("  "))

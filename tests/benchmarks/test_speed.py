@@ -157,6 +157,7 @@ def test_attention_a_step_and_a_picture_are_measured() -> None:
     found = {name: metric for measure in workloads for name, metric in measure(plan)}
     error = {kind: found[f"step/8x8/200/gradient_error/{kind}"].value for kind in ("ours", "dense")}
     assert error["ours"] < 5 * error["dense"] < 0.05
+    assert metrics.missed(found) == []
     assert found["render/16x16/200/exact/error"].value < 1e-5
     assert 0 < found["render/16x16/200/fast/kept"].value <= 0.5
     assert 20 < found["render/16x16/200/fast/psnr"].value < 100

@@ -21,10 +21,12 @@ from pcore.evaluation.contest import Contest, Contestant, Cost, Entry, Outcome
 from pcore.evaluation.contest_tables import contest_csv, lines_of, quality_rows
 from pcore.evaluation.contestants import RULES, Given, given_entries, rule_entries
 from pcore.evaluation.equal_time import as_begun
+from pcore.evaluation.motion_method import motion_entries
 from pcore.evaluation.rival_entries import BOUND, VOXELS, Workshop
 from pcore.evaluation.states import SceneStates, State, open_states
 from pcore.files.run_record import RunRecord
 from pcore.model.papr import Papr
+from pcore.rivals.motion_stages import MotionConfig
 from pcore.rivals.voxel_fit import VoxelConfig
 from pcore.training.gaussian_config import DensityConfig, GaussianConfig
 from small_training import pretrain_config
@@ -75,6 +77,19 @@ def test_what_is_on_the_disk_is_not_done_again(states: SceneStates, tmp_path: Pa
     replace(contest, stamp="y").run([entry(make)])
     replace(contest, stamp="y").run([replace(entry(make), stamp="b")])
     assert len(calls) == 3
+
+
+def test_names_that_differ_in_other_than_letters_have_rows_of_their_own(
+    states: SceneStates, tmp_path: Path
+) -> None:
+    calls, make = counted()
+    entries = [entry(make, name=name) for name in ("true (run.1)", "true (run_1)", "True (run_1)")]
+    entries = [replace(one, stamp=one.name) for one in entries]
+    contest = Contest(folder=tmp_path, states=states.select([]), stamp="x")
+    contest.run(entries)
+    assert [one.name for one in contest.run(entries)] == [one.name for one in entries]
+    assert len(calls) == len(entries)
+    assert len({path.parent.name.casefold() for path in tmp_path.rglob("*.json")}) == len(entries)
 
 
 def test_the_first_picture_is_taken_once_more_before_any_is_timed(
@@ -230,6 +245,9 @@ def test_runs_in_folders_of_one_name_are_rows_of_their_own(states: SceneStates) 
     runs = [Given(asset=replace(asset, record=one), stamp=str(one.path)) for one in records]
     found = [entry.name for entry in given_entries(runs, states.scene, ["papr"])]
     assert found == ["PAPR (a/run)", "PAPR (b/run)", "PAPR (/run)", "PAPR (other)"]
+    learned = motion_entries(runs[:2], states, Path(), MotionConfig())
+    assert len({one.name for one in learned}) == 4
+    assert [one.name.endswith("(a/run)") for one in learned] == [True, True, False, False]
 
 
 def test_rivals_are_trained_once_and_kept(states: SceneStates, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from tests.asset.test_lit_gaussians import dark_asset, lit_asset
@@ -32,3 +33,12 @@ def test_gaussians_are_compared_with_their_shapes_and_their_light(scene: Scene) 
     assert names == ["Gaussians affine", "Gaussians affine + P-CORE"]
     with pytest.raises(InputError, match="pcore light RUN"):
         methods_of([dark_asset()], scene, rays="both", light="still")
+
+
+def test_runs_in_folders_of_one_name_are_told_apart(scene: Scene, tmp_path: Path) -> None:
+    runs = [
+        replace(one, record=replace(one.record, path=tmp_path / place / "run"))
+        for one, place in ((dark_asset(), "first"), (dark_asset(), "second"))
+    ]
+    names = [one.name for one in methods_of(runs, scene, rays="aware", light=None)]
+    assert names == ["Gaussians affine (first/run)", "Gaussians affine (second/run)"]

@@ -3,16 +3,23 @@
 import csv
 import json
 import math
+import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from pcore.errors import InputError
-from pcore.evaluation.protocol import Perceptual
+from pcore.evaluation.contest import Cost
+from pcore.evaluation.contest_tables import METRICS
+from pcore.evaluation.health import HEALTH
+from pcore.evaluation.protocol import ImageScores, Perceptual
 from pcore.evaluation.runner import ImageRow, Value
 from pcore.evaluation.states import Kind
 from pcore.evaluation.summary import Gain, gains, state_means
 from pcore.evaluation.tables import read_summary, shown, summary_record, write_tables
+from pcore.metrics.geometry_metrics import GeometryScores
+from pcore.metrics.trunks import TrunkName
 
 NAMES: dict[str, Kind] = {"canonical": "canonical", "twist": "analytic", "bend": "analytic"}
 
@@ -151,3 +158,16 @@ def test_a_damaged_summary(tmp_path: Path, content: str) -> None:
 )
 def test_figures_for_people(value: Value, digits: int, percent: bool, text: str) -> None:
     assert shown(value, digits, percent=percent) == text
+
+
+def test_every_column_is_on_the_page_with_its_unit() -> None:
+    page = Path(__file__).resolve().parents[2] / "docs" / "concepts" / "metrics.md"
+    table = page.read_text(encoding="utf-8").split("## Columns")[1].split("## ")[0]
+    listed = set(re.findall(r"`(\w+)`", table))
+    scores = ImageScores(psnr=1.0, ssim=1.0, foreground_psnr=1.0, foreground_ssim=1.0, lpips={})
+    names = {*scores.row(), *GeometryScores.__dataclass_fields__, *HEALTH, *METRICS}
+    names |= {*Cost.__dataclass_fields__, "milliseconds"}
+    names |= {f"lpips_{trunk}" for trunk in get_args(TrunkName)}
+    assert names <= listed
+    rows = [row.split("|") for row in table.splitlines() if row.startswith("| `")]
+    assert all(cells[2].strip() for cells in rows)

@@ -343,6 +343,10 @@ def test_what_a_killed_training_took_is_not_known(tmp_path: Path) -> None:
     both = spent()
     assert both is not None
     assert both >= first
+    # Every process says what it was, and where it began.
+    began = RunFolder.open(plan.path).notes["made_by"]
+    assert [one["step"] for one in began] == [0, 4]
+    assert {one["torch"] for one in began} == {torch.__version__}
     with RunFolder.create(
         plan.path, stage="pretrain", scene="lego", config=CONFIG, resume=True
     ) as run:

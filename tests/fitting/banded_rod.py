@@ -12,7 +12,6 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.saving import asset_of
 from pcore.editing.script import EditScript
@@ -89,7 +88,7 @@ def _asset(means: Tensor, colors: Tensor, width: float) -> Asset:
         opacities=torch.full((COUNT,), 0.95),
         sh=((colors - 0.5) / 0.28209479).unsqueeze(1),
     )
-    return asset_of_gaussians(gaussians)
+    return asset_of(gaussians)
 
 
 def cameras(count: int, *, elevation: float = 0.3, scale: float = 1.0) -> list[Camera]:

@@ -28,6 +28,12 @@ def turned() -> Camera:
     return Camera(width=7, height=5, fx=9.0, fy=11.0, cx=3.1, cy=2.2, world_from_camera=pose)
 
 
+def test_a_rectangle_without_pixels_has_no_rays() -> None:
+    assert turned().rays(top=2, height=0).shape == (0, 7)
+    assert turned().rays(left=2, width=0).shape == (5, 0)
+    assert turned().rays(top=2).shape == (3, 7)
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_points_on_the_rays_of_pixels_are_seen_there(dtype: torch.dtype) -> None:
     camera = turned()

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from bent_arm import Arm
-from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
+from pcore.asset.saving import asset_of
 from pcore.errors import EditError
 from pcore.gaussians.carry import polar
 from pcore.gaussians.gaussians import Gaussians
@@ -119,7 +119,7 @@ CASES: dict[str, tuple[Tensor, Callable[[Tensor], Tensor]]] = {
         ),
     ),
 }
-ASSET = asset_of_gaussians(rod())
+ASSET = asset_of(rod())
 
 
 @pytest.mark.parametrize("name", CASES)

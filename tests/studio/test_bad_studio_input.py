@@ -9,8 +9,8 @@ import pytest
 import torch
 from objects import demo
 
-from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
+from pcore.asset.saving import asset_of
 from pcore.errors import EditError, InputError, PcoreError
 from pcore.gaussians.gaussians import Gaussians
 from pcore.geometry.orbit import orbit_around
@@ -39,7 +39,7 @@ def made(count: int, *, degree: int = 0, spread: float = 1.0) -> Asset:
         opacities=torch.full((count,), 0.9),
         sh=torch.rand(count, (degree + 1) ** 2, 3),
     )
-    return asset_of_gaussians(gaussians)
+    return asset_of(gaussians)
 
 
 def test_without_a_light_it_is_edited_and_drawn() -> None:

@@ -11,7 +11,7 @@ from typing import Any, Unpack, overload
 from torch import Tensor
 
 from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
-from pcore.asset.posed_asset import How, Posed, checked_cameras, content_of
+from pcore.asset.posed_asset import How, Posed, checked_cameras, checked_rays, content_of
 from pcore.asset.posing import Edit, EditLike, begin_with, bind_motion, check_bound
 from pcore.capture.load import load_scene
 from pcore.contrib.learned_skinning import Skinning
@@ -37,10 +37,6 @@ class Asset:
 
     Everything that goes in or comes out (edits, cameras, rays, points, depth, surface) is in world
     units and axes and passes through here; its content keeps its own.
-
-        asset = pcore.load("runs/toy")
-        posed = asset.pose("edit.json")
-        picture = asset.render(posed, camera)  # rgb, alpha, depth, surface
 
     Attributes:
         content: what it is made of.
@@ -116,13 +112,8 @@ class Asset:
             InputError: something else than the above, of another object, or a light is asked for
                 and there is none.
         """
-        bound = bind_motion(
-            edit,
-            self.points,
-            lambda: self.rig,
-            time=time,
-            check=rays == "aware" or light == "still",
-        )
+        aware = rays == "aware" or light == "still"
+        bound = bind_motion(edit, self.points, lambda: self.rig, time=time, aware=aware)
         posed = self.content.pose(bound.motion, rays=rays, light=light)
         return Posed.of(self.content, posed, bound.notes)
 
@@ -229,20 +220,20 @@ class Asset:
         return self.content.film_detail(poses, checked_cameras(cameras))
 
     def trace(
-        self, posed: Posed | None, rays: RayBundle, background: Tensor | None = None
+        self, posed: Posed | None, rays: RayBundle, background: Tensor | Color | None = None
     ) -> Image:
         """Render rays of pixels (..., H, W) in one piece, with what each hits; autograd follows.
 
         Args:
             posed: from `pose`; None is the object as it was photographed.
-            rays: world units, on the device of the networks.
+            rays: world units.
             background: (3,) colour behind the object; None takes its own.
 
         Raises:
             InputError: no rays, or directions that are not of unit length.
         """
         content = content_of(self.pose() if posed is None else posed, self.content)
-        return self.content.trace(content, rays.checked(), background)
+        return self.content.trace(content, checked_rays(rays), background)
 
     def session(self, edit: EditLike | None = None, *, time: float | None = None) -> EditSession:
         """Begin to edit it step by step, with the weights it learned; see `EditSession`.
@@ -275,6 +266,13 @@ class Asset:
         chosen = record.factor if factor is None else factor
         scene = load_scene(record.scene_or(folder), factor=chosen, masks=masks)
         return scene if record.region is None else replace(scene, region=record.region)
+
+    @property
+    def settings(self) -> Any:
+        """What `pcore.train` or `pcore.finetune` was given; InputError where none is on record."""
+        from pcore.asset.training import settings_of
+
+        return settings_of(self.record)
 
     @property
     def path(self) -> Path:

@@ -40,7 +40,8 @@ class MovedPoints:
 
     Attributes:
         positions: (N, 3) of all points of the asset, world units.
-        local_maps: how space moved around every point; None where nothing moved or nobody knows.
+        local_maps: how space moved around every point; None: `Asset.pose` estimates it where the
+            rays are aware (`estimated_maps`).
         world: factor by which all of the world, lamps too, was scaled about the origin meanwhile.
     """
 
@@ -52,6 +53,12 @@ class MovedPoints:
         if self.positions.ndim != 2 or self.positions.shape[-1] != 3:
             raise InputError(
                 f"moved points: expected positions (N, 3), got {tuple(self.positions.shape)}"
+            )
+        bad = int((~self.positions.isfinite().all(dim=1)).sum())
+        if bad:
+            raise InputError(
+                f"moved points: expected finite positions, got NaN or infinity in {bad} of "
+                f"{len(self.positions)}; look at what moved them"
             )
 
 
@@ -162,7 +169,7 @@ class Content(Protocol[P]):
         """(N,) factors on the brightness of its points, for a light; None: that of the photos."""
         ...
 
-    def trace(self, posed: P, rays: RayBundle, background: Tensor | None) -> Image:
+    def trace(self, posed: P, rays: RayBundle, background: Tensor | Color | None) -> Image:
         """Render rays of pixels (..., H, W), with what each hits; autograd follows."""
         ...
 

@@ -174,10 +174,13 @@ class GaussianContent(Lit):
         gains = posed.drawn.gains
         return None if gains is None else gains.cpu().squeeze(1)
 
-    def trace(self, posed: MovedGaussians, rays: RayBundle, background: Tensor | None) -> Image:
+    def trace(
+        self, posed: MovedGaussians, rays: RayBundle, background: Tensor | Color | None
+    ) -> Image:
         """See `Content.trace`; rays are lines: the mean of many in a pixel is a picture's."""
         means = self.gaussians.means
-        color = means.new_tensor(self.background) if background is None else background
+        rays = rays.each(lambda one: one.to(means))
+        color = torch.as_tensor(self.background if background is None else background).to(means)
         found = trace(posed.drawn, rays.flat(), background=color, footprint=self.footprint)
         depth = torch.where(found.alpha > _TRACE, found.depth, torch.nan)
         surface = rays.flat().at(depth)

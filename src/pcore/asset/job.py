@@ -64,6 +64,7 @@ class Job(Generic[Result]):
             stage=self.record.stage,
             scene=place,
             config=self.record.config,
+            device=device,
             resume=options.resume,
             tensorboard=options.tensorboard,
             needed=self.needed,

@@ -121,9 +121,12 @@ class NeuralPoints(Lit):
         """See `Content.gains_of`."""
         return posed.gains
 
-    def trace(self, posed: PosedCloud, rays: RayBundle, background: Tensor | None) -> Image:
+    def trace(self, posed: PosedCloud, rays: RayBundle, background: Tensor | Color | None) -> Image:
         """See `Content.trace`."""
-        return render_rays(self.papr, posed, rays, background)
+        like = next(self.papr.parameters()).detach()
+        color = None if background is None else torch.as_tensor(background).to(like)
+        sent = rays.each(lambda one: one.to(like))
+        return render_rays(self.papr, posed.to(like.device), sent, color)
 
     def render(self, posed: PosedCloud, camera: Camera, sampling: Sampling) -> Image:
         """See `Content.render`."""

@@ -13,6 +13,7 @@ from pcore.asset.content import Content
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
+from pcore.geometry.rays import RayBundle
 
 
 class How(TypedDict, total=False):
@@ -93,6 +94,13 @@ def checked_cameras(cameras: object) -> Sequence[Camera]:
         if not isinstance(one, Camera):
             raise InputError(f"pictures: expected cameras, got {one!r} among them")
     return cameras
+
+
+def checked_rays(rays: object) -> RayBundle:
+    """Return rays; raises InputError where there are none, or something else."""
+    if not isinstance(rays, RayBundle):
+        raise InputError(f"trace: expected `camera.rays()`, got {type(rays).__name__}")
+    return rays.checked()
 
 
 def same_points(rest: Tensor, points: Tensor) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from torch import Tensor
 from pcore.asset.content import Motion, MovedPoints
 from pcore.asset.posed_asset import same_points
 from pcore.deform.base import Deformation
+from pcore.deform.jacobian import estimated_maps
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.animation import Animation, load_animation
 from pcore.editing.binding import Bound
@@ -91,7 +92,7 @@ def bind_motion(
     read_rig: Callable[[], AnchorRig | None],
     *,
     time: float | None,
-    check: bool,
+    aware: bool,
 ) -> BoundMotion:
     """Bind whatever says how an asset moves to its canonical points.
 
@@ -100,7 +101,8 @@ def bind_motion(
         points: (N, 3) canonical points, world units.
         read_rig: gives anchors with learned weights; asked for edits only.
         time: for edits with keyframes.
-        check: look for folds, which pictures with plain rays do without.
+        aware: whether pictures need to know how space moved around the points: then folds are
+            looked for, and maps that nobody gave are estimated.
 
     Raises:
         EditError: the edit is not valid, does not fit the points, or folds space.
@@ -110,7 +112,7 @@ def bind_motion(
         return BoundMotion(motion=edit)
     if isinstance(edit, MovedPoints):
         _same_number(len(edit.positions), points)
-        return BoundMotion(motion=edit)
+        return BoundMotion(motion=_with_maps(edit, points) if aware else edit)
     if isinstance(edit, EditSession):
         edit = edit.state
     if isinstance(edit, EditState):
@@ -124,8 +126,15 @@ def bind_motion(
             "pose: expected an edit file, an edit, an EditSession, a Deformation, MovedPoints or "
             f"None, got {type(edit).__name__}"
         )
-    bound = script_of(edit, time).bound(points, rig=read_rig(), check=check)
+    bound = script_of(edit, time).bound(points, rig=read_rig(), check=aware)
     return BoundMotion(motion=bound.known, notes=bound.notes)
+
+
+def _with_maps(moved: MovedPoints, points: Tensor) -> MovedPoints:
+    """The same with local maps; estimated where nobody gave any and something moved."""
+    if moved.local_maps is not None or same_points(points, moved.positions):
+        return moved
+    return replace(moved, local_maps=estimated_maps(points, moved.positions.to(points)))
 
 
 def _same_number(count: int, points: Tensor) -> None:

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pcore.asset.asset import Asset
+from pcore.asset.asset import WHITE, Asset
 from pcore.asset.content import Content
-from pcore.asset.gaussian_content import read_gaussians
+from pcore.asset.gaussian_content import GaussianContent, read_gaussians
 from pcore.asset.neural_points import NeuralPoints, read_neural_points
 from pcore.contrib.learned_skinning import Skinning
 from pcore.errors import InputError
@@ -20,6 +20,8 @@ from pcore.files.provenance import Provenance, Stage, provenance_of
 from pcore.files.run_folder import RunFolder, write_guard
 from pcore.files.run_record import RunRecord, relative
 from pcore.files.skinning_file import SKINNING_FILE, load_skinning
+from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.render import Footprint
 from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
@@ -66,9 +68,10 @@ def _reader_for(path: Path) -> Reader:
 
 
 def asset_of(
-    papr: Papr,
-    cloud: PointCloud,
+    learned: Papr | Gaussians,
+    cloud: PointCloud | None = None,
     *,
+    like: Asset | None = None,
     scene: str = "",
     stage: Stage = "pretrain",
     step: int = 0,
@@ -76,42 +79,73 @@ def asset_of(
     light: Relighting | None = None,
     skinning: Skinning | None = None,
 ) -> Asset:
-    """Make an asset of networks and points that are in memory.
+    """Make an asset of what is in memory: networks and points, or Gaussians.
 
         asset = asset_of(papr, cloud)
+        asset = asset_of(gaussians, like=asset)  # after a training loop of your own
 
     Args:
-        papr: the networks; used as they are.
-        cloud: canonical points, world units; autograd follows it where it asks for that.
-        scene: name of the scene.
-        stage: what made the weights.
+        learned: the networks, or the Gaussians in world units; used as they are.
+        cloud: canonical points of networks, world units; autograd follows it where it asks for
+            that. None takes those of `like`.
+        like: the asset that it was learned from: its scene, settings, stage, background, and how
+            its Gaussians meet pixels are kept; its scores, light and surface are not.
+        scene: name of the scene; without `like`.
+        stage: what made the weights; without `like`.
         step: steps of that stage.
         surfels: the surface over the points at rest.
         light: of the photos.
         skinning: weights that were learned for edits by anchors.
+
+    Raises:
+        InputError: networks without points, or `like` an object of another kind.
     """
-    cloud = cloud.to("cpu")
-    return Asset(
-        content=NeuralPoints(
-            papr=papr,
-            cloud=cloud,
+    record = RunRecord(stage=stage)
+    if like is not None:
+        scene, stage = like.provenance.scene, like.provenance.stage
+        record = replace(like.record.without_folder(), notes={})
+    read_light = light and (lambda: light)
+    if isinstance(learned, Gaussians):
+        content = _gaussian_content(learned, like)
+        color = content.background
+    else:
+        points = neural_points_of(like, "networks").cloud if cloud is None and like else cloud
+        if points is None:
+            raise InputError("asset of networks: expected the canonical points too, got none")
+        content = NeuralPoints(
+            papr=learned,
+            cloud=points.to("cpu"),
             surfels=None if surfels is None else surfels.to("cpu"),
-            read_light=light and (lambda: light),
-        ),
-        provenance=provenance_of(
-            cloud.positions, papr.config.background, scene=scene, stage=stage, step=step
-        ),
-        record=RunRecord(stage=stage),
+        )
+        color = learned.config.background
+    came = provenance_of(content.points, color, scene=scene, stage=stage, step=step)
+    return Asset(
+        content=replace(content, read_light=read_light),
+        provenance=came,
+        record=record,
         read_skinning=skinning and (lambda: skinning),
     )
+
+
+def _gaussian_content(gaussians: Gaussians, like: Asset | None) -> GaussianContent:
+    """What draws Gaussians: as an asset does, or as a trainer of ours begins."""
+    if like is None:
+        return GaussianContent(gaussians=gaussians, footprint=Footprint(), background=WHITE)
+    if not isinstance(like.content, GaussianContent):
+        raise InputError(
+            "asset of Gaussians: expected `like` to be one of Gaussians, got "
+            f"{type(like.content).__name__}"
+        )
+    return replace(like.content, gaussians=gaussians, normals=None)
 
 
 def save_asset(asset: Asset, folder: Path) -> Asset:
     """See `Asset.save`."""
     record = asset.record
     config = dict(record.config)
-    if record.base is not None:
-        config["base"] = relative(record.base, folder)
+    for name, place in (("base", record.base), ("masks", record.masks)):
+        if place is not None:
+            config[name] = relative(place, folder)
     scene = record.scene if record.scene_folder is None else relative(record.scene_folder, folder)
     with RunFolder.create(folder, stage=record.stage, scene=scene, config=config) as run:
         with write_guard(run.model):

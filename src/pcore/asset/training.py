@@ -13,7 +13,8 @@ from pcore.asset.lighting import lit
 from pcore.asset.run_options import RunOptions
 from pcore.asset.saving import neural_points_of
 from pcore.data.scene import Scene
-from pcore.files.records import to_dict
+from pcore.errors import InputError
+from pcore.files.records import from_dict, to_dict
 from pcore.files.run_folder import RunFolder
 from pcore.files.run_record import RunRecord, of_scene, relative
 from pcore.training import presets
@@ -32,6 +33,8 @@ from pcore.training.trained import Trained
 
 FinetuneSettings = FinetuneConfig | GaussianFinetuneConfig
 """Settings of P-CORE for either kind of object."""
+Settings = PretrainConfig | GaussianConfig | FinetuneSettings
+"""Settings of any training."""
 
 
 def train(
@@ -173,6 +176,20 @@ def finetune_settings(
     black = content.papr.config.background == (0.0, 0.0, 0.0)
     return chosen, replace(
         presets.finetune_preset(chosen), background="black" if black else "white"
+    )
+
+
+def settings_of(record: RunRecord) -> Settings:
+    """See `Asset.settings`."""
+    config = record.config
+    tuned = GaussianFinetuneConfig if config.get("model") == "gaussians" else FinetuneConfig
+    kinds = {"gaussians": GaussianConfig, "pretrain": PretrainConfig, "finetune": tuned}
+    for stage, kind in kinds.items():
+        if stage in config:
+            return from_dict(kind, config[stage], where=f"{record.path}: run.json: {stage}")
+    raise InputError(
+        "settings: expected an object that pcore trained, got one without settings on record, as "
+        "after an import; give your own"
     )
 
 

@@ -186,6 +186,7 @@ def _score(
     from pcore.evaluation.figures import png_bytes
     from pcore.evaluation.protocol import load_perceptual
     from pcore.evaluation.runner import evaluate
+    from pcore.files.provenance import made_by
     from pcore.files.run_record import relative
 
     asset, places = source
@@ -202,6 +203,7 @@ def _score(
         "run": relative(asset.path, output),
         "scene": relative(places.path, output),
         "factor": places.factor,
+        "made_by": made_by(pick_device(command.device)),
     }
     write_atomically(output / FIGURE_FILE, png_bytes(figure.pixels([m.name for m in methods])))
     finish(console, output, rows, about=about, perceptual=perceptual)

@@ -12,6 +12,7 @@ from rich.console import Console
 from pcore.asset.neural_points import NeuralPoints
 from pcore.cli.compare import CompareCommand
 from pcore.cli.console import say
+from pcore.cli.eval_results import missing_lpips
 from pcore.cli.export_field import export_field
 from pcore.cli.layout import Sheet, room, sheet_lines
 from pcore.cli.options import named_paths
@@ -29,6 +30,7 @@ from pcore.evaluation.contest_tables import (
     contest_record,
     cost_rows,
     images_csv,
+    known,
     lines_of,
     markdown,
     quality_rows,
@@ -43,6 +45,7 @@ from pcore.evaluation.runner import mean
 from pcore.evaluation.states import SceneStates, State, open_states
 from pcore.evaluation.tables import IMAGES_FILE, shown, write_json
 from pcore.files.atomic import write_atomically
+from pcore.files.provenance import made_by
 from pcore.files.run_record import relative
 from pcore.rivals.motion_stages import MotionConfig
 from pcore.training.presets import gaussian_preset, preset
@@ -109,16 +112,24 @@ def finish(
 
 
 _SHOWN = (
-    ("foreground PSNR, dB", "foreground_psnr", False),
-    ("holes", "hole_rate", True),
-    ("depth error, of the object's size", "depth_error_relative", True),
-    ("spill, of the object's pixels", "spill_to_object", True),
+    ("foreground PSNR, dB", "foreground_psnr", 2, False),
+    ("PSNR of whole images, dB", "psnr", 2, False),
+    ("SSIM", "ssim", 3, False),
+    ("LPIPS of AlexNet", "lpips_alex", 3, False),
+    ("holes", "hole_rate", 1, True),
+    ("depth error, of the object's size", "depth_error_relative", 1, True),
+    ("spill, of the object's pixels", "spill_to_object", 1, True),
 )
+"""Title, metric, digits, whether in percent."""
 
 
 def _tables(console: Console, lines: Sequence[Line], states: Sequence[str]) -> str:
     """Print the tables; return them for a document."""
-    tables = [(t, (*states,), quality_rows(lines, states, m, percent=p)) for t, m, p in _SHOWN]
+    tables: list[tuple[str, tuple[str, ...], Any]] = [
+        (title, (*states,), quality_rows(lines, states, metric, digits, percent=percent))
+        for title, metric, digits, percent in _SHOWN
+        if known(lines, metric)
+    ]
     tables.append(("cost", COSTS, cost_rows(lines)))
     text = ""
     for title, heads, rows in tables:
@@ -167,8 +178,9 @@ def _compare(
     outcomes = contest.run(entries, teller(console, len(entries) * len(states)))
     if ranks.rank > 0:
         return
-    about, names = _about(command, places, states, output), [state.name for state in states]
-    notes = [places.left_out] if places.left_out else []
+    about = {**_about(command, places, states, output), "made_by": made_by(device)}
+    names = [state.name for state in states]
+    notes = [*([places.left_out] if places.left_out else []), *missing_lpips(perceptual)]
     finish(console, output, outcomes, names, about=about, notes=notes)
 
 

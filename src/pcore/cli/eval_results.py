@@ -30,6 +30,7 @@ from pcore.evaluation.states import CANONICAL, SceneStates, State, open_states
 from pcore.evaluation.summary import Gain, StateMean, gains, state_means
 from pcore.evaluation.tables import SUMMARY_FILE, shown, summary_record, write_tables
 from pcore.files.atomic import write_atomically
+from pcore.files.provenance import made_by
 from pcore.files.run_record import relative
 from pcore.training.ranks import Ranks
 
@@ -84,10 +85,15 @@ def show_results(
                 say(console, gain_text(gain))
         console.print()
     _show_health(console, means)
+    for line in [*notes, *missing_lpips(perceptual)]:
+        say(console, f"note: {line}")
+
+
+def missing_lpips(perceptual: Perceptual | None) -> list[str]:
+    """Say why columns of LPIPS are empty; nothing where none is."""
     missing = ", ".join(perceptual.missing) if perceptual is not None else ""
     why = f"no LPIPS with {missing}: no weights; `pcore doctor --weights` says what goes where"
-    for line in [*notes, *([why] if missing else [])]:
-        say(console, f"note: {line}")
+    return [why] if missing else []
 
 
 def gain_text(gain: Gain) -> str:
@@ -204,7 +210,7 @@ def _evaluate(command: EvalCommand, device: str, ranks: Ranks, console: Console)
         odd.append("the runs send another number of rays per pixel each; give --samples for one")
     left_out = [places.left_out] if places.left_out else []
     notes = [*left_out, *odd, *mended_notes(rows, methods, states)]
-    about = _about(command, runs, places, output)
+    about = {**_about(command, runs, places, output), "made_by": made_by(device)}
     finish(console, output, rows, about=about, perceptual=perceptual, notes=notes)
 
 

@@ -12,6 +12,7 @@ from pcore.cli.console import say
 from pcore.cli.output import pictures_folder
 from pcore.data.points import read_point_file
 from pcore.evaluation.field_files import own_sources, write_cameras, write_field
+from pcore.evaluation.methods import apart
 from pcore.evaluation.states import SceneStates, State
 
 CAMERAS_FILE = "cameras.json"
@@ -39,7 +40,8 @@ def export_field(
     sources = {name: read_point_file(path) for name, path in given}
     if not sources:
         for asset in runs:
-            sources |= own_sources(folder / _REST, asset, places.scene)
+            name = apart(asset, runs).replace("/", "-")
+            sources |= own_sources(folder / _REST, name, asset, places.scene)
     notes: list[str] = []
     for name, source in sources.items():
         notes += write_field(folder, name, source, states)

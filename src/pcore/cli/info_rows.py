@@ -99,7 +99,7 @@ def _region(scene: Scene) -> str:
 Rows = list[tuple[str, str]]
 
 
-_SETTINGS = ("papr.", "config.", "skinning.")
+_SETTINGS = ("papr.", "config.", "skinning.", "made_by")
 
 
 """How names of settings begin."""

@@ -192,7 +192,8 @@ def _check(rest: Tensor, moved: Tensor) -> None:
     if torch.is_grad_enabled() and (rest.requires_grad or moved.requires_grad):
         raise EditError(
             "local maps: they are estimated from where points went, which has no gradient, and one "
-            "is asked for; detach the points, or move them by a differentiable deformation"
+            "is asked for; detach the points, give local maps, draw with plain rays, or move the "
+            "points by a differentiable deformation"
         )
     if rest.shape != moved.shape or rest.ndim != 2 or rest.shape[1] != 3:
         raise EditError(

@@ -5,6 +5,7 @@ A method that fails is a row that says why, and stops no other.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import statistics
 import time
@@ -198,18 +199,11 @@ class Contest:
         return replace(base, rows=tuple(rows), cost=cost, milliseconds=spent)
 
     def _path(self, entry: Entry, state: State) -> Path:
-        place = f"{_letters(entry.name)}-{entry.setting}-{entry.seed}"
+        # Letters for people; the rest tells names apart that differ in others, or in capitals.
+        letters = "".join(c if c.isalnum() or c in "+-" else "_" for c in entry.name)
+        apart = hashlib.sha256(entry.name.encode()).hexdigest()[:8]
+        place = f"{letters}-{apart}-{entry.setting}-{entry.seed}"
         return self.folder / ROWS / place / f"{folder_of(state.name)}.json"
-
-
-def file_key(name: str) -> str:
-    """The same for names of methods whose results would be the same files on some disks."""
-    return _letters(name).casefold()
-
-
-def _letters(name: str) -> str:
-    """A name in letters that may stand in names of files."""
-    return "".join(c if c.isalnum() or c in "+-" else "_" for c in name)
 
 
 class _Once:

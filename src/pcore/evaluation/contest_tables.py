@@ -5,27 +5,23 @@ from __future__ import annotations
 import statistics
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, get_args
 
 from pcore.evaluation.contest import Cost, Outcome, Setting
+from pcore.evaluation.health import HEALTH
 from pcore.evaluation.runner import Value, mean
 from pcore.evaluation.tables import csv_of, jsonable, shown
+from pcore.metrics.geometry_metrics import GeometryScores
+from pcore.metrics.trunks import TrunkName
 
 COMPARE_FILE = "compare.json"
 METRICS = (
-    "foreground_psnr",
-    "psnr",
-    "ssim",
-    "lpips_alex",
-    "lpips_squeeze",
-    "lpips_vgg",
-    "hole_rate",
-    "see_through_rate",
-    "depth_error_relative",
-    "spill_to_object",
-    "strain_99",
-    "unseen",
+    *("foreground_psnr", "psnr", "foreground_ssim", "ssim"),
+    *(f"lpips_{trunk}" for trunk in get_args(TrunkName)),
+    *(name for name in GeometryScores.__dataclass_fields__ if not name.endswith("_pixels")),
+    *HEALTH,
 )
+"""Of which there are means."""
 _IMAGE_KEYS = ("method", "setting", "seed", "state", "kind", "protocol", "view")
 _SETTINGS: dict[Setting, str] = {
     "given": "as given",
@@ -153,15 +149,25 @@ def images_csv(outcomes: Sequence[Outcome]) -> bytes:
 
 
 def quality_rows(
-    lines: Sequence[Line], states: Sequence[str], metric: str, *, percent: bool = False
+    lines: Sequence[Line],
+    states: Sequence[str],
+    metric: str,
+    digits: int = 2,
+    *,
+    percent: bool = False,
 ) -> list[tuple[tuple[str, str], tuple[str, ...]]]:
     """Keys (method, setting) and figures by state of one metric, for people."""
-    digits = 1 if percent else 2
     rows: list[tuple[tuple[str, str], tuple[str, ...]]] = []
     for line in lines:
         texts = [_text(line, state, metric, digits, percent) for state in states]
         rows.append(((line.name, line.title), tuple(texts)))
     return rows
+
+
+def known(lines: Sequence[Line], metric: str) -> bool:
+    """Whether any method has figures of a metric; also where all of them failed."""
+    values = [cells[metric].value for line in lines for cells in line.cells.values()]
+    return not values or any(value is not None for value in values)
 
 
 def cost_rows(lines: Sequence[Line]) -> list[tuple[tuple[str, str], tuple[str, ...]]]:

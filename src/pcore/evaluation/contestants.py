@@ -24,7 +24,7 @@ from pcore.evaluation.gaussian_method import (
     node_rule,
     turned_rule,
 )
-from pcore.evaluation.methods import label_of, methods_of, never_seen
+from pcore.evaluation.methods import apart, label_of, methods_of, never_seen
 from pcore.rivals.kept import Spent
 
 MethodName = Literal[
@@ -100,7 +100,7 @@ def given_entries(
         wanted: names of methods.
     """
     found: list[Entry] = []
-    for run, alike in zip(runs, _alike(runs), strict=True):
+    for run, alike in zip(runs, suffixes(runs), strict=True):
         asset = run.asset
         if isinstance(asset.content, GaussianContent):
             tuned = ", after P-CORE on Gaussians" * (asset.record.stage == "finetune")
@@ -237,7 +237,7 @@ def _point_entries(
     return entries
 
 
-def _alike(runs: Sequence[Given]) -> list[str]:
+def suffixes(runs: Sequence[Given]) -> list[str]:
     """What tells runs of one label apart: nothing if their seeds do, else their folders."""
     keys = [
         (type(run.asset.content).__name__, _flat(run.asset), label_of(run.asset)) for run in runs
@@ -248,17 +248,8 @@ def _alike(runs: Sequence[Given]) -> list[str]:
         seeds = {seed_of(other.asset) for other in same}
         settings = {_settings(other.asset) for other in same}
         told = len(same) == 1 or (len(seeds) == len(same) and len(settings) == 1)
-        others = [other.asset.path.resolve() for other in same if other is not run]
-        names.append("" if told else f" ({_apart(run.asset.path.resolve(), others)})")
+        names.append("" if told else f" ({apart(run.asset, [one.asset for one in same])})")
     return names
-
-
-def _apart(path: Path, others: Sequence[Path]) -> str:
-    """As many of a folder's last names as tell it from others."""
-    names = path.parts[1:]
-    ends = ("/".join(names[-count:]) for count in range(1, len(names) + 1))
-    free = (end for end in ends if not any(one.as_posix().endswith(f"/{end}") for one in others))
-    return next(free, path.as_posix())
 
 
 def _flat(asset: Asset) -> bool:

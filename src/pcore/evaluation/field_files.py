@@ -74,17 +74,17 @@ def _jacobians(state: State, rest: Tensor, moved: Tensor) -> tuple[Tensor | None
     return torch.linalg.inv(maps.to_rest.double()), None
 
 
-def own_sources(folder: Path, asset: Asset, scene: Scene) -> dict[str, PointFile]:
+def own_sources(folder: Path, name: str, asset: Asset, scene: Scene) -> dict[str, PointFile]:
     """Points of a run, and our own nodes, mesh and cage of it where it is made of Gaussians.
 
-    They are written at rest into the folder, so that other codes can be given them.
+    They are written at rest into the folder, so that other codes can be given them; names of the
+    files begin with that of the run.
 
     Raises:
         InputError: the object has no surface.
         DependencyError: scikit-image is not installed.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    name = asset.path.resolve().name
     made: dict[str, tuple[Tensor, Tensor | None]] = {f"{name}-points": (asset.points, None)}
     if isinstance(asset.content, GaussianContent):
         made[f"{name}-nodes"] = (node_rig(asset.content.gaussians).nodes.float(), None)

@@ -63,6 +63,16 @@ def label_of(asset: Asset) -> str:
     return _LABELS.get(asset.provenance.stage, UNTUNED)
 
 
+def apart(asset: Asset, among: Sequence[Asset]) -> str:
+    """As many of the last names of its folder as tell it from the folders of others."""
+    path = asset.path.resolve()
+    others = [one.path.resolve() for one in among if one is not asset]
+    names = path.parts[1:]
+    ends = ("/".join(names[-count:]) for count in range(1, len(names) + 1))
+    free = (end for end in ends if not any(one.as_posix().endswith(f"/{end}") for one in others))
+    return next(free, path.as_posix())
+
+
 def never_seen(points: Tensor, scene: Scene) -> Tensor:
     """(N,) bool, which canonical points (N, 3) no training view saw.
 
@@ -112,7 +122,8 @@ def methods_of(
             asset.pose(light="still")  # Says what is missing before any work is done.
         lit = wanted and asset.light is not None
         ways = _WAYS if lit else _WAYS[:2]
-        alike = f" ({asset.path.resolve().name})" if labels.count(label) > 1 else ""
+        same = [one for one, other in zip(subjects, labels, strict=True) if other == label]
+        alike = f" ({apart(asset, same)})" if len(same) > 1 else ""
         found += [
             AssetMethod(
                 name=_name(label, way, lamp) + alike,

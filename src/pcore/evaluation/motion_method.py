@@ -16,7 +16,7 @@ from pcore.capture.load import load_state
 from pcore.data.scene import View
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.contest import Contestant, Cost, Entry
-from pcore.evaluation.contestants import Given, cost_of, seed_of, spent_on
+from pcore.evaluation.contestants import Given, cost_of, seed_of, spent_on, suffixes
 from pcore.evaluation.health import Health, health_of
 from pcore.evaluation.picture_method import folder_of
 from pcore.evaluation.runner import Tells
@@ -94,7 +94,7 @@ def motion_entries(
 ) -> list[Entry]:
     """Both stages for every run of points that was not fine-tuned."""
     entries: list[Entry] = []
-    for run in runs:
+    for run, suffix in zip(runs, suffixes(runs), strict=True):
         asset = run.asset
         if asset.record.stage != "pretrain" or not isinstance(asset.content, NeuralPoints):
             continue
@@ -112,11 +112,12 @@ def motion_entries(
             return kept_cost(path.with_suffix(".json"), make)
 
         for number, title in STAGES.items():
-            method = MotionMethod(name=title, asset=asset, stage=number, learn=learn)
+            named = title + suffix
+            method = MotionMethod(name=named, asset=asset, stage=number, learn=learn)
             contestant = Contestant(method=method, cost_in=method.cost)
             entries.append(
                 Entry(
-                    name=title,
+                    name=named,
                     setting="given",
                     seed=seed_of(asset),
                     stamp=[run.stamp, config.steps],

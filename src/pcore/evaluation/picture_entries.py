@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pcore.errors import InputError
-from pcore.evaluation.contest import Contestant, Entry, file_key
+from pcore.evaluation.contest import Contestant, Entry
 from pcore.evaluation.picture_method import open_pictures
 
 
@@ -15,20 +15,20 @@ def picture_entries(folders: Sequence[tuple[str, Path]], beside: Sequence[Entry]
 
     Args:
         folders: names and places.
-        beside: the other methods, whose rows and files theirs must not be.
+        beside: the other methods, whose rows theirs must not be.
 
     Raises:
-        InputError: a name, but for its capitals and punctuation, is another method's.
+        InputError: a name, but for its capitals, is another method's.
     """
-    taken = {file_key(one.name): one.name for one in beside}
+    taken = {one.name.casefold(): one.name for one in beside}
     for name, folder in folders:
-        other = taken.get(file_key(name))
+        other = taken.get(name.casefold())
         if other is not None:
             raise InputError(
                 f"--pictures {name}={folder}: expected a name that no other method has, also "
-                f"without capitals and punctuation, got that of {other!r}; choose another name"
+                f"without capitals, got that of {other!r}; choose another name"
             )
-        taken[file_key(name)] = name
+        taken[name.casefold()] = name
     return [
         Entry(
             name=name,

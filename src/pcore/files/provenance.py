@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import platform
+import subprocess
 from dataclasses import dataclass
-from typing import Literal
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
 
+import torch
 from torch import Tensor
 
 import pcore
@@ -19,6 +24,35 @@ Vector = tuple[float, float, float]
 def pcore_version() -> str:
     """Return the version of the installed package."""
     return pcore.__version__
+
+
+def made_by(device: str) -> dict[str, Any]:
+    """What computes, for records, as JSON values: results depend on it in their last bits."""
+    where = torch.device(device)
+    return {
+        "pcore": pcore_version(),
+        "commit": _commit(),
+        "python": platform.python_version(),
+        "torch": str(torch.__version__),
+        "device": torch.cuda.get_device_name(where) if where.type == "cuda" else device,
+        "threads": torch.get_num_threads(),
+    }
+
+
+@cache
+def _commit() -> str | None:
+    """Of the source tree that runs, `-dirty` where files were changed; None of a package."""
+    root = Path(pcore.__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    words = ("--no-optional-locks", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*")
+    try:
+        said = subprocess.run(
+            ["git", *words], cwd=root, capture_output=True, text=True, check=False, timeout=10
+        )
+    except (OSError, subprocess.TimeoutExpired):  # No git here, or a disk that does not answer.
+        return None
+    return said.stdout.strip() or None
 
 
 @dataclass(frozen=True, kw_only=True)

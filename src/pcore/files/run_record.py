@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -48,6 +48,14 @@ class RunRecord:
         return cls(
             path=path, **{key: manifest[key] for key in ("stage", "scene", "config", "notes")}
         )
+
+    def without_folder(self) -> RunRecord:
+        """Return the same of an object in memory: no place counts from its run's folder."""
+        places = {"base": self.base, "masks": self.masks}
+        known = {name: str(place.resolve()) for name, place in places.items() if place is not None}
+        folder = self.scene_folder
+        scene = self.scene if folder is None else str(folder.resolve())
+        return replace(self, path=None, scene=scene, config={**self.config, **known})
 
     @property
     def factor(self) -> int:

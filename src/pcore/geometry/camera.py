@@ -226,8 +226,8 @@ class Camera:
                 directions=torch.stack([one.directions for one in each]),
             )
         pose = self.world_from_camera
-        last_column = left + width if width else self.width
-        last_row = top + height if height else self.height
+        last_column = self.width if width is None else left + width
+        last_row = self.height if height is None else top + height
         columns = torch.arange(left, last_column, dtype=pose.dtype, device=pose.device)
         rows = torch.arange(top, last_row, dtype=pose.dtype, device=pose.device)
         row, column = torch.meshgrid(rows, columns, indexing="ij")

@@ -10,6 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.model.hits import Hits
 
@@ -41,8 +42,12 @@ class Image:
 
     @property
     def ray_hits(self) -> Hits:
-        """What each ray hits; only of images of `render_rays`."""
-        assert self.hits is not None, "images of cameras do not keep what their rays hit"
+        """What each ray hits; InputError of images that do not keep it."""
+        if self.hits is None:
+            raise InputError(
+                "image: expected what its rays hit, which only `asset.trace` of neural points "
+                "keeps, got a picture without; trace rays instead of rendering cameras"
+            )
         return self.hits
 
     @property

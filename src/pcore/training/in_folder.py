@@ -15,7 +15,7 @@ import torch
 from pcore.errors import DependencyError, PcoreError
 from pcore.files.lock import LOCK_FILE
 from pcore.files.manifest import MANIFEST_FILE, new_manifest, same_run
-from pcore.files.provenance import Stage
+from pcore.files.provenance import Stage, made_by
 from pcore.files.run_folder import RunFolder
 from pcore.files.run_place import bytes_needed, saved_nothing
 from pcore.files.run_record import SPENT, finished, relative
@@ -39,6 +39,7 @@ class FolderPlan:
         stage: what runs.
         scene: folder of the scene, recorded as seen from the run; or its name.
         config: all that decides the result, as JSON values.
+        device: what computes, for the record.
         resume: go on with the run that is there.
         tensorboard: write TensorBoard's files too, where its package is installed.
         needed: bytes that will be written.
@@ -49,6 +50,7 @@ class FolderPlan:
     stage: Stage
     scene: Path | str
     config: Mapping[str, Any]
+    device: str = "cpu"
     resume: bool = False
     tensorboard: bool = False
     needed: int = 0
@@ -105,6 +107,8 @@ def _train(
     resumed = None if step is None else (plan.stage, step)
     if plan.resume:
         plan.note("begins anew" if step is None else f"goes on from step {step:,}")
+    began = {"step": step or 0, **made_by(plan.device)}
+    run.update(made_by=[*(run.notes.get("made_by") or []), began])
     with ExitStack() as stack:
         stack.enter_context(_spending(run, 0.0 if step is None else run.notes.get(SPENT)))
         listeners: list[Listener] = [stack.enter_context(JsonLinesLog(run.log, resumed=resumed))]
