@@ -10,11 +10,11 @@ from torch import Tensor
 
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.neural_points import NeuralPoints
+from pcore.asset.standing import Standing, standing_of
 from pcore.editing.diagnosis import CALM, painted
 from pcore.editing.handles import handle_colors, handles_in
 from pcore.editing.live import LiveDiagnosis
 from pcore.editing.state import EditState
-from pcore.errors import PcoreError
 from pcore.gaussians.splats import Splats
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
@@ -26,7 +26,7 @@ CHOSEN = torch.tensor([214, 0, 160], dtype=torch.uint8)
 _FROZEN = torch.tensor([40, 110, 200], dtype=torch.uint8)
 _EXPOSED = torch.tensor([250, 190, 5], dtype=torch.uint8)
 _CAMERAS = 20
-"""Training views that say what was never seen; each takes milliseconds."""
+"""Training views that say what was never seen."""
 _SHADE = 40
 """Steps of a colour that differ from calm."""
 
@@ -42,15 +42,21 @@ class Dots:
 class Drawer:
     """Draws one object; keeps what does not change from one state to the next."""
 
-    def __init__(self, asset: Asset) -> None:
-        """Prepare its splats, which of neural points takes pictures from all sides."""
+    def __init__(self, asset: Asset, standing: Standing | None = None) -> None:
+        """Prepare its splats, which of neural points takes pictures from all sides.
+
+        Args:
+            asset: the object.
+            standing: its own, where that is known already.
+        """
+        cameras = (standing or standing_of(asset)).cameras
         self.asset = asset
         _ = asset.splats_at_rest
         self._baked: tuple[EditState, Posed] | None = None
         self._posed: tuple[EditState, bool, Posed] | None = None
         self._gains: Tensor | None = None
         self._still: Posed | None = None
-        self._live = LiveDiagnosis(rest=asset.points, cameras=_training_cameras(asset))
+        self._live = LiveDiagnosis(rest=asset.points, cameras=_some(cameras))
         self._exposed: Tensor | None = None
 
     @property
@@ -168,10 +174,6 @@ class Drawer:
         return self._exposed
 
 
-def _training_cameras(asset: Asset) -> tuple[Camera, ...]:
-    """A few cameras of the scene that it was trained on; none where that is not here."""
-    try:
-        views = asset.scene().split("train")
-    except PcoreError:
-        return ()
-    return tuple(view.camera for view in views[:: max(1, len(views) // _CAMERAS)])
+def _some(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
+    """A few of the cameras of the photos; each takes milliseconds."""
+    return cameras[:: max(1, len(cameras) // _CAMERAS)]

@@ -160,6 +160,6 @@ def _lock(editor: Editor) -> list[tuple[Tensor, tuple[int, int, int]]]:
     if editor.shown.lock == "off" or number is None or number >= len(handles):
         return []
     axis = AXES.index(editor.shown.lock)
-    way = _LOCKED * size_of(editor.asset.points) * axis_vector(editor.shown.lock)
+    way = _LOCKED * editor.size * axis_vector(editor.shown.lock)
     place = triple(handles[number].place)
     return [(torch.stack([place - way, place + way]).unsqueeze(0), AXIS_COLORS[axis])]
