@@ -13,6 +13,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
+from lying_world import in_lying_world
 from objects import demo
 
 from pcore.cli.main import main
@@ -23,6 +24,7 @@ from pcore.studio.editor import Editor
 from pcore.studio.guard import Guard
 from pcore.studio.handle_pose import HandlePose
 from pcore.studio.outputs import Outputs
+from pcore.studio.page_frame import SIZE
 from pcore.studio.pauses import Pause
 from pcore.studio.status_line import StatusLine
 
@@ -403,3 +405,29 @@ def test_the_tour_follows_what_is_done() -> None:
     editor.set(1, "angle_deg", 20.0)
     assert step() == "**4 of 4"
     assert step(saved=True) == "That was"
+
+
+def test_a_capture_stands_as_it_was_photographed_and_fills_the_page(
+    tmp_path: Path, free_port: int
+) -> None:
+    """Its world lies on its side, and a few Gaussians of the room are far away."""
+    asset = in_lying_world(tmp_path / "toy")
+    outputs = Outputs(folder=tmp_path / "studio", edit=tmp_path / "studio" / "e.json", run=tmp_path)
+    with closing(Studio(asset, Guard(port=free_port), outputs, title="toy")) as page:
+        camera = page.server.initial_camera
+        assert camera.up is not None
+        assert camera.up[1] < -0.95
+        assert camera.position @ camera.up > 0
+        on_page = page.frame.to_page(asset.points[:20].numpy())
+        assert float(abs(on_page).max()) == pytest.approx(SIZE / 2, rel=0.5)
+        page.editor.place_handle(0)
+        reach = page.editor.raw(0)["reach"]
+        assert reach == pytest.approx(0.25 * page.editor.size)
+        assert reach < 0.1
+        page.editor.add("twist")
+        twist = page.editor.raw(1)
+        assert twist["region"]["shape"] == "box"
+        assert max(map(abs, twist["origin"])) < 0.25
+        page.editor.set(1, "angle_deg", 40.0)
+        assert torch.equal(page.editor.state.points[20:], asset.points[20:])
+        assert not torch.equal(page.editor.state.points[:20], asset.points[:20])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -117,7 +118,8 @@ def show_result(console: Console, asset: Asset) -> None:
     console.print(Text(f"{path}{quality}"), soft_wrap=True)
     # Measured: with aware rays and a light, fine-tuning costs more than it brings
     # (docs/research/quality.md), so that it is no step on the way.
-    console.print(Text(f"next: pcore render {path} --edit edit.json"), soft_wrap=True)
+    edit, look = (shlex.join(["pcore", verb, str(path)]) for verb in ("studio", "render"))
+    console.print(Text(f"next: {edit} to edit it by hand, {look} for an orbit"), soft_wrap=True)
     if asset.record.stage == "pretrain" and asset.record.config.get("model") != "gaussians":
         text = f"the paper's method, for plain rays: pcore finetune {path}"
         console.print(Text(text), soft_wrap=True)

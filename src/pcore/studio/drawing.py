@@ -21,7 +21,6 @@ from pcore.render.image import Image
 from pcore.render.picture import RenderCancelledError
 from pcore.render.progressive import render_progressively
 
-FOLDED = torch.tensor([220, 30, 30], dtype=torch.uint8)
 CHOSEN = torch.tensor([214, 0, 160], dtype=torch.uint8)
 _FROZEN = torch.tensor([40, 110, 200], dtype=torch.uint8)
 _EXPOSED = torch.tensor([250, 190, 5], dtype=torch.uint8)
@@ -33,10 +32,11 @@ _SHADE = 40
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dots:
-    """Coloured points (N, 3), world units, colours (N, 3) uint8."""
+    """Coloured points (N, 3), world units, colours (N, 3) uint8, and where space folds (F, 3)."""
 
     points: Tensor
     colors: Tensor
+    folds: Tensor
 
 
 class Drawer:
@@ -142,7 +142,7 @@ class Drawer:
     def dots(
         self, state: EditState, overlay: str, chosen: frozenset[int], *, moving: bool = False
     ) -> Dots:
-        """What is marked: selected points, folds, what an overlay does not find calm.
+        """What is marked: folds, selected points, what an overlay does not find calm.
 
         Args:
             state: the object.
@@ -158,14 +158,15 @@ class Drawer:
             found = handles_in(state.bound, state.script)
             colors = handle_colors(found.values(), len(colors))
         away = (colors.int() - painted(CALM).int()).abs().amax(dim=1) > _SHADE
-        marks = [(torch.tensor(sorted(chosen)).long(), CHOSEN), (state.folds, FOLDED)]
+        marks = [(torch.tensor(sorted(chosen)).long(), CHOSEN)]
         if overlay == "exposed" and self._live.cameras:
             marks.insert(0, (self._came_to_light(state, moving), _EXPOSED))
         if overlay == "frozen":
             marks.insert(0, (state.frozen.nonzero().flatten(), _FROZEN))
         for numbers, paint in marks:
             away[numbers], colors[numbers] = True, paint
-        return Dots(points=state.points.detach().cpu().float()[away], colors=colors[away])
+        points = state.points.detach().cpu().float()
+        return Dots(points=points[away], colors=colors[away], folds=points[state.folds])
 
     def _came_to_light(self, state: EditState, moving: bool) -> Tensor:
         """Numbers of the exposed points; while things move, those of the last time at rest."""
