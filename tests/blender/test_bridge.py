@@ -77,6 +77,11 @@ def test_anchors_go_where_the_empties_are_at_every_frame(bundle: Path):
     assert 2 < len(keys) < 21
 
 
+def test_what_was_up_for_the_photographer_is_up(bundle: Path):
+    seen = json.loads((bundle / "seen.json").read_text())
+    assert seen["up"] == pytest.approx([0, 0, 1], abs=1e-6)
+
+
 @pytest.mark.parametrize(("mode", "role"), [("cage", "cage"), ("mesh", "proxy")])
 def test_meshes_take_the_points_along(bundle: Path, mode: str, role: str):
     size = json.loads((bundle / "bundle.json").read_text())["size"]

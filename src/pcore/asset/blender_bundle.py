@@ -70,7 +70,8 @@ def save_bundle(
         DependencyError: scikit-image is not installed.
     """
     points = asset.points.float()
-    body = points[standing_of(asset).body(points)]
+    standing = standing_of(asset)
+    body = points[standing.body(points)]
     cage = cage_around(body)
     painted = painted_points(asset, lookers, progress=progress)
     proxy = mesh_of(asset, lookers, Meshing(resolution=resolution), progress=progress).mesh
@@ -83,7 +84,11 @@ def save_bundle(
     anchors = body[farthest_points(body, min(ANCHORS, len(body)))]
     save_json(folder / ANCHORS_FILE, {"near": anchors.tolist()}, "bundle")
     save_transforms(folder / CAMERAS_FILE, views)
-    save_json(folder / BUNDLE_FILE, _about(folder, asset, points, size_of(body), fps), "bundle")
+    about = _about(folder, asset, points, fps) | {
+        "size": size_of(body),
+        "axes": standing.axes.tolist(),
+    }
+    save_json(folder / BUNDLE_FILE, about, "bundle")
 
 
 def cage_around(points: Tensor) -> Cage:
@@ -152,9 +157,7 @@ def _outer_shells(vertices: Any, faces: Any) -> tuple[Tensor, Tensor]:
     return rounded, torch.from_numpy(numbers.reshape(-1, 3))
 
 
-def _about(
-    folder: Path, asset: Asset, points: Tensor, size: float, fps: int
-) -> dict[str, Any]:
+def _about(folder: Path, asset: Asset, points: Tensor, fps: int) -> dict[str, Any]:
     run = asset.record.path
     return {
         "version": VERSION,
@@ -162,7 +165,6 @@ def _about(
         "run_folder": None if run is None else relative(run, folder),
         "points_hash": fingerprint(points),
         "point_count": len(points),
-        "size": size,
         "scale": 1.0,
         "fps": fps,
         "files": {
