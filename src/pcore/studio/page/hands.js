@@ -36,6 +36,13 @@ if (!window.pcoreHands) {
   document.body.addEventListener("keydown", (event) => {
     if (OWN.includes(event.key) && event.target.closest(WIDGETS)) event.stopPropagation();
   });
+  // Escape closes a window over the page by its last button, which changes nothing.
+  window.addEventListener("keydown", (event) => {
+    const shown = document.querySelectorAll(".mantine-Modal-content button");
+    if (event.key !== "Escape" || !shown.length) return;
+    event.stopPropagation();
+    shown[shown.length - 1].click();
+  }, true);
   // These two step through time; viser, which listens above, would turn its camera.
   document.documentElement.addEventListener("keydown", (event) => {
     if (event.key === "ArrowLeft" || event.key === "ArrowRight") event.stopPropagation();
