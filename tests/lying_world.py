@@ -16,22 +16,22 @@ LYING = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
 def in_lying_world(folder: Path) -> Asset:
-    """An object in photos of a world that lies, with 20 Gaussians of it and 5 of the room."""
+    """An object in photos of a world that lies, with 200 Gaussians of it and 5 of the room."""
     photos = shots()
     for shot in photos:
         shot.matrix = np.linalg.inv(LYING) @ shot.matrix
     write_photos(folder / "images", [shot.name for shot in photos])
     write_transforms(folder, photos)
     random = torch.Generator().manual_seed(0)
-    near = 0.2 * torch.rand(20, 3, generator=random)
+    near = 0.2 * torch.rand(200, 3, generator=random)
     far = 50 + torch.rand(5, 3, generator=random)
     means = torch.cat([near, far])
     gaussians = Gaussians(
         means=means,
-        quats=torch.tensor([[1.0, 0, 0, 0]]).repeat(25, 1),
-        scales=torch.full((25, 3), 0.02),
-        opacities=torch.full((25,), 0.9),
-        sh=torch.zeros(25, 1, 3),
+        quats=torch.tensor([[1.0, 0, 0, 0]]).repeat(205, 1),
+        scales=torch.full((205, 3), 0.02),
+        opacities=torch.full((205,), 0.9),
+        sh=torch.zeros(205, 1, 3),
     )
     asset = asset_of_gaussians(gaussians)
     return replace(asset, record=replace(asset.record, scene=str(folder)))

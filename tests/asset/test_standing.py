@@ -15,7 +15,7 @@ def test_up_is_that_of_the_photographer(tmp_path: Path) -> None:
     assert float(standing.axes[:, 2] @ torch.tensor([0.0, -1.0, 0.0])) > 0.95
     assert torch.allclose(standing.axes.T @ standing.axes, torch.eye(3), atol=1e-5)
     assert len(standing.cameras) == 8
-    assert standing.body(asset.points).tolist() == [True] * 20 + [False] * 5
+    assert standing.body(asset.points).tolist() == [True] * 200 + [False] * 5
 
 
 def test_without_photos_z_is_up_and_all_is_the_object(tmp_path: Path) -> None:

@@ -418,7 +418,7 @@ def test_a_capture_stands_as_it_was_photographed_and_fills_the_page(
         assert camera.up is not None
         assert camera.up[1] < -0.95
         assert camera.position @ camera.up > 0
-        on_page = page.frame.to_page(asset.points[:20].numpy())
+        on_page = page.frame.to_page(asset.points[:200].numpy())
         assert float(abs(on_page).max()) == pytest.approx(SIZE / 2, rel=0.5)
         page.editor.place_handle(0)
         reach = page.editor.raw(0)["reach"]
@@ -429,5 +429,5 @@ def test_a_capture_stands_as_it_was_photographed_and_fills_the_page(
         assert twist["region"]["shape"] == "box"
         assert max(map(abs, twist["origin"])) < 0.25
         page.editor.set(1, "angle_deg", 40.0)
-        assert torch.equal(page.editor.state.points[20:], asset.points[20:])
-        assert not torch.equal(page.editor.state.points[:20], asset.points[:20])
+        assert torch.equal(page.editor.state.points[200:], asset.points[200:])
+        assert not torch.equal(page.editor.state.points[:200], asset.points[:200])

@@ -51,6 +51,6 @@ def test_an_object_before_a_background_is_seen_upright_and_from_near(tmp_path: P
     assert found is not None
     head = json.loads(found.group(1))
     assert head["axes"][2][1] < -0.95
-    assert head["count"] == 25
+    assert head["count"] == 205
     assert max(map(abs, head["center"])) < 0.25
     assert head["distance"] < 1
