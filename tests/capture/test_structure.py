@@ -378,4 +378,8 @@ def test_portraits_are_handed_to_colmap_upright(
         **{"wide0.jpg": [24, 16], "wide1.jpg": [24, 16]},
     }
     assert min(corner) > 200
-    assert sorted(cameras) == [["square.jpg"], ["tall0.jpg", "tall1.jpg"], ["wide0.jpg", "wide1.jpg"]]
+    assert sorted(cameras) == [
+        ["square.jpg"],
+        ["tall0.jpg", "tall1.jpg"],
+        ["wide0.jpg", "wide1.jpg"],
+    ]

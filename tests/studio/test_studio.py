@@ -13,9 +13,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
-from lying_world import in_lying_world
 from objects import demo
 
+from lying_world import in_lying_world
 from pcore.cli.main import main
 from pcore.data.pictures import write_png
 from pcore.errors import EditError

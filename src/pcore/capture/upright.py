@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 DISTANCE = 4.0
-"""Median distance of the cameras from the object, as in rendered scenes: it is about 1 in radius."""
+"""Median distance of the cameras from the object, as in rendered scenes."""
 _AROUND = 0.05
 """Share of the cameras' right axes in their second direction, from which on they span a plane."""
 
@@ -45,7 +45,8 @@ def upright(world_from_camera: Floats) -> Similarity:
     across = np.eye(3) - back[:, :, None] * back[:, None]
     middle = places.mean(axis=0)
     wanted = (across @ (places - middle)[:, :, None])[..., 0].sum(axis=0)
-    center = middle + np.linalg.pinv(across.sum(axis=0), rcond=1e-6) @ wanted
+    inverse: Floats = np.linalg.pinv(across.sum(axis=0), rcond=1e-6).real
+    center = middle + inverse @ wanted
     ahead = -back[0] + (back[0] @ up) * up
     if np.linalg.norm(ahead) < 1e-3:  # It looks straight down: its upper edge is ahead.
         ahead = top[0] - (top[0] @ up) * up

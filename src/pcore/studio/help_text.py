@@ -21,8 +21,8 @@ HELP = """
 | | Shift-Left, Shift-Right: from key to key |
 | **View** | C before, P points, O overlay, M mirror, T dark, K this help |
 
-Grey balls hold their place. Red diamonds: space folds there; let go, and the handle returns to the last
-good place.
+Grey balls hold their place. Red diamonds: space folds there; let go, and the handle returns to the
+last good place.
 """
 
 TOUR = (

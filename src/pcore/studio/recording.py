@@ -70,7 +70,8 @@ def record(asset: Asset, frames: Sequence[Posed]) -> Recording:
         frames: from `asset.pose`, evenly in time.
     """
     rest, content = asset.splats_at_rest, asset.content
-    gaussians, standing = isinstance(content, GaussianContent), standing_of(asset)
+    gaussians = isinstance(content, GaussianContent)
+    standing = standing_of(asset)
     return Recording(
         moments=tuple(_moment(asset, posed) for posed in frames),
         opacities=rest.gaussians.opacities,
