@@ -45,13 +45,13 @@ def upright(world_from_camera: Floats) -> Similarity:
     across = np.eye(3) - back[:, :, None] * back[:, None]
     middle = places.mean(axis=0)
     wanted = (across @ (places - middle)[:, :, None])[..., 0].sum(axis=0)
-    inverse: Floats = np.linalg.pinv(across.sum(axis=0), rcond=1e-6).real
+    inverse: Floats = np.linalg.pinv(across.sum(axis=0), rcond=1e-6)
     center = middle + inverse @ wanted
     ahead = -back[0] + (back[0] @ up) * up
     if np.linalg.norm(ahead) < 1e-3:  # It looks straight down: its upper edge is ahead.
         ahead = top[0] - (top[0] @ up) * up
     ahead = ahead / np.linalg.norm(ahead)
-    rotation = np.stack([np.cross(ahead, up), ahead, up])
+    rotation = np.array([np.cross(ahead, up), ahead, up], dtype=np.float64)
     away = float(np.median(np.linalg.norm(places - center, axis=1)))
     scale = DISTANCE / away if away > 0 else 1.0
     return Similarity(scale, rotation, -scale * rotation @ center)
