@@ -1,5 +1,6 @@
 """What a tab is sent, by a client that only notes it."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -26,6 +27,11 @@ def test_marks_stand_before_points_as_large() -> None:
     viewport.show_dots(points, torch.zeros(50, 3, dtype=torch.uint8), points[:3])
     nearer = viewport._points.points - viewport._dots.points
     assert nearer[:, 1] == pytest.approx(viewport._points.point_size, rel=0.1)
+    # Walls of a room are huge on the page of a small object: half precision has no number for them.
+    room = replace(splats, covariances=np.full((50, 3, 3), 1e6, np.float32))
+    viewport.show_splats(room)
+    given = client.scene.add_gaussian_splats.call_args.kwargs["covariances"]
+    assert np.isfinite(given.astype(np.float16)).all()
     # Where space folds has another shape and size than what is merely marked.
     dots, folds = viewport._dots, viewport._folds
     assert folds.point_shape != dots.point_shape

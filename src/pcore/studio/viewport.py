@@ -124,7 +124,7 @@ class Viewport:
             self._splats = self.client.scene.add_gaussian_splats(
                 "/object",
                 centers=self._frame.to_page(splats.centers),
-                covariances=splats.covariances * self._frame.scale**2,
+                covariances=self._frame.shapes(splats),
                 rgbs=splats.rgb,
                 opacities=splats.opacities[:, None],
             )
