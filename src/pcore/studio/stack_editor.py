@@ -17,7 +17,7 @@ from pcore.editing.state import EditState
 from pcore.editing.tracks import put_at, set_value
 from pcore.editing.widening import widened
 from pcore.errors import EditError, PcoreError
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.geometry.surfels import spacing_of
 from pcore.studio.edit_forms import new_edit
 from pcore.studio.edit_handles import ONE, handles_or_error
