@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from .bundle import BridgeError, Bundle, Mesh, open_bundle
 
@@ -23,6 +24,10 @@ def add_bundle(context: bpy.types.Context, bundle: Bundle) -> bpy.types.Object:
     root = _add(collection, None, f"pcore {name}", ROOT)
     root[FOLDER] = str(bundle.folder.resolve())
     root.scale = [float(bundle.about.get("scale", 1.0))] * 3
+    # Captures may lie in their world: what was up for the photographer is up here.
+    axes = Matrix(bundle.about.get("axes") or np.eye(3).tolist())
+    root.rotation_mode = "QUATERNION"
+    root.rotation_quaternion = axes.transposed().to_quaternion()
     root.empty_display_size = 0.1 * bundle.about["size"]
     _add_mesh(collection, root, "points", POINTS, bundle.mesh("points"))
     proxy = _add_mesh(collection, root, "proxy", PROXY, bundle.mesh("proxy"))

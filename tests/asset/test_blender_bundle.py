@@ -36,6 +36,7 @@ def test_a_bundle_holds_the_object_as_it_is(tmp_path: Path, monkeypatch: pytest.
     cloud = trimesh.load(bundle / "points.ply", process=False)
     digest = hashlib.sha256(np.asarray(cloud.vertices).astype("<f4").tobytes()).hexdigest()
     assert (about["points_hash"], about["fps"]) == (digest[:16], 30)
+    assert about["axes"] == np.eye(3).tolist()
     assert (bundle / about["run_folder"]).resolve() == (tmp_path / "ball").resolve()
     cage = trimesh.load(bundle / "cage.ply", process=False)
     assert cage.is_watertight

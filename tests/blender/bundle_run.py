@@ -1,5 +1,6 @@
 """A run of a ball of Gaussians, and its bundle for Blender."""
 
+import json
 from pathlib import Path
 
 from gaussian_ball import ball_run
@@ -20,4 +21,8 @@ def ball_bundle(root: Path) -> Path:
         save_bundle(folder, asset, cameras, resolution=32)
     finally:
         meshing._VIEWS = views
+    # As of a capture whose world lies: its -y was up.
+    path = folder / "bundle.json"
+    about = json.loads(path.read_text()) | {"axes": [[1, 0, 0], [0, 0, -1], [0, 1, 0]]}
+    path.write_text(json.dumps(about))
     return folder

@@ -58,6 +58,8 @@ def anchors() -> None:
     two["pcore_pin"] = True
     bpy.ops.pcore.export_edit(mode="anchors", name="drag.json")
     SEEN["anchors"] = []
+    root = next(item for item in bpy.data.objects if item.get("pcore_role") == "root")
+    SEEN["up"] = [*(root.matrix_world.to_3x3() @ Vector((0.0, -1.0, 0.0))).normalized()]
     for frame in range(1, 22):
         bpy.context.scene.frame_set(frame)
         SEEN["anchors"].append([*one.matrix_local.translation])

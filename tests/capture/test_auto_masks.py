@@ -91,3 +91,20 @@ def test_photos_without_known_background_are_refused() -> None:
     shot, _ = photos(4)
     with pytest.raises(InputError, match=r"fills 4 of 4 photos.*--box"):
         find_masks(shot, Region(center=torch.zeros(3), radius=2.9))
+
+
+def test_a_table_is_not_taken_for_what_stands_on_it() -> None:
+    """Points of a patterned table are as dense as those of the object, and one thing with it."""
+    shot, truth = photos(12)
+    brown = torch.tensor([0.45, 0.3, 0.2])
+    for number, (one, mask) in enumerate(zip(shot, truth, strict=True)):
+        rays = one.camera.rays()
+        down = (-0.7 - rays.origins[..., 2]) / rays.directions[..., 2]
+        there = rays.origins + down.unsqueeze(-1) * rays.directions
+        table = (down > 0) & (there[..., :2].abs() < 2.4).all(dim=-1) & (mask < 0.5)
+        rgb = torch.where(table.unsqueeze(-1), brown, one.rgb)
+        shot[number] = replace(one, rgb=rgb)
+    region = region_of_box(torch.tensor([-2.4, -2.4, -0.75]), torch.tensor([2.4, 2.4, 0.3]))
+    with pytest.raises(InputError, match=r"along the border of 12 of 12 photos.*--masks trained"):
+        find_masks(shot, region)
+    find_masks(shot, BOX)

@@ -345,3 +345,41 @@ def test_links_that_lead_out_are_not_handed_to_colmap(
         (photos / link).symlink_to(tmp_path / "secret.jpg")
     with pytest.raises(SceneError, match="leads out of the scene's folder"):
         load_scene(photos)
+
+
+def test_portraits_are_handed_to_colmap_upright(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Phones store them lying down, with a tag: their cameras would lie down as well."""
+    asked = tmp_path / "asked.json"
+    look = (
+        "import json, sys\nfrom pathlib import Path\nfrom PIL import Image\n"
+        "wish = json.loads(sys.argv[1])\n"
+        "sizes = {one.name: Image.open(one).size for one in Path(wish['images']).iterdir()}\n"
+        "corner = Image.open(Path(wish['images']) / 'tall0.jpg').getpixel((2, 2))\n"
+        f"Path({str(asked)!r}).write_text(json.dumps([wish['cameras'], sizes, corner]))\n"
+    )
+    child(monkeypatch, look)
+    folder = tmp_path / "walk"
+    folder.mkdir()
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    stored = Image.new("RGB", (24, 16))
+    stored.paste((255, 255, 255), (0, 8, 8, 16))  # Below on the left, above on the left upright.
+    for index in range(2):
+        stored.save(folder / f"tall{index}.jpg", exif=exif, quality=100)
+        stored.save(folder / f"wide{index}.jpg")
+    Image.new("RGB", (16, 16)).save(folder / "square.jpg", exif=exif)
+    with pytest.raises(SceneError, match="no common structure in 5 photos"):
+        load_scene(folder)
+    cameras, sizes, corner = json.loads(asked.read_text())
+    assert sizes == {
+        **{"tall0.jpg": [16, 24], "tall1.jpg": [16, 24], "square.jpg": [16, 16]},
+        **{"wide0.jpg": [24, 16], "wide1.jpg": [24, 16]},
+    }
+    assert min(corner) > 200
+    assert sorted(cameras) == [
+        ["square.jpg"],
+        ["tall0.jpg", "tall1.jpg"],
+        ["wide0.jpg", "wide1.jpg"],
+    ]

@@ -39,7 +39,7 @@ def test_the_result_lies_beside_the_run_which_stays_as_it_is(
     said = capsys.readouterr().out
     out = base.parent / "run-pcore"
     assert "ball: 12 training views of 8 x 8 pixels; tiny, 2 steps on cpu" in said
-    assert f"next: pcore render {out} --edit edit.json" in said
+    assert f"next: pcore studio {out} to edit it by hand" in said
     made = RunFolder.open(out)
     assert (made.stage, made.scene) == ("finetune", "../ball")
     assert (made.config["base"], made.config["factor"]) == ("../run", 2)

@@ -54,7 +54,7 @@ def test_training_makes_a_run(
     said = capsys.readouterr().out
     assert "ball: 12 training views of 8 x 8 pixels; tiny, 3 steps on cpu" in said
     assert "pretrain 3/3" in said
-    assert f"next: pcore render {run} --edit edit.json" in said
+    assert f"next: pcore studio {run} to edit it by hand, pcore render {run} for an orbit" in said
     assert f"the paper's method, for plain rays: pcore finetune {run}" in said
     assert "dB on held-out training views" in said
     folder = RunFolder.open(run)

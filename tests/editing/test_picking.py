@@ -157,3 +157,16 @@ def test_live_strain_is_that_of_the_careful_diagnosis():
     exposed = live.exposed(-ball())
     assert 0.2 < float(exposed.float().mean()) < 0.7
     assert not bool(live.exposed(ball()).any())
+
+
+def test_a_rim_is_dotted_evenly() -> None:
+    """Links cross it wherever points happen to lie: their places stand in clumps."""
+    chooser, points = Selector(rest=ball()), ball()
+    whole = chooser.rim(torch.tensor([0]), 0.8)
+    gap = 0.1
+    thin = whole.thinned(points, gap)
+    there, before = thin.at(points), whole.at(points)
+    apart = torch.cdist(there, there) + 9 * torch.eye(len(there))
+    assert float(apart.min()) >= gap > float(torch.pdist(before).min())
+    assert float(torch.cdist(before, there).amin(dim=1).max()) <= gap + 1e-6
+    assert not len(chooser.rim(torch.tensor([0]), 50.0).thinned(points, gap).at(points))

@@ -13,7 +13,7 @@ from pcore.editing.stack import raw_edit
 from pcore.errors import EditError, InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_around
-from pcore.studio.edit_forms import NEW
+from pcore.studio.edit_forms import NEW, SLIDERS
 from pcore.studio.editor import Editor
 from pcore.studio.guides import GuideMaker
 from pcore.studio.handle_pose import (
@@ -301,3 +301,16 @@ def test_guides_show_reach_axes_cages_and_locks(editor: Editor, tmp_path: Path) 
     assert len(maker.of(editor).lines) > 90
     editor.add_cage(tmp_path / "cage.ply", cells=1)
     assert maker.of(editor).lines.shape == (12, 2, 3), "edges of a box, without diagonals"
+
+
+def test_sliders_show_no_minus_nothing(editor: Editor) -> None:
+    """A drag leaves -3e-17 in what did not move; a page would write -0.000."""
+    editor.add("rigid")
+    sliders = {one.path: one.scaled(editor.size) for one in SLIDERS["rigid"]}
+    for value in (-3e-17, -4e-4 * sliders["translation/0"].step, -0.0):
+        editor.set(0, "translation/0", value)
+        assert str(sliders["translation/0"].shown(raw(editor))) == "0.0"
+    editor.set(0, "translation/1", -0.1234)
+    assert sliders["translation/1"].shown(raw(editor)) == pytest.approx(-0.1234, abs=1e-3)
+    editor.set(0, "angle_deg", 37.5)
+    assert sliders["angle_deg"].shown(raw(editor)) == 37.5

@@ -199,3 +199,18 @@ def test_while_a_brush_paints_the_panel_counts(page: Studio) -> None:
     page.editor.choose(demo().points[:, 2] > 100)
     page._show_drag()
     assert "Nothing is selected" in count.content
+
+
+def test_a_ball_does_not_run_away_from_a_pointer_that_waits(page: Studio) -> None:
+    """The node that is taken moves along; where it was taken stays what it was."""
+    page.editor.place_handle(10)
+    page.perform(lambda: None)
+    assert page.worker.wait(60)
+    ball = page.nodes._balls[0]
+    eye, taken = np.array([30.0, 0.0, 0.0]), np.array(ball.position)
+    grab = Grab.of(ball.position, taken, eye)
+    pointer = taken + np.array([0.0, 1.0, 0.5])
+    goal = grab.at(pointer)
+    for _ in range(3):
+        ball.position = grab.at(pointer)
+    assert np.asarray(ball.position) == pytest.approx(goal, abs=1e-9)

@@ -84,5 +84,7 @@ def test_one_splat_of_no_thickness_is_packed() -> None:
         sh=rest.sh[one],
         footprint=rest.footprint,
         background=rest.background,
+        body=rest.body[one],
+        axes=rest.axes,
     )
     assert pack(single, PLENTY).head["count"] == 1

@@ -35,7 +35,7 @@ class FakeViewport:
     def show_picture(self, pixels: Any, depth: Any) -> None:
         self.shown.append("picture")
 
-    def show_dots(self, points: torch.Tensor, colors: torch.Tensor) -> None:
+    def show_dots(self, points: torch.Tensor, colors: torch.Tensor, folds: torch.Tensor) -> None:
         self.dots = len(points)
 
 

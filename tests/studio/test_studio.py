@@ -15,6 +15,7 @@ import pytest
 import torch
 from objects import demo
 
+from lying_world import in_lying_world
 from pcore.cli.main import main
 from pcore.data.pictures import write_png
 from pcore.errors import EditError
@@ -24,6 +25,7 @@ from pcore.studio.gestures import Pause
 from pcore.studio.guard import Guard
 from pcore.studio.handle_pose import HandlePose
 from pcore.studio.outputs import Outputs
+from pcore.studio.page_frame import SIZE
 from pcore.studio.status_line import StatusLine
 
 pytest.importorskip("viser", reason="the extra studio is not installed")
@@ -404,3 +406,29 @@ def test_the_tour_follows_what_is_done() -> None:
     editor.set(1, "angle_deg", 20.0)
     assert step() == "**4 of 4"
     assert step(saved=True) == "That was"
+
+
+def test_a_capture_stands_as_it_was_photographed_and_fills_the_page(
+    tmp_path: Path, free_port: int
+) -> None:
+    """Its world lies on its side, and a few Gaussians of the room are far away."""
+    asset = in_lying_world(tmp_path / "toy")
+    outputs = Outputs(folder=tmp_path / "studio", edit=tmp_path / "studio" / "e.json", run=tmp_path)
+    with closing(Studio(asset, Guard(port=free_port), outputs, title="toy")) as page:
+        camera = page.server.initial_camera
+        assert camera.up is not None
+        assert camera.up[1] < -0.95
+        assert camera.position @ camera.up > 0
+        on_page = page.frame.to_page(asset.points[:200].numpy())
+        assert float(abs(on_page).max()) == pytest.approx(SIZE / 2, rel=0.5)
+        page.editor.place_handle(0)
+        reach = page.editor.raw(0)["reach"]
+        assert reach == pytest.approx(0.25 * page.editor.size)
+        assert reach < 0.1
+        page.editor.add("twist")
+        twist = page.editor.raw(1)
+        assert twist["region"]["shape"] == "box"
+        assert max(map(abs, twist["origin"])) < 0.25
+        page.editor.set(1, "angle_deg", 40.0)
+        assert torch.equal(page.editor.state.points[200:], asset.points[200:])
+        assert not torch.equal(page.editor.state.points[:200], asset.points[:200])

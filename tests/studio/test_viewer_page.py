@@ -1,8 +1,11 @@
+import json
 import re
+from pathlib import Path
 
 import pytest
 from objects import demo
 
+from lying_world import in_lying_world
 from pcore.errors import InputError
 from pcore.studio.recording import Recording, record
 from pcore.studio.viewer_page import viewer_page
@@ -39,3 +42,15 @@ def test_it_is_no_larger_than_asked(recording: Recording) -> None:
 def test_a_limit_without_room_is_refused(recording: Recording) -> None:
     with pytest.raises(InputError, match="expected a limit"):
         viewer_page(recording, title="toy", limit=1000)
+
+
+def test_an_object_before_a_background_is_seen_upright_and_from_near(tmp_path: Path) -> None:
+    asset = in_lying_world(tmp_path / "toy")
+    text = viewer_page(record(asset, [asset.pose()]), title="toy").content.decode()
+    found = re.search(r'id="head">(.*?)</script>', text)
+    assert found is not None
+    head = json.loads(found.group(1))
+    assert head["axes"][2][1] < -0.95
+    assert head["count"] == 205
+    assert max(map(abs, head["center"])) < 0.25
+    assert head["distance"] < 1

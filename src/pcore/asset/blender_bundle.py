@@ -17,6 +17,7 @@ from torch import Tensor
 from pcore.asset.asset import Asset
 from pcore.asset.meshing import Meshing, Progress, mesh_of
 from pcore.asset.painted_points import painted_points
+from pcore.asset.standing import standing_of
 from pcore.data.camera_output import save_transforms
 from pcore.data.mesh_output import save_mesh
 from pcore.data.painted_ply import save_painted
@@ -69,7 +70,9 @@ def save_bundle(
         DependencyError: scikit-image is not installed.
     """
     points = asset.points.float()
-    cage = cage_around(points)
+    standing = standing_of(asset)
+    body = points[standing.body(points)]
+    cage = cage_around(body)
     painted = painted_points(asset, lookers, progress=progress)
     proxy = mesh_of(asset, lookers, Meshing(resolution=resolution), progress=progress).mesh
     save_painted(folder / POINTS_FILE, points, painted.colors, painted.normals, painted.confidence)
@@ -78,14 +81,18 @@ def save_bundle(
     save_mesh(
         folder / CAGE_FILE, SurfaceMesh(vertices=cage.vertices, faces=cage.faces, colors=grey)
     )
-    anchors = points[farthest_points(points, min(ANCHORS, len(points)))]
+    anchors = body[farthest_points(body, min(ANCHORS, len(body)))]
     save_json(folder / ANCHORS_FILE, {"near": anchors.tolist()}, "bundle")
     save_transforms(folder / CAMERAS_FILE, views)
-    save_json(folder / BUNDLE_FILE, _about(folder, asset, points, fps), "bundle")
+    about = _about(folder, asset, points, fps) | {
+        "size": size_of(body),
+        "axes": standing.axes.tolist(),
+    }
+    save_json(folder / BUNDLE_FILE, about, "bundle")
 
 
 def cage_around(points: Tensor) -> Cage:
-    """Make a coarse closed mesh that holds all points (N, 3), world units.
+    """Make a coarse closed mesh that holds points (N, 3), world units.
 
     It is the surface at an even distance from the points, without what it encloses; the distance
     grows until the mesh is sound and holds them all.
@@ -158,7 +165,6 @@ def _about(folder: Path, asset: Asset, points: Tensor, fps: int) -> dict[str, An
         "run_folder": None if run is None else relative(run, folder),
         "points_hash": fingerprint(points),
         "point_count": len(points),
-        "size": size_of(points),
         "scale": 1.0,
         "fps": fps,
         "files": {

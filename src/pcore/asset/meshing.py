@@ -16,6 +16,7 @@ from torch import Tensor
 from pcore.asset.asset import Asset
 from pcore.asset.content import MovedPoints
 from pcore.asset.posing import Edit, bind_motion
+from pcore.asset.standing import standing_of
 from pcore.deform.base import Deformation, Identity
 from pcore.deform.scattered import PointMotion
 from pcore.errors import InputError
@@ -50,7 +51,8 @@ class Meshing:
         resolution: voxels along the longest side of the box; None: two for every pixel that the
             photos show it with, at most 200.
         closed: close the surface where no camera has looked, so that it can be printed.
-        box: lower and upper corner (3,) of what is meshed, world units; None: the object's points.
+        box: lower and upper corner (3,) of what is meshed, world units; None: the
+            object's points, without those of a background.
         smooth: see `fuse`, voxels.
         crumbs: keep parts that are smaller than a hundredth of all.
     """
@@ -102,7 +104,7 @@ def mesh_of(
         DependencyError: scikit-image is not installed.
     """
     how = how or Meshing()
-    lower, upper = box_of(asset.points) if how.box is None else how.box
+    lower, upper = object_box(asset) if how.box is None else how.box
     resolution = how.resolution
     if resolution is None:
         resolution = resolution_for(cameras, lower, upper)
@@ -196,6 +198,11 @@ def moved_mesh(mesh: SurfaceMesh, deformation: Deformation) -> SurfaceMesh:
     """Return the mesh with its vertices moved in double precision; faces and order stay."""
     with torch.no_grad():
         return mesh.moved(deformation(mesh.vertices))
+
+
+def object_box(asset: Asset) -> tuple[Tensor, Tensor]:
+    """Lower and upper corner (3,) of a box around an object, without what stands around it."""
+    return box_of(asset.points[standing_of(asset).body(asset.points)])
 
 
 def box_of(points: Tensor) -> tuple[Tensor, Tensor]:

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.asset.asset import Asset, Posed
-from pcore.asset.meshing import Progress, box_of, pictures_of
+from pcore.asset.meshing import Progress, object_box, pictures_of
 from pcore.geometry.camera import Camera
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.surface_mesh import vertex_normals
@@ -54,7 +54,7 @@ def painted_points(
         InputError: nothing solid is to be seen.
     """
     positions = asset.points.float()
-    box = box_of(positions)
+    box = object_box(asset)
     pixel = float((box[1] - box[0]).max()) / _ACROSS
     views = pictures_of(asset, cameras, box, pixel, progress=progress)
     surfels = _surfels(asset, views, box, pixel)

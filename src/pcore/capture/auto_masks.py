@@ -34,6 +34,8 @@ _LOOSE, _JUDGED, _SURE = 0.6, 0.75, 0.85
 for, where masks are judged, and where there is object for certain."""
 _FULL, _MOSTLY = 0.97, 0.5
 """Share of a picture that leaves no background, and share of the photos that may lack it."""
+_ALONG = 0.3
+"""Share of the border of a picture: an object that is photographed ends within, but for a foot."""
 _ON_SPHERE = 400
 _FEW = 8
 """Fewer points than that have no outline to go by."""
@@ -96,7 +98,8 @@ def find_masks(
         Masks of `photos`, then of `judged`.
 
     Raises:
-        InputError: no photo shows the region, most show nothing else, or no cut leaves anything.
+        InputError: no photo shows the region, most show nothing else, no cut leaves anything, or
+            what is cut goes on beyond the pictures.
         DependencyError: OpenCV is not installed.
     """
     everyone = [_shrunk(photo, _LONGEST) for photo in (*photos, *judged)]
@@ -128,6 +131,7 @@ def find_masks(
         following = [one.camera for one in turns[min(turn + 1, _ROUNDS - 1)]]
         seeds, cores = _voted(voters[: len(photos)], region, votes, following)
     _check_filled(masks, "what is cut out")
+    _check_ends(masks)
     sized = (
         _resized(mask, one.camera) for mask, one in zip(masks, [*photos, *judged], strict=True)
     )
@@ -153,6 +157,17 @@ def _check_filled(pictures: Sequence[Bits], what: str) -> None:
         raise InputError(
             f"automatic masks: {what} fills {filled} of {len(pictures)} photos, so that nothing "
             "is known to be background; give a tighter --box"
+        )
+
+
+def _check_ends(masks: Sequence[Bits]) -> None:
+    """Refuse cuts of what the object stands on: it goes on beyond the pictures, all around."""
+    edges = [np.concatenate([one[0], one[-1], one[1:-1, 0], one[1:-1, -1]]) for one in masks]
+    along = sum(float(edge.mean()) > _ALONG for edge in edges)
+    if along > _MOSTLY * len(masks):
+        raise InputError(
+            f"automatic masks: what is cut out runs along the border of {along} of {len(masks)} "
+            "photos, as a table or floor does; give a tighter --box, or --masks trained"
         )
 
 

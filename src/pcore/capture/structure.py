@@ -17,7 +17,7 @@ import tempfile
 from collections.abc import Hashable, Sequence
 from pathlib import Path
 
-from PIL import ExifTags, Image
+from PIL import ExifTags, Image, ImageOps
 
 from pcore.capture.colmap import find_model
 from pcore.capture.colmap_child import Patience, Tell, run_child
@@ -25,12 +25,16 @@ from pcore.capture.layouts import PHOTOS, Layout
 from pcore.capture.photos import inside, photos_below
 from pcore.capture.video_frames import choose_frames
 from pcore.data.cut_off import why_unreadable
+from pcore.data.image_files import read_header
 from pcore.errors import DependencyError, SceneError
 
 CHILD = (sys.executable, "-m", "pcore.capture.structure_child")
 _LEAST = 3
 _NOT_COLMAP = (".webp", ".avif", ".heic", ".heif")
 """Pictures that Pillow reads, with its plug-in, and COLMAP does not."""
+_WORLD = "-upright"
+"""Which world models are in: older ones stood as COLMAP left them."""
+_QUALITY = 95
 _NOTE = "video.txt"
 """What was left out of a video, beside its frames."""
 
@@ -50,7 +54,7 @@ def with_poses(layout: Layout, tell: Tell, patience: Patience | None = None) -> 
     sources = [layout.path] if video else photos_below(layout.path)
     for path in sources:
         inside(layout.root, path)  # Before COLMAP reads what links lead to.
-    place = cache_folder() / files_key(sources)
+    place = cache_folder() / f"{files_key(sources)}{_WORLD}"
     if not place.is_dir():
         if importlib.util.find_spec("pycolmap") is None:
             raise DependencyError(
@@ -127,8 +131,15 @@ def _by_camera(photos: Sequence[Path]) -> list[list[Path]]:
     groups: dict[Hashable, list[Path]] = {}
     for path in photos:
         with Image.open(path) as image:
-            groups.setdefault((path.parent, image.size, _device(image)), []).append(path)
+            turned = _is_turned(path)
+            groups.setdefault((path.parent, image.size, turned, _device(image)), []).append(path)
     return list(groups.values())
+
+
+def _is_turned(path: Path) -> bool:
+    """Whether a tag turns a photo by a quarter, which the shape of its camera can then tell."""
+    header = read_header(path)
+    return header.orientation > 4 and header.width != header.height
 
 
 def _device(image: Image.Image) -> tuple[str, ...] | None:
@@ -147,18 +158,24 @@ def _device(image: Image.Image) -> tuple[str, ...] | None:
 def _readable(images: Path, whole: Sequence[Path], converted: Path) -> tuple[Path, dict[Path, str]]:
     """Folder of photos as COLMAP reads them, and the name of each in it.
 
-    Where it does not read a format, all are copied: those as PNG, the others as they are.
+    Where it does not read a format, or would take a portrait for a landscape, all are copied: those
+    converted, the others as they are.
     """
-    if not any(path.suffix.lower() in _NOT_COLMAP for path in whole):
+    foreign = {path for path in whole if path.suffix.lower() in _NOT_COLMAP}
+    turned = {path for path in whole if _is_turned(path)}
+    if not foreign | turned:
         return images, {path: path.relative_to(images).as_posix() for path in whole}
     names: dict[Path, str] = {}
     for path in whole:
         copy = converted / path.relative_to(images)
         copy.parent.mkdir(parents=True, exist_ok=True)
-        if path.suffix.lower() in _NOT_COLMAP:
+        if path in foreign:
             copy = copy.with_suffix(".png")
+        if path in foreign | turned:
             with Image.open(path) as image:
-                image.convert("RGB").save(copy)
+                upright = ImageOps.exif_transpose(image) if path in turned else image
+                # The focal length in EXIF is where COLMAP begins.
+                upright.convert("RGB").save(copy, quality=_QUALITY, exif=upright.getexif())
         else:
             shutil.copyfile(path, copy)
         names[path] = copy.relative_to(converted).as_posix()

@@ -12,6 +12,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from pcore.capture.upright import upright
+
+_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _PAIRS = 150
 """Photos up to which every pair is matched."""
 _SIDE = 1600
@@ -53,8 +58,25 @@ def main(wish: dict[str, Any]) -> None:
     models = pycolmap.incremental_mapping(
         database, wish["images"], str(output), next_image_callback=next_image
     )
+    for number, model in models.items():
+        _stand(model)
+        model.write(str(output / str(number)))
     sizes = sorted((model.num_reg_images() for model in models.values()), reverse=True)
     _say(f"models of {', '.join(map(str, sizes)) or 'no'} photos")
+
+
+def _stand(model: Any) -> None:
+    """Give a model an upright world: nobody has chosen the one that it is in."""
+    import pycolmap
+
+    numbers = sorted(model.reg_image_ids(), key=lambda number: model.images[number].name)
+    poses = [
+        np.vstack([model.images[number].cam_from_world().inverse().matrix(), [0, 0, 0, 1]])
+        for number in numbers
+    ]
+    found = upright(np.stack(poses) @ _OPENGL)
+    turn = pycolmap.Rotation3d(found.rotation)
+    model.transform(pycolmap.Sim3d(found.scale, turn, found.translation))
 
 
 def _say(line: str) -> None:

@@ -241,7 +241,9 @@ def commands_of(found: SceneCheck, command: CheckCommand, factor: int) -> list[s
     if command.box:
         given += ["--box", *(f"{x:g}" for x in command.box)]
     automatic = found.masks is not None and found.masks.automatic
-    masks = "auto" if automatic and command.masks is None else command.masks
+    masks = command.masks
+    if masks is None and (automatic or found.no_masks):
+        masks = "auto" if automatic else "trained"
     if masks is not None:
         given += ["--masks", masks]
     uneven = found.quality.drifts or found.quality.odd_exposure

@@ -66,7 +66,7 @@ class ExportCommand:
     """Mesh: close it where no camera has looked."""
 
     box: Annotated[tuple[float, float, float, float, float, float] | None, optional("X")] = None
-    """Mesh: lower and upper corner of what is meshed, world units; default: around the points."""
+    """Mesh: lower and upper corner of what is meshed, world units; default: around the object."""
 
     faces: Count = None
     """Mesh: at most so many triangles."""

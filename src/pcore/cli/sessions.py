@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -102,7 +103,8 @@ def show_result(console: Console, asset: Asset) -> None:
     say(console, f"{path}{quality}")
     # Measured: with aware rays and a light, fine-tuning costs more than it brings
     # (docs/research/quality.md), so that it is no step on the way.
-    say(console, f"next: pcore render {path} --edit edit.json")
+    edit, look = (shlex.join(["pcore", verb, str(path)]) for verb in ("studio", "render"))
+    say(console, f"next: {edit} to edit it by hand, {look} for an orbit")
     if asset.record.stage == "pretrain" and asset.record.config.get("model") != "gaussians":
         text = f"the paper's method, for plain rays: pcore finetune {path}"
         say(console, text)

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from pcore.deform.point_region import path_weights
@@ -170,6 +171,16 @@ class Rim:
         """The places (M, 3) of the line while the points (N, 3) are somewhere."""
         share = self.share.unsqueeze(1).to(points)
         return torch.lerp(points[self.first], points[self.second], share)
+
+    def thinned(self, points: Tensor, gap: float) -> Rim:
+        """Leave out places nearer than a gap to others, while the points (N, 3) are at rest."""
+        places = self.at(points.detach().cpu().double()).numpy()
+        near, left, kept = KDTree(places), np.ones(len(places), dtype=np.bool_), list[int]()
+        for number, place in enumerate(places):
+            if left[number]:
+                kept.append(number)
+                left[near.query_ball_point(place, gap)] = False
+        return Rim(first=self.first[kept], second=self.second[kept], share=self.share[kept])
 
 
 def save_mask(path: Path | str, chosen: Tensor, falloff: float | None = None) -> dict[str, Any]:

@@ -10,46 +10,52 @@ from torch import Tensor
 
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.neural_points import NeuralPoints
+from pcore.asset.standing import Standing, standing_of
 from pcore.editing.diagnosis import CALM, LiveDiagnosis, painted
 from pcore.editing.handles import handle_colors, handles_in
 from pcore.editing.state import EditState
-from pcore.errors import PcoreError
 from pcore.gaussians.splats import Splats
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
 from pcore.render.picture import RenderCancelledError
 from pcore.render.progressive import render_progressively
 
-FOLDED = torch.tensor([220, 30, 30], dtype=torch.uint8)
 CHOSEN = torch.tensor([214, 0, 160], dtype=torch.uint8)
 _FROZEN = torch.tensor([40, 110, 200], dtype=torch.uint8)
 _EXPOSED = torch.tensor([250, 190, 5], dtype=torch.uint8)
 _CAMERAS = 20
-"""Training views that say what was never seen; each takes milliseconds."""
+"""Training views that say what was never seen."""
 _SHADE = 40
 """Steps of a colour that differ from calm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Dots:
-    """Coloured points (N, 3), world units, colours (N, 3) uint8."""
+    """Coloured points (N, 3), world units, colours (N, 3) uint8, and where space folds (F, 3)."""
 
     points: Tensor
     colors: Tensor
+    folds: Tensor
 
 
 class Drawer:
     """Draws one object; keeps what does not change from one state to the next."""
 
-    def __init__(self, asset: Asset) -> None:
-        """Prepare its splats, which of neural points takes pictures from all sides."""
+    def __init__(self, asset: Asset, standing: Standing | None = None) -> None:
+        """Prepare its splats, which of neural points takes pictures from all sides.
+
+        Args:
+            asset: the object.
+            standing: its own, where that is known already.
+        """
+        cameras = (standing or standing_of(asset)).cameras
         self.asset = asset
         _ = asset.splats_at_rest
         self._baked: tuple[EditState, Posed] | None = None
         self._posed: tuple[EditState, bool, Posed] | None = None
         self._gains: Tensor | None = None
         self._still: Posed | None = None
-        self._live = LiveDiagnosis(rest=asset.points, cameras=_training_cameras(asset))
+        self._live = LiveDiagnosis(rest=asset.points, cameras=_some(cameras))
         self._exposed: Tensor | None = None
 
     @property
@@ -135,7 +141,7 @@ class Drawer:
     def dots(
         self, state: EditState, overlay: str, chosen: frozenset[int], *, moving: bool = False
     ) -> Dots:
-        """What is marked: selected points, folds, what an overlay does not find calm.
+        """What is marked: folds, selected points, what an overlay does not find calm.
 
         Args:
             state: the object.
@@ -151,14 +157,15 @@ class Drawer:
             found = handles_in(state.bound, state.script)
             colors = handle_colors(found.values(), len(colors))
         away = (colors.int() - painted(CALM).int()).abs().amax(dim=1) > _SHADE
-        marks = [(torch.tensor(sorted(chosen)).long(), CHOSEN), (state.folds, FOLDED)]
+        marks = [(torch.tensor(sorted(chosen)).long(), CHOSEN)]
         if overlay == "exposed" and self._live.cameras:
             marks.insert(0, (self._came_to_light(state, moving), _EXPOSED))
         if overlay == "frozen":
             marks.insert(0, (state.frozen.nonzero().flatten(), _FROZEN))
         for numbers, paint in marks:
             away[numbers], colors[numbers] = True, paint
-        return Dots(points=state.points.detach().cpu().float()[away], colors=colors[away])
+        points = state.points.detach().cpu().float()
+        return Dots(points=points[away], colors=colors[away], folds=points[state.folds])
 
     def _came_to_light(self, state: EditState, moving: bool) -> Tensor:
         """Numbers of the exposed points; while things move, those of the last time at rest."""
@@ -167,10 +174,6 @@ class Drawer:
         return self._exposed
 
 
-def _training_cameras(asset: Asset) -> tuple[Camera, ...]:
-    """A few cameras of the scene that it was trained on; none where that is not here."""
-    try:
-        views = asset.scene().split("train")
-    except PcoreError:
-        return ()
-    return tuple(view.camera for view in views[:: max(1, len(views) // _CAMERAS)])
+def _some(cameras: tuple[Camera, ...]) -> tuple[Camera, ...]:
+    """A few of the cameras of the photos; each takes milliseconds."""
+    return cameras[:: max(1, len(cameras) // _CAMERAS)]

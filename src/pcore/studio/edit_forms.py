@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Any
 
 from torch import Tensor
@@ -44,6 +45,17 @@ class Slider:
             float(f"{one * size:.2g}") for one in (self.low, self.high, self.step, self.rest)
         )
         return Slider(path=self.path, label=self.label, low=low, high=high, step=step, rest=rest)
+
+    @property
+    def digits(self) -> int:
+        """Digits after the point that are shown: one more than those of a step."""
+        exponent = Decimal(f"{self.step:.2g}").as_tuple().exponent
+        return 1 + max(0, -int(exponent))
+
+    def shown(self, raw: Mapping[str, Any]) -> float:
+        """The number of an edit as the slider shows it: between its bounds, and never -0."""
+        value = min(max(value_at(raw, self), self.low), self.high)
+        return round(value, self.digits) + 0.0
 
 
 _ANGLE = Slider(path="angle_deg", label="Angle", low=-180, high=180, step=1)

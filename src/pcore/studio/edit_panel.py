@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pcore.editing.stack import raw_edit
-from pcore.geometry.point_cloud import size_of
-from pcore.studio.edit_forms import AXES, CAGES, CHOICES, LABELS, NEW, SLIDERS, SOFT, value_at
+from pcore.studio.edit_forms import AXES, CAGES, CHOICES, LABELS, NEW, SLIDERS, SOFT
 from pcore.studio.edit_handles import TURNING
 from pcore.studio.editor import Editor
 from pcore.studio.formula_handles import CENTRED
@@ -77,10 +76,10 @@ class EditPanel(Panel):
         if raw is not None:
             self._show_name(raw)
             for slider in _sliders(editor, raw):
-                widget, value = self._sliders.get(slider.path), value_at(raw, slider)
+                widget = self._sliders.get(slider.path)
                 # A slider that somebody holds already shows this very value.
-                if widget is not None and abs(widget.value - value) > 1e-9:
-                    widget.value = min(max(value, widget.min), widget.max)
+                if widget is not None and abs(widget.value - slider.shown(raw)) > 1e-9:
+                    widget.value = slider.shown(raw)
             self._show_handle(editor)
 
     def _show_name(self, raw: dict[str, Any]) -> None:
@@ -135,8 +134,10 @@ class EditPanel(Panel):
         self._on_update(enabled, "enable", index)
         self._card += [name, enabled]
         for slider in _sliders(editor, raw):
-            value = min(max(value_at(raw, slider), slider.low), slider.high)
-            widget = gui.add_slider(slider.label, slider.low, slider.high, slider.step, value)
+            widget = gui.add_slider(
+                slider.label, slider.low, slider.high, slider.step, slider.shown(raw)
+            )
+            widget.precision = slider.digits
             self._on_update(widget, "slide", index, slider.path)
             self._sliders[slider.path] = widget
             self._card.append(widget)
@@ -190,8 +191,7 @@ class EditPanel(Panel):
 def _sliders(editor: Editor, raw: dict[str, Any]) -> list[Any]:
     """Sliders of an edit, in world units."""
     soft = [SOFT] if raw.get("region") else []
-    size = size_of(editor.asset.points)
-    return [one.scaled(size) for one in (*SLIDERS[raw["type"]], *soft)]
+    return [one.scaled(editor.size) for one in (*SLIDERS[raw["type"]], *soft)]
 
 
 def _rows(editor: Editor) -> list[tuple[str, str | None, bool]]:

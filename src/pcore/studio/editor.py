@@ -10,10 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.dragging import Mirror
 from pcore.editing.tracks import put_at, remove_key, tracks_of
 from pcore.errors import EditError, PcoreError
-from pcore.geometry.point_cloud import size_of
 from pcore.studio.cage_handles import loose_box, write_cage
 from pcore.studio.edit_forms import AXES
 from pcore.studio.edit_handles import (
@@ -80,7 +80,7 @@ class Editor(SelectionEditor):
         state = self.session.state
         before, after = arriving(state, index).points, arriving(state, index + 1).points
         fresh = index == len(self.session.stack.edits)
-        raw = {"type": "anchors", "handles": []} if fresh else self._whole(index)
+        raw = self._new_handles() if fresh else self._whole(index)
         self._refuse_useless(raw, point, index)
         number = len(raw["handles"])
         to = before if pin else after
@@ -91,6 +91,13 @@ class Editor(SelectionEditor):
         raw["handles"] = [*raw["handles"], *entries]
         self.session.do(raw) if fresh else self.session.replace(index, raw)
         self._select(index, handle=self.shown.handle if pin and not fresh else number)
+
+    def _new_handles(self) -> dict[str, Any]:
+        """An edit without handles yet, which reach over the object, not over what is around it."""
+        raw: dict[str, Any] = {"type": "anchors", "handles": []}
+        if not bool(self.body.all()):
+            raw["reach"] = AnchorsEdit.reach_of(None, self.size)
+        return raw
 
     def select_handle(self, number: int | None) -> None:
         """Give a handle of the selected edit the gizmo."""
@@ -160,7 +167,7 @@ class Editor(SelectionEditor):
     @property
     def digits(self) -> int:
         """Decimals that pages show of places, world units."""
-        return math.ceil(-math.log10(max(_FINE * size_of(self.asset.points), 1e-12)))
+        return math.ceil(-math.log10(max(_FINE * self.size, 1e-12)))
 
     def drop(self) -> bool:
         """Keep what was dragged, as one step; whether it stays where it was let go.

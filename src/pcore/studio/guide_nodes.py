@@ -52,6 +52,7 @@ class GuideNodes:
                     colors=_RIM,
                     point_size=_DOT,
                     point_shape="circle",
+                    point_shading="flat",
                     precision="float32",
                 )
 

@@ -32,6 +32,8 @@ _CIRCLE = 48
 _SAME = 1 - 1e-6
 _BEYOND = 0.12
 """How far an axis goes beyond the object, in shares of its length there."""
+_GAP = 0.012
+"""Between the dots of a rim, in sizes of the object."""
 _LOCKED = 0.35
 """Length of the line of a locked axis to both sides, in sizes of the object."""
 
@@ -74,7 +76,8 @@ class GuideMaker:
             return torch.zeros(0, 3)
         key = (found[0].tolist(), found[1])
         if self._known is None or self._known[0] != key:
-            self._known = key, editor.selector.rim(*found)
+            rim = editor.selector.rim(*found)
+            self._known = key, rim.thinned(editor.asset.points, _GAP * editor.size)
         return self._known[1].at(editor.state.points.detach().cpu().float())
 
 
@@ -160,6 +163,6 @@ def _lock(editor: Editor) -> list[tuple[Tensor, tuple[int, int, int]]]:
     if editor.shown.lock == "off" or number is None or number >= len(handles):
         return []
     axis = AXES.index(editor.shown.lock)
-    way = _LOCKED * size_of(editor.asset.points) * axis_vector(editor.shown.lock)
+    way = _LOCKED * editor.size * axis_vector(editor.shown.lock)
     place = triple(handles[number].place)
     return [(torch.stack([place - way, place + way]).unsqueeze(0), AXIS_COLORS[axis])]

@@ -50,7 +50,8 @@ class Grab:
     @classmethod
     def of(cls, ball: ArrayLike, taken: ArrayLike, eye: ArrayLike) -> Grab:
         """Take a ball (3,) at a place (3,) of a node, as seen from an eye (3,)."""
-        place, there, start = (np.asarray(one, dtype=np.float64) for one in (ball, taken, eye))
+        # Copies: nodes of viser keep their place in one array, which a drag writes to.
+        place, there, start = (np.array(one, dtype=np.float64) for one in (ball, taken, eye))
         way = place - start
         farther = float(way @ way) / max(float(way @ (there - start)), 1e-9)
         return cls(place, there, farther)

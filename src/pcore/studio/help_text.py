@@ -21,8 +21,8 @@ HELP = """
 | | Shift-Left, Shift-Right: from key to key |
 | **View** | C before, P points, O overlay, M mirror, T dark, K this help |
 
-Grey balls hold their place. Red dots: space folds there; let go, and the handle returns to the last
-good place.
+Grey balls hold their place. Red diamonds: space folds there; let go, and the handle returns to the
+last good place.
 """
 
 TOUR = (
@@ -67,7 +67,7 @@ OVERLAY_LEGENDS = {
 """What their colours mean."""
 NO_PHOTOS = "⚠ The photos of this object are not here: what they did not see is not known."
 WIDEN = "Allow it with wider soft edges"
-FOLDS = "⚠ Space folds at the red dots: go back by {}."
+FOLDS = "⚠ Space folds at the red diamonds: go back by {}."
 NO_SCALE = "Nothing to scale: take an edit with a factor, handles, or one that acts in a ball."
 WORKING = "*Working&hellip;* The first time on a machine takes longer."
 LOADING = "*Loading&hellip;* The first picture takes a moment."

@@ -127,6 +127,7 @@ def _largest(recording: Recording, count: int) -> Recording:
         recording,
         moments=tuple(moments),
         opacities=recording.opacities[rows],
+        body=recording.body[rows],
         sh=recording.sh[rows],
     )
 

@@ -50,6 +50,10 @@ class PageFrame:
         """Places (..., 3) in world units."""
         return np.asarray(places, dtype=np.float64) / self.scale + np.asarray(self.center)
 
+    def shapes(self, splats: Splats) -> NDArray[np.float32]:
+        """Covariances (N, 3, 3) on the page; half precision holds the largest that are given."""
+        return (splats.covariances * self.scale**2).clip(-_LARGEST, _LARGEST)
+
     def buffer(self, splats: Splats) -> NDArray[np.uint32]:
         """Splats (N, 8) as viser's page takes them.
 
@@ -58,9 +62,9 @@ class PageFrame:
         """
         words = np.zeros((len(splats), 8), dtype=np.uint32)
         words[:, :3] = self.to_page(splats.centers).view(np.uint32)
-        entries = splats.covariances.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]] * self.scale**2
+        entries = self.shapes(splats).reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
         # NumPy makes half floats one by one, in twenty times as long.
-        halves = torch.from_numpy(entries.clip(-_LARGEST, _LARGEST)).half()
+        halves = torch.from_numpy(entries).half()
         words[:, 4:7] = halves.contiguous().numpy().view(np.uint32)
         colors = np.concatenate([splats.rgb, splats.opacities[:, None]], axis=1)
         bytes_ = (colors * 255).round().clip(0, 255).astype(np.uint8)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.gaussian_content import GaussianContent
+from pcore.asset.standing import standing_of
 from pcore.gaussians.carry import polar
 from pcore.gaussians.covariance import quaternions
 from pcore.gaussians.render import Footprint
@@ -43,6 +44,8 @@ class Recording:
         sh: (N, K, 3) colours at rest, as `pcore.gaussians.Gaussians` has them.
         footprint: how they meet pixels.
         background: behind them, RGB in [0, 1].
+        body: (N,) bool, which are the object and not what stands around it.
+        axes: (3, 3) columns in world axes: right, ahead and up for who looks at it.
     """
 
     moments: tuple[Moment, ...]
@@ -50,6 +53,8 @@ class Recording:
     sh: Tensor
     footprint: Footprint
     background: tuple[float, float, float]
+    body: Tensor
+    axes: Tensor
 
     def __len__(self) -> int:
         return len(self.opacities)
@@ -66,12 +71,15 @@ def record(asset: Asset, frames: Sequence[Posed]) -> Recording:
     """
     rest, content = asset.splats_at_rest, asset.content
     gaussians = isinstance(content, GaussianContent)
+    standing = standing_of(asset)
     return Recording(
         moments=tuple(_moment(asset, posed) for posed in frames),
         opacities=rest.gaussians.opacities,
         sh=rest.gaussians.sh,
         footprint=content.footprint if gaussians else Footprint(),
         background=content.background if gaussians else asset.provenance.background,
+        body=standing.body(asset.points),
+        axes=standing.axes,
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import threading
 from collections.abc import Generator
 from http import HTTPStatus
@@ -66,10 +67,12 @@ def paint(gui: Any, *, dark: bool) -> None:
 
 
 def run_script(server: Any) -> None:
-    """Let every tab run the page's script, which viser has no public way for."""
+    """Let every tab run the page's script and wear its style, which viser has no public way for."""
     from viser import _messages
 
-    source = files("pcore.studio").joinpath("page/hands.js").read_text()
+    page = files("pcore.studio").joinpath("page")
+    style = json.dumps(page.joinpath("studio.css").read_text())
+    source = f"const STYLE = {style};\n{page.joinpath('hands.js').read_text()}"
     server._websock_server.queue_message(_messages.RunJavascriptMessage(source))
 
 

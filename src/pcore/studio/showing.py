@@ -28,7 +28,7 @@ class Showing:
         self.editor, self._drawer, self._frame = editor, drawer, frame
 
     def move(self, viewports: Sequence[Viewport]) -> None:
-        """Show the present state, its overlay, and red dots where it folds.
+        """Show the present state, its overlay, and red diamonds where it folds.
 
         By splats, or by small exact pictures where those are wished.
         """
@@ -101,4 +101,4 @@ class Showing:
         editor, shown = self.editor, self.editor.shown
         found = self._drawer.dots(editor.state, shown.overlay, shown.chosen, moving=moving)
         for viewport in viewports:
-            viewport.show_dots(found.points, found.colors)
+            viewport.show_dots(found.points, found.colors, found.folds)

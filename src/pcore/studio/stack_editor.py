@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from pcore.asset.asset import Asset
+from pcore.asset.standing import standing_of
 from pcore.editing.script import EditScript
 from pcore.editing.selection import Selector
 from pcore.editing.session import EditSession
@@ -16,6 +17,7 @@ from pcore.editing.state import EditState
 from pcore.editing.tracks import put_at, set_value
 from pcore.editing.widening import widened
 from pcore.errors import EditError, PcoreError
+from pcore.geometry.point_cloud import size_of
 from pcore.geometry.surfels import spacing_of
 from pcore.studio.edit_forms import new_edit
 from pcore.studio.edit_handles import ONE, handles_or_error
@@ -34,6 +36,9 @@ class StackEditor:
         self.asset = asset
         self.session = asset.session(edit or EditScript(edits=()))
         self.shown = Shown(moving="splats" if len(asset.points) < MANY else "points")
+        self.standing = standing_of(asset)
+        self.body = self.standing.body(asset.points)
+        self.size = size_of(asset.points[self.body])
         self.spacing = max(spacing_of(asset.points), 1e-9)
         self.selector = Selector(rest=asset.points)
         self._dragged: EditState | None = None
@@ -77,9 +82,14 @@ class StackEditor:
         return raw_edit(self._present.script.edits[index])
 
     def add(self, kind: str) -> None:
-        """Add an edit that changes nothing yet, in the selection if there is one."""
-        region = self.region() if self.shown.chosen else None
-        self.session.do(new_edit(kind, self.session.state.points, region))
+        """Add an edit that changes nothing yet, in the selection if there is one.
+
+        Without one it acts on the object, not on what stands around it.
+        """
+        region, points = self._bounds, self.session.state.points[self.body]
+        if self.shown.chosen:
+            region, points = self.region(), self.session.state.points
+        self.session.do(new_edit(kind, points, region))
         self._select(len(self.session.stack.edits) - 1)
 
     def select(self, index: int | None) -> None:
@@ -219,6 +229,15 @@ class StackEditor:
         if not self.shown.chosen:
             raise EditError("selection: expected points, got none; draw one with Shift held")
         return {"shape": "points", "ids": sorted(self.shown.chosen)}
+
+    @property
+    def _bounds(self) -> dict[str, Any] | None:
+        """Where the object is, as a region of an edit file; None where all points are it."""
+        region = self.standing.region
+        if region is None or bool(self.body.all()):
+            return None
+        lower, upper = (corner.tolist() for corner in region.bounds)
+        return {"shape": "box", "lower": lower, "upper": upper}
 
     def _whole(self, index: int) -> dict[str, Any]:
         """An edit as an edit file has it, with all its keyframes."""

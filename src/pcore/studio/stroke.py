@@ -10,7 +10,6 @@ from torch import Tensor
 from pcore.editing.picking import pick
 from pcore.editing.state import EditState
 from pcore.geometry.camera import Camera
-from pcore.geometry.point_cloud import size_of
 from pcore.studio.selection_editor import SelectionEditor
 
 _CLICK = 4.0
@@ -100,12 +99,13 @@ class Stroke:
 
     @property
     def _size(self) -> float:
-        return size_of(self._editor.asset.points)
+        return self._editor.size
 
     @property
     def _radius(self) -> float:
         """Of the brush, pixels, in the middle of the object."""
-        middle = self._editor.session.state.points.detach().cpu().mean(dim=0)
+        points = self._editor.session.state.points.detach().cpu()
+        middle = points[self._editor.body].mean(dim=0)
         return max(2.0, self._editor.shown.brush * self._size * self._scale(middle))
 
     def _scale(self, place: Tensor) -> float:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import torch
+
 from pcore.asset.asset import Asset
 from pcore.studio.actions import (
     COMMANDS,
@@ -37,7 +39,7 @@ from pcore.studio.viewport import Viewport
 from pcore.studio.widgets import Panels
 
 _HOME = (0.75, -0.75, 0.5)
-"""Direction from the object to the first camera."""
+"""Direction from the object to the first camera: right, ahead, up."""
 _AWAY = 1.5
 """Distance of the first camera in sizes of the object."""
 _ANGLE = 0.7
@@ -83,8 +85,8 @@ class Studio(Gestures):
         edit = outputs.edit if outputs.edit.is_file() else None
         self.editor, self.title = Editor(asset, edit), title
         self.outputs, self._line = outputs, StatusLine(tour=tour)
-        self.drawer = Drawer(asset)
-        self.frame = PageFrame.around(asset.points)
+        self.drawer = Drawer(asset, self.editor.standing)
+        self.frame = PageFrame.around(asset.points[self.editor.body])
         self.files = StudioFiles(self)
         self.actions, self.selecting = Actions(self), SelectActions(self)
         self._guides, self._refreshed = GuideMaker(), 0
@@ -111,7 +113,9 @@ class Studio(Gestures):
         scene = server.scene
         camera = server.initial_camera
         camera.position = self._eye
-        camera.look_at, camera.up, camera.fov = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), _ANGLE
+        up = tuple(self.editor.standing.axes[:, 2].tolist())
+        scene.set_up_direction(up)
+        camera.look_at, camera.up, camera.fov = (0.0, 0.0, 0.0), up, _ANGLE
         self.panels = Panels(
             server,
             self.wishes,
@@ -138,7 +142,7 @@ class Studio(Gestures):
     @property
     def _eye(self) -> tuple[float, float, float]:
         """Where the first camera is, on the page."""
-        x, y, z = (_AWAY * SIZE * one for one in _HOME)
+        x, y, z = (_AWAY * SIZE * self.editor.standing.axes @ torch.tensor(_HOME)).tolist()
         return x, y, z
 
     def _command(

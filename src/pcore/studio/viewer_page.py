@@ -55,11 +55,12 @@ def viewer_page(
     if room < 1:
         raise InputError(f"page: expected a limit of at least 100 kB, got {limit:,} bytes")
     packed = pack(recording, room)
-    everywhere = torch.cat([one.means for one in recording.moments])
+    everywhere = torch.cat([one.means[recording.body] for one in recording.moments])
     low, high = extent_of(everywhere)
     center = (low + high) / 2
     head = packed.head | {
         "center": center.tolist(),
+        "axes": recording.axes.T.tolist(),
         "distance": fitting_distance(everywhere, center, math.radians(ANGLE)),
         "angle": ANGLE,
         "seconds": seconds,

@@ -27,6 +27,9 @@ _SLACK = 0.3
 _OVERLAP = 0.12
 """Seconds that a picture stays behind splats that become visible."""
 _QUALITY = 92
+_DOT, _FOLD = 0.09, 0.22
+"""Sizes of marks on the page."""
+_FOLDED = (220, 30, 30)
 _POINT = 0.6
 """Size of a point in spacings: marks of points are seen beside it."""
 
@@ -50,6 +53,7 @@ class Viewport:
         self._splats: Any = None
         self._points: Any = None
         self._dots: Any = None
+        self._folds: Any = None
         self._ink: Any = None
         self.drawn, self.dark, self._resting = False, False, False
         self._since: float | None = None
@@ -120,7 +124,7 @@ class Viewport:
             self._splats = self.client.scene.add_gaussian_splats(
                 "/object",
                 centers=self._frame.to_page(splats.centers),
-                covariances=splats.covariances * self._frame.scale**2,
+                covariances=self._frame.shapes(splats),
                 rgbs=splats.rgb,
                 opacities=splats.opacities[:, None],
             )
@@ -166,25 +170,34 @@ class Viewport:
         """The node that shows the object while it moves."""
         return self._splats or self._points
 
-    def show_dots(self, points: Tensor, colors: Tensor) -> None:
-        """Show coloured dots over the object; (0, 3) points for none."""
-        if self._dots is not None and not len(points):
-            self._dots.remove()
-            self._dots = None
-        if len(points):  # In the place of those before, by their name: without a gap.
-            places = self._frame.to_page(points.numpy())
-            if self._points is not None:  # Its points are as large, and would cover the dots.
-                away = np.asarray(self.client.camera.position, dtype=np.float32) - places
-                away /= np.linalg.norm(away, axis=1, keepdims=True)
-                places = places + self._points.point_size * away
-            self._dots = self.client.scene.add_point_cloud(
-                "/dots",
-                points=places,
-                colors=colors.numpy().astype(np.uint8),
-                point_size=0.09,
-                point_shape="circle",
-                precision="float32",
-            )
+    def show_dots(self, points: Tensor, colors: Tensor, folds: Tensor) -> None:
+        """Show coloured dots over the object, and other marks where space folds; (0, 3) for none.
+
+        Marks of folds are larger and have corners: red dots would be like those of overlays.
+        """
+        self._dots = self._marked("/dots", self._dots, points, colors.numpy(), _DOT, "circle")
+        self._folds = self._marked("/folds", self._folds, folds, _FOLDED, _FOLD, "diamond")
+
+    def _marked(
+        self, name: str, node: Any, points: Tensor, colors: Any, size: float, shape: Any
+    ) -> Any:
+        """Show marks in the place of those before, by their name: without a gap."""
+        if not len(points):
+            return _gone(node)
+        places = self._frame.to_page(points.numpy())
+        if self._points is not None:  # Its points are as large, and would cover the marks.
+            away = np.asarray(self.client.camera.position, dtype=np.float32) - places
+            away /= np.linalg.norm(away, axis=1, keepdims=True)
+            places = places + self._points.point_size * away
+        return self.client.scene.add_point_cloud(
+            name,
+            points=places,
+            colors=colors,
+            point_size=size,
+            point_shape=shape,
+            point_shading="flat",
+            precision="float32",
+        )
 
     def show_ink(self, segments: NDArray[np.float32] | None, color: tuple[int, int, int]) -> None:
         """Show lines (L, 2, 3), on the page, before everything; None for none."""
@@ -200,6 +213,7 @@ class Viewport:
 
 
 def _gone(node: Any) -> None:
+    """Take a node away, if there is one."""
     if node is not None:
         node.remove()
 

@@ -1,7 +1,6 @@
 // What viser's page does not tell its server: the wheel with Shift held, and whether the browser
 // prefers a dark page. Both are told as keys, which have commands. Keys are heard again once a
-// widget has been used, fields of three numbers show all their decimals, and on a telephone the
-// panel opens by a touch.
+// widget has been used, and on a telephone the panel opens by a touch.
 const press = (key, code) =>
   document.documentElement.dispatchEvent(
     new KeyboardEvent("keydown", { key, code, bubbles: true }),
@@ -37,6 +36,13 @@ if (!window.pcoreHands) {
   document.body.addEventListener("keydown", (event) => {
     if (OWN.includes(event.key) && event.target.closest(WIDGETS)) event.stopPropagation();
   });
+  // Escape closes a window over the page by its last button, which changes nothing.
+  window.addEventListener("keydown", (event) => {
+    const shown = document.querySelectorAll(".mantine-Modal-content button");
+    if (event.key !== "Escape" || !shown.length) return;
+    event.stopPropagation();
+    shown[shown.length - 1].click();
+  }, true);
   // These two step through time; viser, which listens above, would turn its camera.
   document.documentElement.addEventListener("keydown", (event) => {
     if (event.key === "ArrowLeft" || event.key === "ArrowRight") event.stopPropagation();
@@ -50,13 +56,8 @@ if (!window.pcoreHands) {
     if (handle || document.querySelector(".mantine-Tabs-root")) clearInterval(narrow);
   }, 50);
 
-  // Steppers of three numbers in a row cover the last decimals.
   const style = document.createElement("style");
-  style.textContent = `
-    .mantine-Flex-root > .mantine-NumberInput-root:nth-of-type(n):not(:only-child) {
-      .mantine-NumberInput-section { display: none; }
-      .mantine-NumberInput-input { padding-inline: 0.3em !important; }
-    }`;
+  style.textContent = STYLE; // The file beside this one; the server puts it before this script.
   document.head.append(style);
 
   // viser greys the panel when its server is gone, and says nothing.

@@ -313,19 +313,19 @@ class Screen {
 const sum = (a, b, f = 1) => a.map((value, k) => value + f * b[k]);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
-class Orbit {  // around a place, +z up; angles in radians
+class Orbit {  // around a place; angles in radians, in axes to the right, ahead and up
   constructor() { this.home(); }
 
   home() {
     this.target = [...HEAD.center];
     // As far as the object fits the narrower side of the window.
     this.distance = HEAD.distance * Math.max(1, innerHeight / Math.max(innerWidth, 1));
-    this.azimuth = 0;
+    this.azimuth = -Math.PI / 4;
     this.elevation = 25 * Math.PI / 180;
   }
 
   from(eye, target) {
-    const offset = sum(eye, target, -1);
+    const away = sum(eye, target, -1), offset = HEAD.axes.map((axis) => dot(axis, away));
     this.target = target;
     this.distance = Math.sqrt(dot(offset, offset));
     this.azimuth = Math.atan2(offset[1], offset[0]);
@@ -336,7 +336,10 @@ class Orbit {  // around a place, +z up; angles in radians
     const [ca, sa] = [Math.cos(this.azimuth), Math.sin(this.azimuth)];
     const [ce, se] = [Math.cos(this.elevation), Math.sin(this.elevation)];
     const out = [ce * ca, ce * sa, se], right = [-sa, ca, 0], down = [se * ca, se * sa, -ce];
-    return {axes: [right, down, out.map((v) => -v)], eye: sum(this.target, out, this.distance),
+    const [x, y, z] = HEAD.axes;
+    const [r, d, o] = [right, down, out].map((v) =>
+      x.map((_, k) => v[0] * x[k] + v[1] * y[k] + v[2] * z[k]));
+    return {axes: [r, d, o.map((v) => -v)], eye: sum(this.target, o, this.distance),
       distance: this.distance};
   }
 
