@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from gaussian_asset import asset_of_gaussians
 
 from capture_files import shots, write_photos, write_transforms
-from gaussian_asset import asset_of_gaussians
 from pcore.asset.asset import Asset
 from pcore.gaussians.gaussians import Gaussians
 
