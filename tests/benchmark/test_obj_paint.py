@@ -111,6 +111,7 @@ def test_colours_behind_vertices_paint_faces_without_a_material(kit: Path) -> No
         ("mtllib torn.mtl\n" + quads("a"), "expected a texture in PNG, JPEG or WebP"),
         ("mtllib bad.mtl gone.mtl\n" + quads("b"), "missing: gone.mtl; bring them"),
         (quads("a").replace("f 1/1", "f 1/9"), "expected faces that refer to vt 1 to 4, got 9"),
+        (quads("a").replace("vt 0 0", "vt 0 nan"), "expected finite texture coordinates, got NaN"),
         (quads("a").replace("vt 0 0", "vt 0 a"), "line 5: expected the numbers of a texture"),
     ],
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +65,9 @@ def painted_obj(obj: ObjFile, path: Path) -> PaintedObj:
                 f"{path}: expected faces that refer to {what} 1 to {len(rows)}, got "
                 f"{int(wrong[0]) + 1}; the file is damaged: export it again"
             )
+    for what, rows in (("texture coordinates", obj.uv), ("colours of vertices", obj.colors)):
+        if rows is not None and not np.isfinite(rows).all():
+            raise InputError(f"{path}: expected finite {what}, got NaN or infinity")
     materials = _materials(obj, path)
     plain = np.array([name not in materials for name in (*obj.materials, "")])
     bare = plain[obj.material_of_face]
@@ -184,10 +188,9 @@ def _texture(words: Sequence[str], path: Path, missing: list[str]) -> Texture | 
 
 def _number(word: str) -> bool:
     try:
-        float(word)
+        return isfinite(float(word))
     except ValueError:
         return False
-    return True
 
 
 def _beside(path: Path, name: str) -> Path | None:
