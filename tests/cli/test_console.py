@@ -71,8 +71,12 @@ def test_validation_and_the_end_are_said_in_words() -> None:
 @pytest.mark.parametrize(
     ("share", "psnr", "expected"),
     [
-        (0.7, 29.51, "took 0.70 of the change: held-out views -0.49 dB (budget 0.5, all of it "),
-        (1.0, 28.77, "took all of the change: held-out views -1.23 dB (budget 0.5)"),
+        (
+            0.7,
+            29.51,
+            "took 0.70 of the change: held-out views -0.49 dB (budget 0.5 for each view, all of it ",
+        ),
+        (1.0, 28.77, "took all of the change: held-out views -1.23 dB (budget 0.5 for each view)"),
     ],
 )
 def test_the_trade_is_told(share: float, psnr: float, expected: str) -> None:
