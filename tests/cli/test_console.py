@@ -74,7 +74,7 @@ def test_validation_and_the_end_are_said_in_words() -> None:
         (
             0.7,
             29.51,
-            "took 0.70 of the change: held-out views -0.49 dB (budget 0.5 for each view, all of it ",
+            "took 0.70 of the change: held-out views -0.49 dB (budget 0.5 for each view, all ",
         ),
         (1.0, 28.77, "took all of the change: held-out views -1.23 dB (budget 0.5 for each view)"),
     ],
