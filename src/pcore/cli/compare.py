@@ -149,12 +149,8 @@ def _compare(
     asked = [(one.name, one.setting, one.seed, one.stamp) for one in entries]
     ranks.agree({"methods": asked, "states": [(one.name, len(one.shots)) for one in states]})
     perceptual = load_perceptual()
-    contest = Contest(
-        folder=output,
-        states=states,
-        stamp=[str(places.path.resolve()), places.factor, command.every],
-        perceptual=perceptual,
-    )
+    stamp = [str(places.path.resolve()), places.factor, command.every]
+    contest = Contest(folder=output, states=states, stamp=stamp, perceptual=perceptual)
     outcomes = contest.run(entries, teller(console, len(entries) * len(states)))
     if ranks.rank > 0:
         return

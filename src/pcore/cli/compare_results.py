@@ -108,8 +108,8 @@ def _tables(console: Console, lines: Sequence[Line], states: Sequence[str]) -> s
     from pcore.cli.layout import Sheet, print_lines, room, sheet_lines
     from pcore.evaluation.contest_tables import COSTS, cost_rows, known, markdown, quality_rows
 
-    tables: list[tuple[str, Sequence[str], Any]] = [
-        (title, states, quality_rows(lines, states, metric, digits, percent=percent))
+    tables: list[tuple[str, tuple[str, ...], Any]] = [
+        (title, tuple(states), quality_rows(lines, states, metric, digits, percent=percent))
         for title, metric, digits, percent in _SHOWN
         if known(lines, metric)
     ]
