@@ -65,7 +65,7 @@ def main() -> None:
         smooth=smooth_patches(vertices, None),
     )
     rest = Shape.of(vertices, faces, look)
-    colors, exposure = painted(given.data, rest)
+    colors, exposure = painted(given.data, rest, look)
     look = replace(look, colors=colors)
     for state in given.states:
         folder = given.data if state == "test" else given.data / state
@@ -125,7 +125,7 @@ def exposed(rgba: Any, exposure: float) -> Any:
     return np.rint(255 * np.dstack([rgb, linear[..., 3]])).astype(np.uint8)
 
 
-def painted(folder: Path, shape: Shape) -> tuple[FloatArray, float]:
+def painted(folder: Path, shape: Shape, look: Look) -> tuple[FloatArray, float]:
     """Linear RGBA (V, 4) of vertices, from training pictures that show them, without our light.
 
     Returns:
@@ -155,7 +155,7 @@ def painted(folder: Path, shape: Shape) -> tuple[FloatArray, float]:
     corner = np.zeros(len(vertices), dtype=np.int64)
     for k in range(3):
         first[faces[:, k]], corner[faces[:, k]] = np.arange(len(faces)), k
-    light = light_on(shape, first, np.eye(3)[corner], facing=np.ones(len(vertices)))
+    light = light_on(shape, look, first, np.eye(3)[corner], facing=np.ones(len(vertices)))
     colors = total / count.clip(1)[:, None] / light[:, None]
     colors[count == 0] = np.median(colors[count > 0], axis=0)
     exposure = max(1.0, float(np.percentile(colors, 99.5)))

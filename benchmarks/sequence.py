@@ -31,7 +31,7 @@ from pcore.asset.content import RaysName
 from pcore.editing.session import EditSession
 from pcore.evaluation.protocol import STANDARD, measure
 from pcore.evaluation.states import Shot, open_states
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.metrics.image_metrics import psnr
 
 TRUTH, ANGLE = "twist60", 60.0

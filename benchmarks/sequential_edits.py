@@ -30,9 +30,9 @@ import pcore
 from pcore.asset.meshing import map_of, moved_mesh
 from pcore.data.scene import Scene
 from pcore.evaluation.figures import color_pixels, depth_pixels, depth_range, png_bytes, sheet
-from pcore.evaluation.ground_truth import mesh_depth
+from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.geometry.camera import Camera
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.geometry.surface_mesh import SurfaceMesh
 from pcore.metrics.geometry_metrics import SOLID_ALPHA, TrueGeometry, measure_geometry
 from pcore.render.image import Image

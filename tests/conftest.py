@@ -40,3 +40,8 @@ def browser() -> Iterator[Any]:
         started = playwright.chromium.launch(executable_path=program, args=flags)
         yield started
         started.close()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest test begins first, lest one process waits for it in the end."""
+    items.sort(key=lambda item: item.path.name != "test_story.py")

@@ -31,7 +31,6 @@ def run_example(name: str, *args: object) -> str:
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -269,6 +270,26 @@ def test_other_files_have_their_paint(tmp_path: Path) -> None:
     third = b"\3" + np.array([1, 4, 2], "<u4").tobytes()
     (tmp_path / "c.ply").write_bytes(head.encode() + corners + square + third)
     assert len(read_model(tmp_path / "c.ply").faces) == 3
+
+
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [
+        ("comment TextureFile skin.png\n", r"painted with a texture \(TextureFile skin.png\)"),
+        ("property float red\nproperty float green\nproperty float blue\n", "no known range"),
+    ],
+)
+def test_paint_of_a_ply_that_is_not_read_is_no_grey(tmp_path: Path, head: str, said: str) -> None:
+    rows = "".join(
+        f"{x} {y} 0{' 1e9 0 0' if 'red' in head else ''}\n" for x, y in ((0, 0), (1, 0), (0, 1))
+    )
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        f"property float z\n{head}element face 1\nproperty list uchar int vertex_indices\n"
+        f"end_header\n{rows}3 0 1 2\n"
+    )
+    with pytest.raises(InputError, match=said):
+        read_model(tmp_path / "a.ply")
 
 
 def in_files(made: Builder, folder: Path) -> Path:
@@ -579,11 +600,13 @@ def test_a_recipe_makes_all_its_models(tmp_path: Path, capsys: pytest.CaptureFix
     assert [one["states"]["bow"]["time"] for one in records] == [2.0, 0.5]
     capsys.readouterr()
     for text, message in (
-        (RECIPE, "expected a new or empty folder"),
+        (RECIPE.replace("size: 24", "size: 25"), "expected a new or empty folder"),
+        (RECIPE.replace("size: 16", "edits: [none.json]"), "none.json"),
         (RECIPE.replace("one: {file: figure.glb}", "one: {file: a.glb, source: b}"), "a.glb (b)"),
         (RECIPE.replace("size: 16", "sise: 16"), "recipe.yaml: two: "),
         (RECIPE.replace("size: 16", "output: x"), "got one that the recipe gives to each"),
         (RECIPE.replace("version", "versions"), "'version' is missing"),
+        (RECIPE.replace("  two:", "  ../two:"), "can be folders, of letters, digits"),
         ("[", "expected YAML"),
     ):
         recipe.write_text(text)
@@ -591,6 +614,44 @@ def test_a_recipe_makes_all_its_models(tmp_path: Path, capsys: pytest.CaptureFix
         assert message in capsys.readouterr().err
     assert main([*words, "--size", "9"]) == 2
     assert "expected no models or options besides -o, got size" in capsys.readouterr().err
+
+
+def test_a_recipe_goes_on_where_it_stopped(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is made before all can be, and nothing is made twice."""
+    pytest.importorskip("embreex", reason="benchmarks are ray cast with embreex")
+    save(figure(), tmp_path)
+    out, recipe, damaged = tmp_path / "out", tmp_path / "recipe.yaml", tmp_path / "three.glb"
+    recipe.write_text(RECIPE + "  three: {file: three.glb, options: {edits: lean.json}}\n")
+    (tmp_path / "lean.json").write_text(
+        '{"version": 2, "edits": [{"type": "twist", "axis": "z", "angle_deg": 90}]}'
+    )
+    words = ["benchmark", "make", "--recipe", str(recipe), "-o", str(out)]
+    damaged.write_bytes(figure().content())
+    right = recipe.read_text()
+    recipe.write_text(right.replace("Bow@0.5", "Bow@9"))
+    assert main(words) == 2
+    assert "expected a time of the clip 'Bow' from 0 to 2" in capsys.readouterr().err
+    recipe.write_text(right)
+    damaged.write_bytes(figure().content()[:-99])
+    assert main(words) == 2
+    assert "three.glb: expected a mesh in binary glTF, got a file that is damaged" in (
+        capsys.readouterr().err
+    )
+    assert not out.exists()
+    damaged.write_bytes(figure().content())
+    assert main(words) == 0
+    assert "lean" in json.loads((out / "three" / "scene.json").read_text())["states"]
+    shutil.rmtree(out / "two")
+    before = (out / "one" / "meshes.npz").stat().st_mtime_ns
+    capsys.readouterr()
+    assert main(words) == 0
+    told = capsys.readouterr().out
+    assert told.count("made already") == 2
+    assert "two: " in told
+    assert (out / "two" / "meshes.npz").is_file()
+    assert (out / "one" / "meshes.npz").stat().st_mtime_ns == before
 
 
 def test_a_vertex_of_no_triangle_widens_nothing(tmp_path: Path) -> None:

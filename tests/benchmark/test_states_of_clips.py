@@ -133,3 +133,13 @@ def test_the_evaluation_set_is_made_again(shared_data: Path, name: str, axis: An
         for state, one in formulas(vertices, axis).items():
             moved = one.deformation(torch.from_numpy(vertices)).numpy()
             assert np.abs(moved - meshes[state]).max() < 3e-7
+
+
+def test_info_lists_what_clips_there_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["info", str(save(figure(), tmp_path))]) == 0
+    told = capsys.readouterr().out
+    assert "117 vertices, 192 triangles" in told
+    assert "Bow: 0 to 2 seconds" in told
+    assert "1, 1 with a texture" in told

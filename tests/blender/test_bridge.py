@@ -31,7 +31,7 @@ pytestmark = [
 
 
 def in_blender(*words: str) -> str:
-    outcome = subprocess.run([BPY, *words], capture_output=True, text=True, timeout=200)
+    outcome = subprocess.run([BPY, *words], capture_output=True, text=True)
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
     return outcome.stdout
 

@@ -40,7 +40,8 @@ def test_one_camera_for_each_time_is_a_sequence_from_which_nothing_is_learned(
     assert any("no object can be learned: its 3 states pose and score" in n for n in scene.notes)
     photos = [photos_in(tmp_path / state, 1) for state in scene.states]
     assert [[view.name for view in views] for views in photos] == [["r_0"], ["r_1"], ["r_2"]]
-    with pytest.raises(SceneError, match="give views from at least two directions"):
+    said = r"give views from at least two directions \(a sequence in time with one photo"
+    with pytest.raises(SceneError, match=said):
         train(scene)
     change_frame(path, 1, time=None)
     with pytest.raises(SceneError, match=r"expected 'time' in every frame .* got it in 2 of 3"):

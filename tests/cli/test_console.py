@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from pcore.cli.console import ProgressDisplay, clock, guarded
+from pcore.cli.console import ProgressDisplay, clock, guarded, say
 from pcore.cli.output import check_place
 from pcore.errors import InputError
 from pcore.training.events import (
@@ -30,6 +30,13 @@ def report(step: int) -> StepReport:
         points=5432,
         seconds_left=75.0,
     )
+
+
+def test_lines_stay_whole_and_have_no_markup() -> None:
+    out = io.StringIO()
+    lines = ["photos/[red]house[/red] :smile: 1.5", 70 * "long "]
+    say(Console(file=out, width=40, force_terminal=True, color_system=None), *lines)
+    assert out.getvalue().split("\n")[:2] == lines
 
 
 def test_without_a_terminal_there_is_a_line_now_and_then() -> None:
@@ -140,3 +147,16 @@ def test_an_interrupt_passes_on_how_to_go_on(capsys: pytest.CaptureFixture[str])
 
     assert guarded(stop) == 130
     assert "go on with `pcore train S -o R --resume`" in capsys.readouterr().err
+
+
+def test_of_several_processes_one_tells_of_the_interruption(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop() -> None:
+        raise KeyboardInterrupt("step 7 is saved")
+
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    for rank, told in (("0", "Interrupted: step 7 is saved\n"), ("1", "")):
+        monkeypatch.setenv("RANK", rank)
+        assert guarded(stop) == 130
+        assert capsys.readouterr().err == told

@@ -8,7 +8,8 @@ import pytest
 import torch
 import tyro
 
-from pcore.cli.deform import DeformCommand, deform
+from pcore.cli.deform import DeformCommand
+from pcore.cli.deform_gaussians import deform
 from pcore.data.points import read_point_file, save_points
 from pcore.errors import EditError, InputError
 

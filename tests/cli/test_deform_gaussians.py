@@ -9,7 +9,8 @@ import torch
 from tests.data.splat_files import columns_of, ply_bytes, read_plain, splat_bytes, write_ply
 from tests.gaussians.some import some_gaussians
 
-from pcore.cli.deform import DeformCommand, deform
+from pcore.cli.deform import DeformCommand
+from pcore.cli.deform_gaussians import deform
 from pcore.data.points import save_points
 from pcore.data.splat_formats import read_splats
 from pcore.errors import EditError, InputError

@@ -18,7 +18,7 @@ from toys import CONFIG, toy_cameras, toy_cloud, write_cameras, write_run, write
 from pcore.asset.saving import load
 from pcore.capture.load import load_scene
 from pcore.cli.main import main
-from pcore.cli.train import check_shows
+from pcore.cli.train_checks import check_shows
 from pcore.data.image_files import read_header
 from pcore.data.points import save_points
 from pcore.errors import TrainingError

@@ -129,7 +129,7 @@ def test_the_preset_of_a_run_without_one_is_the_papers(
     monkeypatch.setattr("pcore.asset.training.finetune", note)
     monkeypatch.setattr("pcore.cli.sessions.show_result", note)
     monkeypatch.setattr("pcore.cli.finetune.check_weights", note)
-    monkeypatch.setattr("pcore.cli.light.show_light", note)
+    monkeypatch.setattr("pcore.cli.sessions.show_light", note)
     assert call(tmp_path / "run") == 0
     assert "; paper, 2 steps" in capsys.readouterr().out
 

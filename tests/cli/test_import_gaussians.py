@@ -16,7 +16,8 @@ from tests.gaussians.some import some_gaussians
 import tiny_scene
 from pcore.asset.importing import save_imported
 from pcore.asset.saving import load
-from pcore.cli.deform import DeformCommand, deform
+from pcore.cli.deform import DeformCommand
+from pcore.cli.deform_gaussians import deform
 from pcore.cli.export import ExportCommand, export
 from pcore.cli.import_gaussians import ImportGaussiansCommand, import_gaussians
 from pcore.data.splat_file import splats_of

@@ -294,15 +294,13 @@ def test_a_reference_center_needs_its_distance(
 
 
 def test_doctor_says_what_draws_gaussians(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pcore.cli import doctor_gaussians
-
     found = doctor._gaussians()
     assert found.good
     assert found.value.startswith("cpu (numba")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(doctor_gaussians, "find_spec", lambda name: None)
+    monkeypatch.setattr(doctor, "find_spec", lambda name: None)
     assert "pcore-edit[gsplat]" in doctor._gaussians().advice
-    monkeypatch.setattr(doctor_gaussians, "find_spec", lambda name: name)
-    monkeypatch.setattr(doctor_gaussians, "_built", lambda: False)
-    monkeypatch.setattr(doctor_gaussians.shutil, "which", lambda name: None)
-    assert "nvcc is not found" in doctor_gaussians.gaussian_report(lambda name: "1")[1]
+    monkeypatch.setattr(doctor, "find_spec", lambda name: name)
+    monkeypatch.setattr(doctor, "_built", lambda: False)
+    monkeypatch.setattr(doctor.shutil, "which", lambda name: None)
+    assert "nvcc is not found" in doctor.gaussian_report(lambda name: "1")[1]

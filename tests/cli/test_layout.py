@@ -12,9 +12,9 @@ from rich.console import Console
 from toys import write_run
 
 from pcore.cli import doctor
+from pcore.cli.eval_results import show_results
 from pcore.cli.info import InfoCommand
 from pcore.cli.layout import Sheet, pair_lines, sheet_lines
-from pcore.cli.results import show_results
 from pcore.evaluation.protocol import STANDARD
 from pcore.evaluation.summary import StateMean
 

@@ -19,8 +19,10 @@ import torch
 from safetensors.numpy import load_file
 from toys import write_scene
 
+from pcore.cli import sweep_results
 from pcore.cli.main import main
 from pcore.cli.sweep_places import placed
+from pcore.cli.sweep_verbs import run_trial
 from pcore.sweep import sweep_storage
 from pcore.sweep.sweep_storage import fetch
 from pcore.sweep.sweep_tables import TABLES
@@ -267,6 +269,45 @@ def test_files_of_options_are_seen_from_the_plan(tmp_path: Path) -> None:
     }
 
 
+def test_tables_are_there_before_the_last_trial_has_ended(
+    plan: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped in its second trial, a sweep has the scores of the first one."""
+    first, _, second = PLAN.partition("  papr:")
+    plan.write_text(first + second[second.index("  more:") :], encoding="utf-8")
+
+    def stopped(trial: Trial) -> None:
+        if trial.seed == 1:
+            raise KeyboardInterrupt
+        run_trial(trial)
+
+    monkeypatch.setattr(sweep_results, "run_trial", stopped)
+    assert sweep(plan) == 130
+    out = plan.parent / "out"
+    assert {row["seed"] for row in rows(out / "results.csv")} == {"0"}
+    assert json.loads((out / "sweep.json").read_text())["status"] == "not finished"
+    monkeypatch.undo()
+    assert sweep(plan) == 0
+    assert {row["seed"] for row in rows(out / "results.csv")} == {"0", "1"}
+    assert json.loads((out / "sweep.json").read_text())["status"] == "finished"
+
+
+def test_every_scene_that_cannot_be_used_is_named(
+    plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything starts, so that a night is not lost for each of them."""
+    write_scene(plan.parent / "torn")
+    (plan.parent / "torn" / "transforms_train.json").write_text("{")
+    scenes = "scenes: {ball: ball, torn: torn, gone: not here}"
+    plan.write_text(PLAN.replace("scenes: {ball: ball}", scenes), encoding="utf-8")
+    assert sweep(plan) == 2
+    told = capsys.readouterr().err
+    assert "plan: 2 scenes cannot be used:" in told
+    assert "torn/transforms_train.json" in told
+    assert "not here" in told
+    assert not (plan.parent / "out").exists()
+
+
 def test_a_folder_of_somebody_else_is_left_alone(
     plan: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -336,8 +377,8 @@ def test_a_storage_that_fails_later_is_one_message(
         raise OSError(28, "No space left on device")
 
     url = f"memory://{plan.parent}/sweep"
-    monkeypatch.setattr(sweep_storage, "_opened", full)
-    monkeypatch.setattr(sweep_storage, "check_storage", lambda url: None)
+    monkeypatch.setattr(sweep_storage, "opened", full)
+    monkeypatch.setattr(sweep_results, "check_storage", lambda url: None)
     assert sweep(plan, "--storage", url) == 2
     told = capsys.readouterr().err
     assert told.startswith(f"Error: storage {url}")

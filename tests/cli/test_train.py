@@ -14,12 +14,12 @@ import pytest
 import torch
 from toys import logged_losses, write_scene
 
+from pcore.cli import minutes
 from pcore.cli.main import main
 from pcore.data.points import save_points
 from pcore.files.gaussian_file import load_gaussians
 from pcore.files.model_file import load_model
 from pcore.files.run_folder import RunFolder
-from pcore.training import measured_speed, time_plan
 from pcore.training.speed import Speed
 from pcore.training.time_plan import Photos, TimePlan
 
@@ -262,8 +262,8 @@ def test_another_run_is_not_overwritten(
         (("--points", "0"), "expected points >= 1, got 0"),
         (("--init", "absent.ply"), "absent.ply: no such file"),
         (("--init", "hul"), "expected a file of points that ends in .npy or .ply"),
-        (("--init", "sparse"), "--init sparse: expected an option of PAPR"),
-        (("--init", "views"), "--init views: expected an option of PAPR"),
+        (("--init", "sparse"), "--init sparse: expected options of PAPR"),
+        (("--init", "views"), "--init views: expected options of PAPR"),
         (("--preset", "paper"), "LPIPS"),
         (("--lpips-weight", "0.1", "--lpips-trunk", "alex"), "lin_alex.pth"),
         (("--lpips-weight", "nan"), "lpips_weight to be a finite number of 0 or more, got nan"),
@@ -370,8 +370,8 @@ def test_a_promise_of_minutes_says_its_plan_and_resumes_it(
         assert (photos.width, photos.count) == (16, 12)
         return TimePlan(factor=1, config=replace(base, steps=40, points=60, seconds=0.5))
 
-    monkeypatch.setattr(time_plan, "plan_gaussians", plan)
-    monkeypatch.setattr(measured_speed, "measured_speed", lambda *others: Speed())
+    monkeypatch.setattr(minutes, "plan_gaussians", plan)
+    monkeypatch.setattr(minutes, "measured_speed", lambda *others: Speed())
     run = tmp_path / "run"
     command = ["train", str(scene), "-o", str(run), "--model", "gaussians", "--minutes", "3"]
     assert main([*command, "--steps", "3"]) == 2

@@ -6,7 +6,7 @@ import pytest
 import torch
 from tests.gaussians.some import some_gaussians
 
-from pcore.data.gaussian_glb import glb_content
+from pcore.data.splat_formats import glb_content
 from pcore.gaussians.covariance import covariances
 from pcore.gaussians.spherical_harmonics import basis
 

@@ -4,7 +4,7 @@ import torch
 from tests.data.splat_files import splat_bytes
 from tests.gaussians.some import some_gaussians
 
-from pcore.data.gaussian_splat import read_splat, splat_content
+from pcore.data.splat_formats import read_splat, splat_content
 from pcore.errors import InputError
 
 

@@ -8,7 +8,7 @@ import torch
 from pcore.editing.dragging import Drag, Mirror
 from pcore.editing.session import EditSession
 from pcore.errors import EditError
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.geometry.rotation import rotations
 
 

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from pcore.editing.diagnosis import diagnose
-from pcore.editing.live import LiveDiagnosis
+from pcore.editing.diagnosis import LiveDiagnosis, diagnose
 from pcore.editing.picking import pick, ray_through
 from pcore.editing.selection import Selector, save_mask
 from pcore.editing.session import EditSession

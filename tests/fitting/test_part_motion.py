@@ -18,9 +18,8 @@ from pcore.fitting.fit_config import FitConfig, FitStage
 from pcore.fitting.fit_photos import photos_of
 from pcore.fitting.fitted_edit import anchor_rig
 from pcore.fitting.fitter import Fitter
-from pcore.fitting.part_motion import PartSpace
+from pcore.fitting.part_motion import PartSpace, rigid_parts
 from pcore.fitting.pose_fit import rigid_limbs
-from pcore.fitting.rigid_parts import rigid_parts
 from pcore.fitting.shown_object import Shown
 
 CONFIG = FitConfig(
@@ -129,7 +128,7 @@ def test_what_bends_everywhere_keeps_its_anchors(
     start = fitter.space.numbers(true)
     views = photos_of(load_scene(photos).split("train"), torch.device("cpu"))
     # One rigid part cannot bend at all, and one step does not mend that.
-    monkeypatch.setattr("pcore.fitting.rigid_parts._APART", 1e3)
+    monkeypatch.setattr("pcore.fitting.part_motion._APART", 1e3)
     config = replace(
         CONFIG,
         parts=tuple(replace(stage, steps=1) for stage in CONFIG.parts),

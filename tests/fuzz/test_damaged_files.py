@@ -33,7 +33,7 @@ from toys import CONFIG, toy_cameras, toy_cloud, write_cameras, write_run, write
 from pcore.asset.saving import load
 from pcore.asset.training import finetune_settings
 from pcore.capture.load import load_cameras, load_scene
-from pcore.cli.info import describe
+from pcore.cli.info_rows import describe
 from pcore.cli.main import main
 from pcore.data.images import read_rgba
 from pcore.data.meshes import read_mesh

@@ -171,7 +171,7 @@ def test_interpreted_it_gives_what_the_reference_gives(tmp_path: Path) -> None:
 
 
 @needs_triton
-@pytest.mark.parametrize("capability", ["80", "90"])
+@pytest.mark.parametrize("capability", [pytest.param("80", marks=pytest.mark.slow), "90"])
 @pytest.mark.parametrize(
     ("name", "kind"),
     [

@@ -80,7 +80,7 @@ def test_interpreted_it_equals_the_search_on_the_cpu_bit_for_bit(tmp_path: Path)
     run("-c", _INTERPRETED, cache=tmp_path, TRITON_INTERPRET="1")
 
 
-@pytest.mark.parametrize("capability", ["80", "90"])
+@pytest.mark.parametrize("capability", [pytest.param("80", marks=pytest.mark.slow), "90"])
 @pytest.mark.parametrize("k", ["8", "64"])
 def test_it_compiles_for_gpus_that_are_not_here(capability: str, k: str, tmp_path: Path) -> None:
     run("-c", _COMPILED, capability, k, cache=tmp_path)

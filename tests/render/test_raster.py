@@ -19,10 +19,10 @@ from pcore.geometry.point_cloud import PointCloud
 from pcore.geometry.posed import PosedCloud
 from pcore.geometry.surfels import Surfels
 from pcore.model.papr import Papr
-from pcore.render.means import mean_around
 from pcore.render.picture import render
 from pcore.render.progressive import render_progressively
 from pcore.render.raster import film_detail, photo_pixels, raster_of
+from pcore.render.tiles import mean_around
 
 DISTANCE, SIZE = 4.0, 40
 FOCAL = 60.0

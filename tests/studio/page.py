@@ -111,13 +111,13 @@ class Page:
         self.server.send_signal(how)
         assert self.server.stdout is not None
         with self.server.stdout:
-            code = self.server.wait(20)
+            code = self.server.wait(60)
         if self.tab is not None:
             self.tab.close()
         return code
 
 
-def until(holds: Callable[[], Any], seconds: float = 30.0) -> None:
+def until(holds: Callable[[], Any], seconds: float = 60.0) -> None:
     """Wait for something that another process does."""
     end = time.monotonic() + seconds
     while True:

@@ -18,10 +18,10 @@ from pcore.studio.camera_keys import keys_file
 from pcore.studio.drawing import Drawer
 from pcore.studio.editor import Editor
 from pcore.studio.handle_pose import HandlePose
-from pcore.studio.named_selections import NamedSelections
 from pcore.studio.outputs import Outputs
 from pcore.studio.page_frame import PageFrame
 from pcore.studio.recording import record
+from pcore.studio.select_actions import NamedSelections
 from pcore.studio.shown import OVERLAYS
 from pcore.studio.stroke import Stroke
 from pcore.studio.tabs import Tabs

@@ -8,7 +8,7 @@ import torch
 from objects import demo
 
 from pcore.errors import EditError
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.studio.editor import Editor
 from pcore.studio.guides import GuideMaker
 

@@ -11,7 +11,7 @@ from objects import TWIST, demo
 
 from pcore.editing.stack import raw_edit
 from pcore.errors import EditError
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.studio.edit_forms import CHOICES, NEW, SLIDERS, SOFT, value_at
 from pcore.studio.editor import Editor
 from pcore.studio.handle_pose import HandlePose

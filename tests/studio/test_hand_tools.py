@@ -25,7 +25,7 @@ from pcore.studio.handle_pose import (
     turn_of_degrees,
     turn_to,
 )
-from pcore.studio.named_selections import NamedSelections
+from pcore.studio.select_actions import NamedSelections
 from pcore.studio.stroke import Stroke
 
 

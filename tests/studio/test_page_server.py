@@ -8,11 +8,11 @@ import pytest
 
 from pcore.errors import InputError
 from pcore.studio.guard import Guard
-from pcore.studio.page_server import page_server
+from pcore.studio.viewer_page import page_server
 
 
 def ask(guard: Guard, path: str, *, method: str = "GET", **headers: str) -> tuple[int, bytes]:
-    connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=5)
+    connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=60)
     connection.request(method, path, headers=headers)
     answer = connection.getresponse()
     found = answer.status, answer.read()
@@ -52,7 +52,7 @@ def test_it_listens_at_an_address_of_the_sixth_version() -> None:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         try:
-            with urllib.request.urlopen(guard.url, timeout=5) as answer:
+            with urllib.request.urlopen(guard.url, timeout=60) as answer:
                 assert answer.status == 200
         finally:
             server.shutdown()

@@ -34,7 +34,7 @@ def guard() -> Iterator[Guard]:
 
 
 def get(guard: Guard, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
-    connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", guard.port, timeout=60)
     connection.putrequest("GET", path, skip_host="Host" in headers)
     for name, value in headers.items():
         connection.putheader(name, value)

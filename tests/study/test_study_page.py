@@ -63,7 +63,16 @@ def test_a_person_goes_through_it(tmp_path: Path, browser: Any) -> None:
         answers = tmp_path / "answers.json"
         download.value.save_as(answers)
         assert json.loads(page.input_value("#text")) == json.loads(answers.read_text())
+        page.click("#next button")
+        assert page.inner_text("#start") == "Begin"
+        page.click("#start")
+        assert page.inner_text("#count") == "1 of 3"
+        for _ in range(3):
+            page.keyboard.press("ArrowLeft")
+        second = json.loads(page.input_value("#text"))
     assert errors == []
     (person,) = read_answers([answers], read_key(tmp_path / "key.json"), caught=0.0).people
     assert [one.chosen == one.left for one in person.answers] == [True, False, False]
     assert person.asked == 3
+    assert second["person"] != person.person
+    assert len(second["answers"]) == 3

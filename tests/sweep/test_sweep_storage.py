@@ -79,7 +79,7 @@ def test_what_changes_is_sent_meanwhile(
     with mirrored(folder, url):
         folder.mkdir()
         (folder / "state.pt").write_text("step 1")
-        end = time.monotonic() + 30
+        end = time.monotonic() + 120
         seen = tmp_path / "seen"
         while not (seen / "state.pt").exists() and time.monotonic() < end:
             fetch(url, seen)

@@ -26,9 +26,9 @@ from pcore.editing.autosave import fingerprint
 from pcore.errors import InputError
 from pcore.files.run_record import relative
 from pcore.geometry.camera import Camera
-from pcore.geometry.extent import size_of
 from pcore.geometry.farthest_points import ANCHORS, farthest_points
 from pcore.geometry.neighbours import nearest
+from pcore.geometry.point_cloud import size_of
 from pcore.geometry.surface_mesh import SurfaceMesh
 from pcore.sample.surface_nets import surface_nets
 

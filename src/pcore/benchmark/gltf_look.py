@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import base64
 import binascii
-import io
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
 from pydantic import BaseModel, ConfigDict
 
 from pcore.benchmark.look import FloatArray, Look, Material, Texture, smooth_patches
+from pcore.benchmark.texture_pixels import texture_pixels
 from pcore.data.gltf import Glb, Index, Number, Primitive
 from pcore.data.gltf_arrays import item, read_accessor, read_bytes
 from pcore.data.gltf_mesh import primitive_faces, shown_primitives
@@ -24,8 +22,6 @@ from pcore.errors import InputError
 from pcore.validation import parse
 
 _WRAP = {33071: "clamp", 33648: "mirror", 10497: "repeat"}
-_MOST_PIXELS = 2**26
-"""Of a texture: 8192 x 8192."""
 _BLEND_CUTOFF = 0.5
 """Surfaces that are to be blended are cut out at this alpha."""
 _MOST_SETS = 2
@@ -211,32 +207,15 @@ def _texture(glb: Glb, paint: _Paint, info: _TextureInfo) -> Texture:
             f"{glb.where}: expected textures that use TEXCOORD_0 or 1, got TEXCOORD_{uv_set}"
         )
     return Texture(
-        pixels=_pixels(glb, item(paint.images, source, "images", glb.where)),
+        pixels=texture_pixels(
+            _content(glb, item(paint.images, source, "images", glb.where)), glb.where
+        ),
         wrap=(_WRAP.get(sampler.wrapS, "repeat"), _WRAP.get(sampler.wrapT, "repeat")),
         uv_set=uv_set,
         offset=moved.offset,
         scale=moved.scale,
         rotation=moved.rotation,
     )
-
-
-def _pixels(glb: Glb, image: _Image) -> NDArray[np.uint8]:
-    content = _content(glb, image)
-    try:
-        with Image.open(io.BytesIO(content)) as opened:
-            if opened.width * opened.height > _MOST_PIXELS:
-                raise InputError(
-                    f"{glb.where}: expected textures of at most {_MOST_PIXELS:,} pixels, got "
-                    f"{opened.width} x {opened.height}; make it smaller"
-                )
-            return np.asarray(opened.convert("RGBA"))
-    except (UnidentifiedImageError, OSError, ValueError, Image.DecompressionBombError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            f"{glb.where}: expected a texture in PNG, JPEG or WebP, got one that cannot be read; "
-            "export it again"
-        ) from None
 
 
 def _content(glb: Glb, image: _Image) -> bytes:

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+_CUTS = 8
+"""Parts of the sides of a face at whose ends it is looked for what is cut out."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Texture:
@@ -126,6 +129,17 @@ class Look:
         cutoff = np.array([one.cutoff for one in self.materials])[self.material_of_face[face]]
         return (cutoff > 0) & (alpha < cutoff)
 
+    def cut_out(self, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which faces (F,) of the mesh let rays pass somewhere, by a look at places all over."""
+        found = np.zeros(len(faces), dtype=np.bool_)
+        cutting = [number for number, one in enumerate(self.materials) if one.cutoff > 0]
+        face = np.flatnonzero(np.isin(self.material_of_face, cutting))
+        steps = np.arange(_CUTS + 1) / _CUTS
+        for first, second in [(a, b) for a in steps for b in steps if a + b <= 1]:
+            weights = np.tile((first, second, 1 - first - second), (len(face), 1))
+            found[face] |= self.passes(face, self.rgba(faces, face, weights)[:, 3])
+        return found
+
 
 def mesh_normals(vertices: FloatArray, faces: NDArray[np.int64]) -> FloatArray:
     """Unit normals (F, 3) of faces; zero where a face has no area."""
@@ -176,17 +190,18 @@ def linear_rgba(pixels: NDArray[np.uint8]) -> FloatArray:
     return np.concatenate([_LINEAR[pixels[..., :3]], pixels[..., 3:] / 255.0], axis=-1)
 
 
-def display(linear: FloatArray) -> FloatArray:
+def display(light: FloatArray) -> FloatArray:
     """Linear light as sRGB values, clipped to 0 to 1."""
-    light = np.clip(linear, 0.0, 1.0)
+    light = np.clip(light, 0.0, 1.0)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
-def _linear(values: FloatArray) -> FloatArray:
+def linear(values: FloatArray) -> FloatArray:
+    """Values of sRGB from 0 to 1 as linear light."""
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
-_LINEAR = _linear(np.arange(256) / 255.0)
+_LINEAR = linear(np.arange(256) / 255.0)
 
 
 def _mixed(values: FloatArray, corners: NDArray[np.int64], weights: FloatArray) -> FloatArray:

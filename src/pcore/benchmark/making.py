@@ -7,9 +7,12 @@ folder for each state, `deformation.json` in it, and all meshes in one vertex or
 
 from __future__ import annotations
 
+import hashlib
+import json
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +44,8 @@ SPLITS = {
 }
 """Where the cameras of a split stand, as `camera_poses` takes it."""
 _SAMPLES = 50_000
+MANIFEST = "scene.json"
+"""Says what a benchmark was made of."""
 
 
 def make_benchmark(
@@ -63,23 +68,75 @@ def make_benchmark(
         InputError: a clip that is not there or does not move, a shape without extent, no states.
         OSError: the folder cannot be written.
     """
-    vertices, center, scale = canonical_shape(model, plan)
-    states, notes = plan_states(model, plan, vertices, center, scale)
-    if not states:
-        raise InputError(
-            f"{model.name}: expected at least one state, got none: the file has no clip that "
-            "moves; leave out --no-analytic, or give --edits"
-        )
+    (vertices, center, scale), states, notes = planned(model, plan)
     folder.parent.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
         made = scratch / "scene"
         _write(made, model, plan, vertices, states, progress)
-        _write_manifest(made / "scene.json", model, plan, (center, scale), states)
+        _write_manifest(made / MANIFEST, model, plan, (center, scale), states)
         made.replace(folder)
+    except OSError as error:
+        error.filename = error.filename or str(folder)  # Of a full disk Pillow tells no place.
+        raise
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     return tuple(notes)
+
+
+def planned(
+    model: Model, plan: BenchmarkPlan
+) -> tuple[tuple[FloatArray, FloatArray, float], dict[str, State], list[str]]:
+    """What `canonical_shape` and `plan_states` make of a model, with all their errors.
+
+    Raises:
+        InputError: also where there are no states.
+    """
+    canonical = canonical_shape(model, plan)
+    states, notes = plan_states(model, plan, *canonical)
+    if not states:
+        raise InputError(
+            f"{model.name}: expected at least one state, got none: the file has no clip that "
+            "moves; leave out --no-analytic, or give --edits"
+        )
+    return canonical, states, notes
+
+
+def made_already(folder: Path, model: Model, plan: BenchmarkPlan) -> bool:
+    """Whether a folder holds the benchmark that `make_benchmark` would write of the same model."""
+    try:
+        record: dict[str, Any] = json.loads((folder / MANIFEST).read_bytes())
+    except (OSError, ValueError):
+        return False
+    return record.get("made_of") == _made_of(model, plan)
+
+
+def _made_of(model: Model, plan: BenchmarkPlan) -> str:
+    """Hash of all that a benchmark depends on."""
+    look, digest = model.look, hashlib.sha256()
+    arrays: list[NDArray[Any] | None] = [
+        model.vertices,
+        model.faces,
+        look.material_of_face,
+        look.smooth,
+        look.colors,
+        *look.uv,
+    ]
+    for material in look.materials:
+        texture = material.texture
+        digest.update(repr((material.color, material.cutoff)).encode())
+        if texture is not None:
+            arrays.append(texture.pixels)
+            digest.update(repr(replace(texture, pixels=texture.pixels[:0])).encode())
+    for clip in model.clips:
+        for track in clip.tracks:
+            digest.update(repr((clip.name, track.node, track.path, track.interpolation)).encode())
+            arrays += [track.times, track.values]
+    for array in arrays:
+        digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
+    edits = [(name, script.to_json()) for name, script in plan.edits]
+    digest.update(repr((replace(plan, edits=()), edits)).encode())
+    return digest.hexdigest()
 
 
 def _write(
@@ -158,13 +215,19 @@ def _write_meshes(
     poses: FloatArray,
 ) -> None:
     face, weights = sample_surface(canonical.caster, _SAMPLES, plan.seed)
+    seen = seen_samples(canonical.caster, face, weights, poses, angle_x=ANGLE_X)
+    cut: dict[str, NDArray[Any]] = {}
+    if model.look.has_holes:
+        cut = {"cut_out": model.look.cut_out(model.faces)}
+        seen &= ~model.look.passes(face, model.look.rgba(model.faces, face, weights)[:, 3])
     arrays: dict[str, NDArray[Any]] = {
         # Doubles: the maps are exact to the last digits of the model.
         "canonical": canonical.caster.vertices,
         "faces": model.faces.astype(np.int32),
         "sample_face": face,
         "sample_barycentric": weights,
-        "sample_visible": seen_samples(canonical.caster, face, weights, poses, angle_x=ANGLE_X),
+        "sample_visible": seen,
+        **cut,
         **{name: state.vertices for name, state in states.items()},
     }
     with path.open("wb") as file:
@@ -197,5 +260,6 @@ def _write_manifest(
         "camera_angle_x": ANGLE_X,
         "canonical_pose": None if plan.canonical is None else list(plan.canonical),
         "states": {name: state.description for name, state in states.items()},
+        "made_of": _made_of(model, plan),
     }
     write_json(path, content)

@@ -4,26 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from trimesh.resolvers import FilePathResolver
 
 from pcore.benchmark.gltf_look import read_look
-from pcore.benchmark.look import (
-    FloatArray,
-    Look,
-    Material,
-    Texture,
-    linear_rgba,
-    smooth_patches,
-)
+from pcore.benchmark.look import FloatArray, Look, Material, linear_rgba, smooth_patches
+from pcore.benchmark.obj_look import painted_obj
 from pcore.data.gltf import Glb, read_glb, read_gltf
 from pcore.data.gltf_animation import Clip, at_time, read_clips
 from pcore.data.gltf_mesh import read_shape
 from pcore.data.meshes import read_mesh
+from pcore.data.obj import parse_obj
 from pcore.data.point_ply import PointPly, read_point_ply
 from pcore.errors import InputError
 
@@ -96,13 +89,16 @@ def read_model(path: Path, *, up: Up | None = None) -> Model:
     """
     shape = read_mesh(path)  # All that can be wrong with the shape is said there.
     suffix, content = path.suffix.lower(), path.read_bytes()
+    axis = up or ("z" if suffix == ".ply" else "y")
     if suffix == ".ply":
         points, faces = read_point_ply(content, str(path)), shape.faces.numpy()
-        look = _vertex_paint(points.colors()[0], len(faces))
-        return _static(path, shape.vertices.numpy(), faces, look, up or "z", _ply_normals(points))
+        vertices = shape.vertices.numpy()
+        look = _vertex_paint(_ply_colors(points, path), len(faces))
+        look = replace(look, smooth=smooth_patches(vertices, _ply_normals(points)))
+        return _static(path, vertices, faces, look, axis)
     if suffix == ".obj":
-        return _obj(path, up or "y")
-    axis = up or "y"
+        obj = painted_obj(parse_obj(content, str(path)), path)
+        return _static(path, obj.vertices, obj.faces, obj.look, axis)
     glb = (
         read_glb(content, str(path))
         if suffix == ".glb"
@@ -134,52 +130,16 @@ def _z_up(vertices: FloatArray, up: Up) -> FloatArray:
     return np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
 
 
-def _obj(path: Path, up: Up) -> Model:
-    """An OBJ through trimesh, which splits its vertices at seams and hard edges."""
-    files = _FilesBeside(path)
-    try:
-        loaded: Any = trimesh.load(path, process=False, resolver=files)
-        parts = [*getattr(loaded, "geometry", {"": loaded}).values()]
-        mesh: Any = trimesh.util.concatenate(parts)
-    except Exception as error:
-        raise InputError(f"{path}: expected a mesh with its paint, got: {error}") from None
-    if files.missing:
-        raise InputError(
-            f"{path}: expected the files of its paint beside it, missing: "
-            f"{', '.join(files.missing)}; bring them, or take out the lines that name them"
-        )
-    faces = np.asarray(mesh.faces, dtype=np.int64)
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    # In trimesh's cache are normals of the file; asked for them, it would make up others.
-    known = ["vertex_normals" in one._cache for one in parts]
-    normals = None
-    if any(known) or _says_flat(path):
-        pairs = zip(parts, known, strict=True)
-        rows = [p.vertex_normals if has else np.zeros((len(p.vertices), 3)) for p, has in pairs]
-        normals = np.concatenate(rows).astype(np.float64)
-    return _static(path, vertices, faces, _painted(mesh, len(faces)), up, normals)
-
-
-class _FilesBeside(FilePathResolver):
-    """Remembers what trimesh looks for in vain and paints over in grey."""
-
-    def __init__(self, source: Path) -> None:
-        super().__init__(str(source))
-        self.missing: list[str] = []
-
-    def get(self, name: str) -> bytes:
-        try:
-            return super().get(name)
-        except OSError:
-            self.missing.append(name)
-            raise
-
-
-def _says_flat(path: Path) -> bool:
-    """Whether smoothing is switched off in an OBJ, and never on."""
-    lines = (line.split() for line in path.read_bytes().decode("latin-1").splitlines())
-    groups = {words[1] for words in lines if len(words) > 1 and words[0] == "s"}
-    return bool(groups) and groups <= {"off", "0"}
+def _ply_colors(points: PointPly, path: Path) -> NDArray[np.uint8] | None:
+    """Colours (V, 3) or (V, 4) of the vertices; None of a file without paint."""
+    colors, why = points.colors()
+    comments = points.ply.header.comments
+    texture = next((one for one in comments if one.lower().startswith("texturefile")), None)
+    if colors is None and texture is not None:
+        why = f"it is painted with a texture ({texture}), which is not read of a .ply"
+    if colors is None and why:
+        raise InputError(f"{path}: expected colours of vertices: {why}; export .obj or .glb")
+    return colors
 
 
 def _ply_normals(points: PointPly) -> FloatArray | None:
@@ -191,21 +151,10 @@ def _ply_normals(points: PointPly) -> FloatArray | None:
 
 
 def _static(
-    path: Path,
-    vertices: FloatArray,
-    faces: NDArray[np.int64],
-    look: Look,
-    up: Up,
-    normals: FloatArray | None,
+    path: Path, vertices: FloatArray, faces: NDArray[np.int64], look: Look, up: Up
 ) -> Model:
     vertices = on_shape(vertices, faces)
-    return Model(
-        name=path.stem,
-        vertices=_z_up(vertices, up),
-        faces=faces,
-        look=replace(look, smooth=smooth_patches(vertices, normals)),
-        up=up,
-    )
+    return Model(name=path.stem, vertices=_z_up(vertices, up), faces=faces, look=look, up=up)
 
 
 def _vertex_paint(colors: NDArray[np.uint8] | None, faces: int) -> Look:
@@ -217,23 +166,3 @@ def _vertex_paint(colors: NDArray[np.uint8] | None, faces: int) -> Look:
     rgba = np.hstack([colors[:, :3], colors[:, 3:] if colors.shape[1] > 3 else solid])
     white = Material(color=(1.0, 1.0, 1.0, 1.0))
     return Look(materials=(white,), material_of_face=one, colors=linear_rgba(rgba))
-
-
-def _painted(mesh: Any, faces: int) -> Look:
-    visual, one = mesh.visual, np.zeros(faces, dtype=np.int64)
-    image = getattr(getattr(visual, "material", None), "image", None)
-    if visual.kind == "texture" and image is not None and visual.uv is not None:
-        pixels = np.asarray(image.convert("RGBA"))
-        uv = np.asarray(visual.uv, dtype=np.float64)
-        # v points up in OBJ and trimesh.
-        uv = np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
-        material = Material(color=(1.0, 1.0, 1.0, 1.0), texture=Texture(pixels=pixels))
-        return Look(materials=(material,), material_of_face=one, uv=(uv,))
-    if visual.kind == "vertex":
-        return _vertex_paint(np.asarray(visual.vertex_colors, dtype=np.uint8), faces)
-    plain = getattr(getattr(visual, "material", None), "main_color", None)
-    if plain is not None:
-        red, green, blue, alpha = linear_rgba(np.asarray(plain, dtype=np.uint8)[None])[0]
-        material = Material(color=(float(red), float(green), float(blue), float(alpha)))
-        return Look(materials=(material,), material_of_face=one)
-    return Look(materials=(Material(),), material_of_face=one)

@@ -37,7 +37,7 @@ radius r is in them while r <= sqrt(R^2 - 1 / tan(angle_x / 2)^2), R the cameras
 
 _LOOKS = 24
 """Times of a clip among which that is taken whose shape differs most from the canonical one."""
-_RESERVED = re.compile(r"|canonical|faces|(train|val|test)(_geometry)?|sample_.*")
+_RESERVED = re.compile(r"|canonical|faces|cut_out|(train|val|test)(_geometry)?|sample_.*")
 """Arrays of `meshes.npz` and folders that are not states."""
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 _FLAT = 1e-9

@@ -96,7 +96,7 @@ def take(
     count, total = np.zeros(resolution**2), np.zeros((3, resolution**2))
     for ray, directions in _rays(shape, pose, angle_x, fine):
         hit, face, weights, paint = _cast(shape, look, pose[:3, 3], directions)
-        light = light_on(lit, face, weights, facing=_facing(shape, face, directions[hit]))
+        light = light_on(lit, look, face, weights, facing=_facing(shape, face, directions[hit]))
         color = display(paint[:, :3] * light[:, None])
         pixel = (ray[hit] // fine // _SUBSAMPLES) * resolution + (ray[hit] % fine) // _SUBSAMPLES
         count += np.bincount(pixel, minlength=resolution**2)
@@ -179,9 +179,9 @@ def _facing(shape: Shape, face: NDArray[np.int64], directions: FloatArray) -> Fl
 
 
 def light_on(
-    lit: Shape, face: NDArray[np.int64], weights: FloatArray, *, facing: FloatArray
+    lit: Shape, look: Look, face: NDArray[np.int64], weights: FloatArray, *, facing: FloatArray
 ) -> FloatArray:
-    """Brightness (M,) of the side of the surface that is seen."""
+    """Brightness (M,) of the side of the surface that is seen; what is cut out throws no shadow."""
     normal = lit.normals_at(face, weights) * facing[:, None]
     # Over the face itself: a shading normal may lean so far that the face would shade itself.
     place = _places(lit, face, weights) + _OFF * lit.normals[face] * facing[:, None]
@@ -195,9 +195,19 @@ def light_on(
         cosine = np.einsum("mc,mc->m", normal, ways) / np.linalg.norm(ways, axis=1)
         turned = np.flatnonzero(cosine > 0)
         if len(turned):
-            free = ~lit.caster.blocked_along(place[turned], ways[turned])
+            free = np.ones(len(turned), dtype=bool)
+            free[_blocked(lit, look, place[turned], ways[turned])] = False
             brightness[turned] += strength * cosine[turned] * free
     return brightness
+
+
+def _blocked(
+    shape: Shape, look: Look, places: FloatArray, ways: FloatArray
+) -> NDArray[np.bool_] | NDArray[np.int64]:
+    """Which rays from places (M, 3) along ways (M, 3) hit anything: a mask, or their numbers."""
+    if not look.has_holes:
+        return shape.caster.blocked_along(places, ways)
+    return _cast(shape, look, places, ways)[0]
 
 
 def geometry_of(

@@ -8,11 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import counting, say
+from pcore.cli.diagnosing import note
+from pcore.cli.losses import check_weights
 from pcore.cli.options import Count, Folder, Output, PresetName, optional
-from pcore.cli.runtime import DeviceName
+from pcore.cli.output import results_folder
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
+from pcore.errors import InputError
+from pcore.files.atomic import write_atomically
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
@@ -69,21 +74,10 @@ class AblateCommand:
 
 
 def ablate(command: AblateCommand, console: Console) -> None:
-    """Do it; everything that can be known is checked before the first training.
-
-    Raises:
-        CheckpointError: the run cannot be read.
-        SceneError: its scene cannot be read or scored.
-        InputError: an unknown state or view, or an output folder in use.
-        TrainingError: a training diverged or cannot write.
-        WeightsError: the preset asks for LPIPS and its weights are missing.
-    """
+    """Do it; everything that can be known is checked before the first training."""
     from pcore.asset.saving import load
-    from pcore.cli.losses import check_weights
-    from pcore.cli.output import results_folder
-    from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.errors import InputError
     from pcore.evaluation.ablation import AblationFigure, variants_for
+    from pcore.evaluation.tables import SUMMARY_FILE
     from pcore.training.config import FinetuneConfig
 
     prepare_torch(command.threads)
@@ -100,7 +94,7 @@ def ablate(command: AblateCommand, console: Console) -> None:
     full = _full_config(asset, command)
     if isinstance(full, FinetuneConfig):
         check_weights(full.lpips_weight, full.lpips_trunk)
-    results_folder(output, about=asset.path)
+    results_folder(output, SUMMARY_FILE, about=asset.path)
     variants = variants_for(full)
     for variant in variants:
         path, config = output / variant.folder, variant.config(full)
@@ -111,15 +105,8 @@ def ablate(command: AblateCommand, console: Console) -> None:
 
 
 def _places(command: AblateCommand, console: Console, record: RunRecord) -> tuple[SceneStates, str]:
-    """The scene with its states, and the name of the first deformed one.
-
-    Raises:
-        SceneError: the scene cannot be read or scored.
-        InputError: an unknown state or view.
-    """
-    from pcore.cli.diagnosing import note
+    """The scene with its states, and the name of the first deformed one."""
     from pcore.data.scene import check_images
-    from pcore.errors import InputError
     from pcore.evaluation.states import open_states
 
     factor = record.factor if command.factor is None else command.factor
@@ -158,7 +145,7 @@ def _train(
     from pcore.files.run_record import begun
 
     asset, places = source
-    console.print(Text(f"{path.name}: {config.steps:,} steps"))
+    say(console, f"{path.name}: {config.steps:,} steps")
     with shown_training(console) as (listener, note):
         finetune(
             asset,
@@ -195,13 +182,10 @@ def _score(
     methods: list[AssetMethod],
     figure: AblationFigure,
 ) -> None:
-    from pcore.cli.eval import finish
-    from pcore.cli.results import counting
-    from pcore.cli.runtime import pick_device
+    from pcore.cli.eval_results import finish
     from pcore.evaluation.figures import png_bytes
     from pcore.evaluation.protocol import load_perceptual
     from pcore.evaluation.runner import evaluate
-    from pcore.files.atomic import write_atomically
     from pcore.files.provenance import made_by
     from pcore.files.run_record import relative
 
@@ -223,4 +207,4 @@ def _score(
     }
     write_atomically(output / FIGURE_FILE, png_bytes(figure.pixels([m.name for m in methods])))
     finish(console, output, rows, about=about, perceptual=perceptual)
-    console.print(Text(f"figure: {output / FIGURE_FILE}"), soft_wrap=True)
+    say(console, f"figure: {output / FIGURE_FILE}")

@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import counting, say
+from pcore.cli.diagnosing import note, note_edit
 from pcore.cli.light import LightChoice
 from pcore.cli.options import Count, Folder, Number, Samples, check_given_samples, optional
-from pcore.cli.runtime import DeviceName
-from pcore.cli.torchrun import is_first
+from pcore.cli.output import pictures_folder
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
+from pcore.cli.torchrun import is_first, joined_ranks
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -109,15 +111,7 @@ def animate(command: AnimateCommand, console: Console) -> None:
 
     Every frame is bound before the first is rendered, so that a bad one costs no waiting. The
     processes that torchrun started take turns at the frames; the first of them writes.
-
-    Raises:
-        CheckpointError: no model there, or it is damaged.
-        EditError: the edit file is not valid, or folds space in one of the frames.
-        InputError: contradicting options, or an output folder in use.
-        DependencyError: a video is asked for and its package is missing.
     """
-    from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.torchrun import joined_ranks
     from pcore.data.video import require_video
 
     _check(command)
@@ -133,7 +127,6 @@ def _animate(command: AnimateCommand, device: str, ranks: Ranks, console: Consol
     import torch
 
     from pcore.asset.saving import load
-    from pcore.cli.output import pictures_folder
     from pcore.editing.animation import load_animation
 
     asset = load(command.run_or_file, device=device)
@@ -141,7 +134,7 @@ def _animate(command: AnimateCommand, device: str, ranks: Ranks, console: Consol
     if command.points is not None and ranks.rank == 0:
         pictures_folder(command.points, overwrite=command.overwrite)
         _write_points(command.points, moved, command.points_format)
-        console.print(Text(f"{len(moved)} files of points in {command.points}"), soft_wrap=True)
+        say(console, f"{len(moved)} files of points in {command.points}")
     if command.output is None and command.frames_dir is None:
         return
     if command.frames_dir is not None and ranks.rank == 0:
@@ -163,7 +156,7 @@ def _animate(command: AnimateCommand, device: str, ranks: Ranks, console: Consol
     _film(command, film, asset.provenance.background, len(moved), console)
     for place in (command.output, command.frames_dir):
         if place is not None:
-            console.print(Text(f"{len(moved)} frames in {place}"), soft_wrap=True)
+            say(console, f"{len(moved)} frames in {place}")
 
 
 def _check(command: AnimateCommand) -> None:
@@ -189,8 +182,6 @@ def _frames(
     animation: Animation, asset: Asset, command: AnimateCommand, console: Console
 ) -> list[Posed]:
     """The object in every frame; equal times are computed once."""
-    from pcore.cli.diagnosing import note_edit
-    from pcore.cli.results import counting
     from pcore.editing.animation import evenly
 
     known: dict[float, Posed] = {}
@@ -225,7 +216,6 @@ def _cameras(
 
     from pcore.capture.load import camera_notes
     from pcore.cli import cameras
-    from pcore.cli.diagnosing import note
     from pcore.geometry.camera_path import path_through
     from pcore.geometry.orbit import growth
 
@@ -262,7 +252,6 @@ def _film(
     """Write every picture where it is asked for; those with --frames-dir were taken over black."""
     import torch
 
-    from pcore.cli.results import counting
     from pcore.data.video import VideoWriter
 
     with ExitStack() as stack:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.console import Console
 from tyro.conf import Positional, arg
 
-from pcore.cli.layout import print_lines
+from pcore.cli.console import counting, say
 from pcore.cli.options import optional
 from pcore.cli.output import check_place
 from pcore.errors import InputError
@@ -73,34 +74,25 @@ class BenchmarkMakeCommand:
 
     def run(self) -> None:
         """Do it; raises PcoreError subclasses for what the user can mend."""
-        if self.recipe is not None:
-            from pcore.cli.benchmark_recipe import commands_of
-
-            for one in commands_of(self):
-                one.run()
-            return
         from pcore.benchmark.blender_renderer import blender_python
-        from pcore.benchmark.making import make_benchmark
-        from pcore.benchmark.model import read_model
-        from pcore.cli.results import counting
+        from pcore.cli.benchmark_recipe import commands_of
         from pcore.sample.sample_render import ray_caster_class
 
         ray_caster_class()
-        if self.renderer == "blender":
+        commands = [self] if self.recipe is None else commands_of(self)
+        if any(one.renderer == "blender" for one in commands):
             blender_python()
-        plan, console = self._plan(), Console()
-        folders = self.folders()
-        for path, folder in zip(self.models, folders, strict=True):
-            model = read_model(path, up=self.up)
-            with counting(console, "pictures") as tell:
-                notes = make_benchmark(folder, model, plan, progress=tell)
-            lines = [f"{folder}: {len(model.vertices):,} vertices, {len(model.faces):,} triangles"]
-            lines += [f"  note: {note}" for note in notes]
-            lines.append(f"next: pcore train {folder} -o RUN && pcore eval RUN")
-            print_lines(console, lines)
+        jobs = [job for one in commands for job in one._jobs(again=self.recipe is not None)]
+        console = Console()
+        for job in self._checked(jobs, console):
+            job.run(console)
 
-    def folders(self) -> list[Path]:
-        """Where each model goes; InputError when a place is taken or cannot be made."""
+    def folders(self, *, again: bool = False) -> list[Path]:
+        """Where each model goes; InputError when a place is taken or cannot be made.
+
+        Args:
+            again: benchmarks that were made before may be there.
+        """
         if not self.models:
             raise InputError("benchmark make: expected at least one model or --recipe, got none")
         names = [path.stem for path in self.models]
@@ -112,11 +104,36 @@ class BenchmarkMakeCommand:
         folders = [self.output if one else self.output / name for name in names]
         check_place(self.output)
         for folder in folders:
-            if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
-                raise InputError(
-                    f"{folder}: expected a new or empty folder, got one with files; use another -o"
-                )
+            if not (again and (folder / "scene.json").is_file()):
+                _check_free(folder)
         return folders
+
+    def _jobs(self, *, again: bool) -> list[_Job]:
+        plan, folders = self._plan(), self.folders(again=again)
+        return [
+            _Job(path=path, folder=folder, plan=plan, up=self.up)
+            for path, folder in zip(self.models, folders, strict=True)
+        ]
+
+    @staticmethod
+    def _checked(jobs: list[_Job], console: Console) -> list[_Job]:
+        """Those that are not made already, each of which can be; a single one checks itself."""
+        from pcore.benchmark.making import made_already, planned
+        from pcore.benchmark.model import read_model
+
+        if len(jobs) == 1:
+            _check_free(jobs[0].folder)
+            return jobs
+        left: list[_Job] = []
+        for job in jobs:
+            model = read_model(job.path, up=job.up)
+            if made_already(job.folder, model, job.plan):
+                say(console, f"{job.folder}: made already")
+                continue
+            _check_free(job.folder)
+            planned(model, job.plan)
+            left.append(job)
+        return left
 
     def _plan(self) -> BenchmarkPlan:
         from pcore.asset.posing import script_of
@@ -140,6 +157,37 @@ class BenchmarkMakeCommand:
             clips=tuple(_clip(one) for one in self.clips),
             every_clip=not self.clips,
             canonical=canonical,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Job:
+    """One model, where its benchmark goes, and what that is."""
+
+    path: Path
+    folder: Path
+    plan: BenchmarkPlan
+    up: Literal["y", "z"] | None
+
+    def run(self, console: Console) -> None:
+        from pcore.benchmark.making import make_benchmark
+        from pcore.benchmark.model import read_model
+        from pcore.capture.load import find_states
+
+        model = read_model(self.path, up=self.up)
+        with counting(console, "pictures") as tell:
+            notes = make_benchmark(self.folder, model, self.plan, progress=tell)
+        lines = [f"{self.folder}: {len(model.vertices):,} vertices, {len(model.faces):,} triangles"]
+        lines.append(f"  states: {', '.join(find_states(self.folder))}")
+        lines += [f"  note: {note}" for note in notes]
+        lines.append(f"next: pcore train {quote(str(self.folder))} -o RUN && pcore eval RUN")
+        say(console, *lines)
+
+
+def _check_free(folder: Path) -> None:
+    if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+        raise InputError(
+            f"{folder}: expected a new or empty folder, got one with files; use another -o"
         )
 
 

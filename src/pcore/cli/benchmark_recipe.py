@@ -2,50 +2,37 @@
 
 from __future__ import annotations
 
-import io
-import re
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pcore.cli.benchmark import BenchmarkMakeCommand
-from pcore.cli.sweep_verbs import option_words
+from pcore.cli.sweep_verbs import option_words, parsed_words
 from pcore.errors import InputError
-from pcore.validation import parse, read_text
+from pcore.validation import Strict, check_folder_name, parse, read_yaml
 
 _OURS = {"models", "output", "o", "recipe"}
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-class _RecipeModel(_Strict):
+class _RecipeModel(Strict):
     file: str
     """Seen from the recipe's own folder."""
     source: str = ""
     """Where people get it, for the message when it is not there."""
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field(default_factory=dict)
 
 
-class _Recipe(_Strict):
+class _Recipe(Strict):
     version: Literal[1]
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field(default_factory=dict)
     """Of all models, unless they have their own."""
     models: dict[str, _RecipeModel] = Field(min_length=1)
 
 
 def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
-    """One command for each model of a recipe, into a folder of its name; all checked first.
-
-    Raises:
-        InputError: a recipe that is wrong, models that are not there, folders in use, or options
-            besides the recipe.
-    """
+    """One command for each model of a recipe, into a folder of its name."""
     recipe = command.recipe
     assert recipe is not None
     plain = BenchmarkMakeCommand(models=(), output=command.output, recipe=recipe)
@@ -60,12 +47,10 @@ def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
             "write them into the recipe"
         )
     where = f"recipe {recipe}"
-    try:
-        data = yaml.safe_load(read_text(recipe, where=where, error=InputError))
-    except yaml.YAMLError as error:
-        told = " ".join(str(error).split())
-        raise InputError(f"{where}: expected YAML, got text that does not parse: {told}") from error
+    data = read_yaml(recipe, where=where, error=InputError)
     found = parse(_Recipe, data, where=where, error=InputError)
+    for name in found.models:
+        check_folder_name(f"{where}: 'models'", name)
     missing = [
         f"{one.file} ({one.source})" if one.source else one.file
         for one in found.models.values()
@@ -76,37 +61,23 @@ def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
             f"{where}: expected its models beside it, missing: {'; '.join(missing)}; bring them, "
             "or take them out of the recipe"
         )
-    commands = [
+    return [
         _parsed(
             f"{where}: {name}",
-            recipe.parent / one.file,
-            command.output / name,
-            {**found.options, **one.options},
+            [str(recipe.parent / one.file), "--output", str(command.output / name)],
+            _placed({**found.options, **one.options}, recipe.parent),
         )
         for name, one in found.models.items()
     ]
-    for one in commands:
-        one.folders()
-    return commands
 
 
-def _parsed(where: str, model: Path, output: Path, options: dict[str, Any]) -> BenchmarkMakeCommand:
-    import tyro
+def _placed(options: dict[str, Any], beside: Path) -> dict[str, Any]:
+    """Options whose edit files are seen from the recipe's own folder, as models are."""
+    edits = options.get("edits", [])
+    files = edits if isinstance(edits, list) else [edits]
+    return {**options, "edits": [str(beside / str(one)) for one in files]} if files else options
 
-    words = [
-        str(model),
-        "--output",
-        str(output),
-        *option_words(options, _OURS, where, giver="recipe"),
-    ]
-    told = io.StringIO()
-    try:
-        with redirect_stderr(told), redirect_stdout(told):
-            return tyro.cli(
-                BenchmarkMakeCommand, args=words, config=(tyro.conf.FlagCreatePairsOff,)
-            )
-    except SystemExit as error:
-        reason = " ".join(re.sub(r"[^\x20-\x7e]", " ", told.getvalue()).split())
-        raise InputError(
-            f"{where}: {reason}; `pcore benchmark make --help` has all options"
-        ) from error
+
+def _parsed(where: str, own: list[str], options: dict[str, Any]) -> BenchmarkMakeCommand:
+    words = [*own, *option_words(options, _OURS, where, giver="recipe")]
+    return cast("BenchmarkMakeCommand", parsed_words("benchmark make", words, where))

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import counting, say
 from pcore.cli.options import Count, Folder, optional
-from pcore.cli.runtime import DeviceName
+from pcore.cli.output import pictures_folder
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,18 +59,9 @@ class BlenderExportCommand:
 
 
 def export_bundle(command: BlenderExportCommand, console: Console) -> None:
-    """Write the bundle and say what is in it.
-
-    Raises:
-        CheckpointError: no run there, or it is damaged.
-        InputError: a folder in use or not writable, or nothing solid is to be seen.
-        DependencyError: a package of the extra `mesh` is missing.
-    """
+    """Write the bundle and say what is in it."""
     from pcore.asset.blender_bundle import save_bundle
     from pcore.asset.saving import load
-    from pcore.cli.output import export_folder
-    from pcore.cli.results import counting
-    from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.render.distance_grid import require_marching_cubes
 
     for name, value in (("--fps", command.fps), ("--resolution", command.resolution - 7)):
@@ -80,7 +72,7 @@ def export_bundle(command: BlenderExportCommand, console: Console) -> None:
     prepare_torch(command.threads)
     asset = load(command.run_folder, device=pick_device(command.device))
     views, photos = _views(command, asset)
-    export_folder(command.output, overwrite=command.overwrite)
+    pictures_folder(command.output, overwrite=command.overwrite)
     with counting(console, "pictures") as tell:
         save_bundle(
             command.output,
@@ -92,7 +84,7 @@ def export_bundle(command: BlenderExportCommand, console: Console) -> None:
             progress=tell,
         )
     said = f"{command.output}: {len(asset):,} points, {len(views)} cameras, cage, proxy, anchors"
-    console.print(Text(said), soft_wrap=True)
+    say(console, said)
 
 
 def _views(command: BlenderExportCommand, asset: Asset) -> tuple[Named, list[Camera] | None]:
@@ -104,8 +96,7 @@ def _views(command: BlenderExportCommand, asset: Asset) -> tuple[Named, list[Cam
         views, photos = cameras.orbit_of_cloud(asset.points, cameras.OrbitWish(count=24)), None
     else:
         scene = asset.scene(folder)
-        split = "train" if "train" in scene.splits else scene.splits[0]
-        views = cameras.cameras_of_split(scene, split, None)
+        views = cameras.training_cameras(scene)
         photos = [camera for _, camera in views]
     if command.cameras is not None:
         given = cameras.cameras_of_file(command.cameras, None)

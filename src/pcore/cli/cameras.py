@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from rich.text import Text
+from rich.console import Console
+from torch import Tensor
 
+from pcore.asset.picture_set import frame_names
+from pcore.capture.coverage import ONE_SIDE, coverage
+from pcore.capture.load import load_cameras
+from pcore.cli.console import say
+from pcore.data.scene import Scene
 from pcore.errors import InputError, SceneError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-    from torch import Tensor
-
-    from pcore.data.scene import Scene
-    from pcore.geometry.camera import Camera
+from pcore.geometry.camera import Camera
+from pcore.geometry.orbit import orbit_around, orbit_like
 
 Size = tuple[int, int]
 Named = list[tuple[str, "Camera"]]
@@ -39,8 +40,6 @@ def cameras_of_file(path: Path, size: Size | None, fallback: Size | None = None)
 
     `size` wins over the size in the file; `fallback` serves where the file has none.
     """
-    from pcore.capture.load import load_cameras
-
     width, height = size or (None, None)
     try:
         return load_cameras(path, width=width, height=height)
@@ -61,9 +60,6 @@ def that_see(views: Named, points: Tensor, what: str) -> Named:
         views: cameras by name.
         points: (N, 3) world units.
         what: where the cameras come from.
-
-    Raises:
-        InputError: all pictures would be empty.
     """
     places = points.detach().cpu()
     for _, camera in views:
@@ -78,13 +74,13 @@ def that_see(views: Named, points: Tensor, what: str) -> Named:
 
 
 def cameras_of_split(scene: Scene, split: str, size: Size | None) -> Named:
-    """Cameras of a split of a scene, named like its views.
-
-    Raises:
-        InputError: a size of another shape than the images have.
-        SceneError: the scene has no such split.
-    """
+    """Cameras of a split of a scene, named like its views."""
     return [(view.name, _resized(view.camera, size)) for view in scene.split(split)]
+
+
+def training_cameras(scene: Scene, size: Size | None = None) -> Named:
+    """Cameras of the training views; of a scene without any, those of its first split."""
+    return cameras_of_split(scene, "train" if "train" in scene.splits else scene.splits[0], size)
 
 
 def orbit_of_scene(
@@ -95,11 +91,7 @@ def orbit_of_scene(
     Captures are upright as their cameras are. Where all stand on one side the orbit swings before
     the object, and that is said: what no photo shows is a guess.
     """
-    from pcore.capture.coverage import ONE_SIDE, coverage
-    from pcore.geometry.orbit import orbit_like
-
-    split = "train" if "train" in scene.splits else scene.splits[0]
-    taken = [view.camera for view in scene.split(split)]
+    taken = [camera for _, camera in training_cameras(scene)]
     cover = coverage(taken, scene.center)
     up, arc = None, None
     if scene.layout != "NeRF-Synthetic":
@@ -110,7 +102,7 @@ def orbit_of_scene(
         if console is not None:
             said = f"the orbit swings through the {width:.0f} degrees that they cover"
             text = f"photos were taken from one side: {said}"
-            console.print(Text(text), soft_wrap=True)
+            say(console, text)
     cameras = orbit_like(
         taken,
         scene.center,
@@ -126,8 +118,6 @@ def orbit_of_scene(
 
 def orbit_of_cloud(points: Tensor, wish: OrbitWish) -> Named:
     """Orbit from which all of `points` (N, 3), world units, are in the picture."""
-    from pcore.geometry.orbit import orbit_around
-
     asked: dict[str, Any] = {}
     if wish.size is not None:
         asked["size"] = wish.size
@@ -142,8 +132,7 @@ def orbit_of_cloud(points: Tensor, wish: OrbitWish) -> Named:
 
 
 def _numbered(cameras: list[Camera]) -> Named:
-    digits = max(3, len(str(len(cameras) - 1)))
-    return [(f"frame_{i:0{digits}}", camera) for i, camera in enumerate(cameras)]
+    return list(zip(frame_names(len(cameras)), cameras, strict=True))
 
 
 def _radians(elevation: float | None) -> float | None:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from pcore.geometry.extent import size_of
-
-if TYPE_CHECKING:
-    from pcore.deform.checks import Folds
+from pcore.deform.checks import Folds
+from pcore.geometry.point_cloud import size_of
 
 _COARSE = 1e-4
 """Steps between the numbers of a file, as a share of the object, that are told of."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,7 +12,12 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import counting, say
+from pcore.cli.layout import pair_lines, room
 from pcore.cli.options import Count, Folder, optional
+from pcore.cli.output import check_place
+from pcore.cli.runtime import prepare_torch
+from pcore.data.whole_file import write_whole
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -73,17 +79,8 @@ class CheckCommand:
 
 
 def check(command: CheckCommand, console: Console) -> None:
-    """Check as the command line says.
-
-    Raises:
-        SceneError: the scene or a mask cannot be read.
-        InputError: a bad box or output folder.
-        DependencyError: the report without jinja2.
-        OSError: a file cannot be written.
-    """
+    """Check as the command line says."""
     from pcore.capture.triangulation import triangulated
-    from pcore.cli.results import counting
-    from pcore.cli.runtime import prepare_torch
     from pcore.cli.scenes import corners_of
     from pcore.evaluation.report import require_jinja
     from pcore.evaluation.scene_check import check_scene
@@ -96,10 +93,10 @@ def check(command: CheckCommand, console: Console) -> None:
     scene, bare = _opened(command, factor, console)
     agreement = None
     if command.triangulate and scene.sparse is None:
-        done = triangulated(bare, console.print)
+        done = triangulated(bare, partial(say, console))
         scene, agreement = replace(scene, sparse=done.scene.sparse), done.agreement
         if agreement is None:
-            console.print("no two photos show common features, so nothing checks the poses")
+            say(console, "no two photos show common features, so nothing checks the poses")
     with counting(console, "masks") as tell:
         found = check_scene(
             scene,
@@ -118,14 +115,12 @@ def check(command: CheckCommand, console: Console) -> None:
     if command.html is not None:
         _write_page(found, command, following, console)
     else:
-        console.print(Text("with pictures: add --html report.html"), soft_wrap=True)
-    console.print(Text(f"next: {following[0]}"), soft_wrap=True)
+        say(console, "with pictures: add --html report.html")
+    say(console, f"next: {following[0]}")
 
 
 def _check_places(command: CheckCommand) -> None:
     """Refuse, before any work, places that cannot be written to or hold something already."""
-    from pcore.cli.output import check_place
-
     page = None if command.html is None else command.html.parent
     for folder in (command.masks_out, command.fix, page):
         if folder is not None:
@@ -143,10 +138,10 @@ def _opened(command: CheckCommand, factor: int, console: Console) -> tuple[Scene
     from pcore.capture.load import load_scene
 
     if command.masks in ("none", "auto", "trained"):
-        bare = load_scene(command.scene, factor=factor, masks="none", tell=console.print)
+        bare = load_scene(command.scene, factor=factor, masks="none", tell=partial(say, console))
         return bare, bare
     folder = None if command.masks is None else Path(command.masks)
-    scene = load_scene(command.scene, factor=factor, masks=folder, tell=console.print)
+    scene = load_scene(command.scene, factor=factor, masks=folder, tell=partial(say, console))
     if all(view.image.mask is None for view in scene.split("train")):
         return scene, scene  # What alpha there is is the photos' own: they are decoded once.
     bare = load_scene(command.scene, factor=factor, masks="none")
@@ -158,7 +153,7 @@ def _looking_factor(path: Path, console: Console) -> int:
     from pcore.capture.layouts import RENDERED
     from pcore.capture.load import load_scene
 
-    scene = load_scene(path, tell=console.print)
+    scene = load_scene(path, tell=partial(say, console))
     camera = scene.split("train")[0].camera
     wish = max(1, int(1.25 * max(camera.width, camera.height) / _LONGEST))
     if scene.layout != RENDERED:
@@ -167,22 +162,21 @@ def _looking_factor(path: Path, console: Console) -> int:
 
 
 def _show(found: SceneCheck, console: Console) -> None:
-    from pcore.cli.layout import pair_lines, print_lines, room
     from pcore.evaluation.check_page import facts, forecast_row, summary
 
-    console.print(Text(f"{found.scene.name}: {summary(found)}", "bold"), soft_wrap=True)
-    print_lines(console, pair_lines(list(facts(found)), room(console)))
+    say(console, f"{found.scene.name}: {summary(found)}", style="bold")
+    say(console, *pair_lines(list(facts(found)), room(console)))
     for one in found.scene.skipped:
-        console.print(Text(f"  skipped {one.name}: {one.reason}"), soft_wrap=True)
+        say(console, f"  skipped {one.name}: {one.reason}")
     for one in found.findings:
         line = Text.assemble(_MARKS[one.level], f" {one.topic}: {one.text}")
-        console.print(line, soft_wrap=True)
+        say(console, line)
         if one.action:
-            console.print(Text(f"   {one.action}", "dim"), soft_wrap=True)
+            say(console, f"   {one.action}", style="dim")
     for row in map(forecast_row, found.forecasts):
         if row[1] != "-":
             line = f"{row[0]}: {row[1]}, {row[2]}; quality {row[3]} ({row[4]})"
-            console.print(Text(line), soft_wrap=True)
+            say(console, line)
 
 
 def _write_masks(found: SceneCheck, command: CheckCommand, console: Console) -> None:
@@ -194,19 +188,16 @@ def _write_masks(found: SceneCheck, command: CheckCommand, console: Console) -> 
         raise InputError(f"--masks-out: there are no masks to write: {found.no_masks or 'none'}")
     check_outside(found.scene, command.masks_out)
     write_masks(found.views, found.masks.masks, command.masks_out)
-    console.print(
-        Text(
-            f"{len(found.views)} masks are in {command.masks_out}; white is object. Train with "
-            f"--masks {command.masks_out}"
-        ),
-        soft_wrap=True,
+    say(
+        console,
+        f"{len(found.views)} masks are in {command.masks_out}; white is object. Train with "
+        f"--masks {command.masks_out}",
     )
 
 
 def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> None:
     from pcore.capture.corrected_copy import write_corrected
     from pcore.capture.scene_masks import ordered_keys
-    from pcore.cli.results import counting
 
     assert command.fix is not None, "asked for"
     bad = {*found.quality.blurred, *found.quality.odd_exposure}
@@ -229,22 +220,19 @@ def _write_fixed(found: SceneCheck, command: CheckCommand, console: Console) -> 
     said = f", without {', '.join(name for _, name in left_out)}" if left_out else ""
     if masks is not None and (bare := sum(map(len, scene.views.values())) - len(masks)) > 0:
         said += f", and without {bare} photos of other splits, which have no mask"
-    console.print(
-        Text(f"a corrected copy of {count} photos is in {command.fix}{said}"), soft_wrap=True
-    )
+    say(console, f"a corrected copy of {count} photos is in {command.fix}{said}")
 
 
 def _write_page(
     found: SceneCheck, command: CheckCommand, following: list[str], console: Console
 ) -> None:
     from pcore.capture.corrected_copy import check_outside
-    from pcore.data.whole_file import write_whole
     from pcore.evaluation.check_page import check_page
 
     assert command.html is not None, "asked for"
     check_outside(found.scene, command.html)
     write_whole(command.html, check_page(found, following).encode(), "report")
-    console.print(Text(f"report with pictures: {command.html}"), soft_wrap=True)
+    say(console, f"report with pictures: {command.html}")
 
 
 def commands_of(found: SceneCheck, command: CheckCommand, factor: int) -> list[str]:

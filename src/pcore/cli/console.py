@@ -1,4 +1,4 @@
-"""What people see: progress of a training, tables, errors in one sentence, exit codes."""
+"""What people see: lines, bars, progress of a training, errors in one sentence, exit codes."""
 
 from __future__ import annotations
 
@@ -6,14 +6,23 @@ import errno
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.text import Text
 
+from pcore.cli.torchrun import is_first
 from pcore.demo.machine import clock
 from pcore.errors import PcoreError
 
@@ -29,6 +38,45 @@ _PLACE = {errno.ENOTDIR, errno.ENAMETOOLONG, errno.EEXIST}
 _ENVIRONMENT = _DISK | _PLACE
 
 
+def say(console: Console, *lines: str | Text, style: str = "") -> None:
+    """Print lines as they are.
+
+    No markup, since messages quote what users wrote, brackets and all. No wrapping: a path broken
+    in two cannot be copied.
+    """
+    for line in lines:
+        console.print(Text(line, style) if isinstance(line, str) else line, soft_wrap=True)
+
+
+def bar(console: Console) -> Progress:
+    """A bar with how many are done and how long the rest takes; nothing without a terminal."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    )
+
+
+@contextmanager
+def counting(console: Console, title: str) -> Generator[Callable[[int, int], None]]:
+    """Give a function (done, total) that moves a bar; one line at the end without a terminal."""
+    progress = bar(console)
+    task = progress.add_task(title, total=None)
+    last = [0]
+
+    def tell(done: int, total: int) -> None:
+        last[0] = done
+        progress.update(task, completed=done, total=total)
+
+    with progress:
+        yield tell
+    if not console.is_terminal and last[0]:
+        say(console, f"{title}: {last[0]}")
+
+
 def guarded(action: Callable[[], None]) -> int:
     """Run a command and return the exit code of the process.
 
@@ -41,9 +89,10 @@ def guarded(action: Callable[[], None]) -> int:
     except PcoreError as error:
         if debug:
             raise
-        return _complain(str(error))
+        return _complain("Error", str(error))
     except KeyboardInterrupt as stop:
-        _say("Interrupted", str(stop) or "nothing more was written")
+        if is_first():  # Of several processes one saves, and says so.
+            _complain("Interrupted", str(stop) or "nothing more was written")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # `pcore info RUN | head`: nobody reads on. Python would complain again while it exits.
@@ -54,22 +103,16 @@ def guarded(action: Callable[[], None]) -> int:
             raise
         where = f"{error.filename}: " if error.filename else ""
         return _complain(
+            "Error",
             f"{where}{error.strerror}; files are replaced whole, what was complete before is "
-            "undamaged; free space or choose a writable place, and try again"
+            "undamaged; free space or choose a writable place, and try again",
         )
     return 0
 
 
-def _complain(message: str) -> int:
-    _say("Error", message)
+def _complain(title: str, message: str) -> int:
+    say(Console(stderr=True), Text.assemble((f"{title}: ", "bold red"), message))
     return EXIT_ERROR
-
-
-def _say(title: str, message: str) -> None:
-    # Text, not markup: messages quote what users wrote, brackets and all. No wrapping: a path
-    # broken in two cannot be copied.
-    text = Text.assemble((f"{title}: ", "bold red"), message)
-    Console(stderr=True).print(text, soft_wrap=True)
 
 
 class ProgressDisplay:
@@ -113,18 +156,19 @@ class ProgressDisplay:
             self._step(event)
         elif isinstance(event, ValidationReport):
             best = ", the best so far" if event.best else ""
-            best = best if event.accepted else ", less than the budget allows"
-            self._print(
+            best = best if event.accepted else ", a view lost more than the budget allows"
+            say(
+                self._console,
                 f"{event.stage} {event.step}: held-out views {event.psnr:.2f} dB "
-                f"(mean of {event.views}){best}"
+                f"(mean of {event.views}){best}",
             )
         elif isinstance(event, BudgetReport):
-            self._print(f"{event.stage} {event.step}: {_trade(event)}")
+            say(self._console, f"{event.stage} {event.step}: {_trade(event)}")
         elif isinstance(event, SurfaceReport):
-            self._print(f"{event.stage}: surface and light from {event.views} views")
+            say(self._console, f"{event.stage}: surface and light from {event.views} views")
         elif isinstance(event, Stopped):
             message = f": {event.message}" if event.message else ""
-            self._print(f"{event.stage} {event.reason} at step {event.step}{message}")
+            say(self._console, f"{event.stage} {event.reason} at step {event.step}{message}")
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -151,10 +195,7 @@ class ProgressDisplay:
         now, last = self._now(), self._last
         if last is None or now - last >= self._between or event.step == event.steps:
             self._last = now
-            self._print(f"{event.stage} {event.step}/{event.steps}  {_figures(event)}")
-
-    def _print(self, line: str) -> None:
-        self._console.print(Text(line), soft_wrap=True)
+            say(self._console, f"{event.stage} {event.step}/{event.steps}  {_figures(event)}")
 
 
 def _trade(event: BudgetReport) -> str:
@@ -162,7 +203,7 @@ def _trade(event: BudgetReport) -> str:
     took = "all" if whole else f"{event.share:.2f}"
     cost = f"held-out views {event.psnr - event.before:+.2f} dB"
     rest = "" if whole else f", all of it {event.after - event.before:+.2f} dB"
-    return f"took {took} of the change: {cost} (budget {event.largest_loss:g}{rest})"
+    return f"took {took} of the change: {cost} (budget {event.largest_loss:g} for each view{rest})"
 
 
 def _figures(event: StepReport) -> str:

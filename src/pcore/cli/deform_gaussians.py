@@ -1,17 +1,18 @@
-"""`pcore deform` of Gaussians: a 3DGS file in, the edited one out."""
+"""`pcore deform`: points in and the edited ones out; or the Gaussians of a 3DGS file."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-from pcore.cli.change import change_lines, fold_notes
-from pcore.data.splat_formats import read_splats, save_splats
+from pcore.asset.posing import script_of
+from pcore.cli.change import change_lines, coarse, fold_notes
+from pcore.cli.deform import DeformCommand
+from pcore.data.points import POINT_SUFFIXES, check_point_path, read_point_file, save_moved
+from pcore.data.splat_formats import check_splat_output, holds_splats, read_splats, save_splats
+from pcore.deform.checks import count_folds
 from pcore.editing.gaussian_edit import BENT, EditedGaussians, edited_gaussians
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from pcore.editing.script import EditScript
+from pcore.editing.script import EditScript
+from pcore.errors import InputError
 
 
 def deform_gaussians(
@@ -28,11 +29,6 @@ def deform_gaussians(
 
     Returns:
         What was done, line by line.
-
-    Raises:
-        InputError: the file cannot be read or written.
-        DependencyError: a compressed file, and the package that decodes it is missing.
-        EditError: the edit does not fit the Gaussians, or folds space.
     """
     file = read_splats(source)
     edited = edited_gaussians(file, script, split=split, allow_folds=not strict)
@@ -65,3 +61,48 @@ def edit_notes(edited: EditedGaussians) -> list[str]:
     if edited.mended:
         notes.append(f"at {edited.mended:,} Gaussians the shape of the map is a substitute")
     return notes
+
+
+def deform(command: DeformCommand) -> None:
+    """Read points and edits, move the points in double precision, write them and say what was done.
+
+    The result has the precision of the input file.
+    """
+    gaussians, kind = holds_splats(command.input), command.input.suffix.lower()
+    if not gaussians and kind not in POINT_SUFFIXES:
+        raise InputError(
+            f"{command.input}: expected points (.npy, .ply) or Gaussians (.ply, .splat, .spz, "
+            f".sog), got {kind or 'no ending'!r}"
+        )
+    check = check_splat_output if gaussians else check_point_path
+    check(command.output)
+    if _same_file(command.input, command.output):
+        raise InputError(
+            f"{command.output}: expected an output other than the input, got the same file; "
+            "the points would be lost"
+        )
+    script = script_of(command.edit, command.time)
+    if gaussians:
+        strict, split = command.strict, command.split
+        lines = deform_gaussians(command.input, script, command.output, strict=strict, split=split)
+        print("\n".join(lines))
+        return
+    if command.split is not None:
+        raise InputError(f"--split: expected a file of Gaussians, got points in {command.input}")
+    source = read_point_file(command.input)
+    points = source.positions.double()
+    bound = script.bound(points, allow_folds=not command.strict)
+    deformation, moved = bound.deformation, bound.setting.points
+    maps = deformation.jacobian(points) if source.has_normals else None
+    left = save_moved(command.output, source, moved.to(source.positions.dtype), maps)
+    kinds = ", ".join(edit.type for edit in script.edits) or "no edit"
+    print(f"{command.input}: {len(points):,} points, {kinds}")
+    print("\n".join(change_lines(points, moved)))
+    odd = [*fold_notes(count_folds(deformation, points), len(points)), *coarse(source.positions)]
+    for line in [*odd, *bound.notes, *source.notes, *left]:
+        print(f"  note: {line}")
+    print(f"written to {command.output}")
+
+
+def _same_file(first: Path, second: Path) -> bool:
+    return first.exists() and second.exists() and first.samefile(second)

@@ -11,8 +11,10 @@ from rich.console import Console
 from rich.text import Text
 from tyro.conf import arg
 
+from pcore.cli.console import counting, say
 from pcore.cli.options import Count
-from pcore.cli.runtime import DeviceName
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
+from pcore.files.atomic import write_atomically
 
 if TYPE_CHECKING:
     from pcore.asset.training import RunOptions
@@ -46,7 +48,6 @@ class DemoCommand:
 
     def run(self) -> None:
         """Do it; raises PcoreError subclasses for what the user can mend."""
-        from pcore.cli.runtime import pick_device, prepare_torch
         from pcore.demo import demo_settings
 
         prepare_torch(self.threads)
@@ -59,15 +60,7 @@ class DemoCommand:
 
 
 def make_demo(path: Path, settings: DemoSettings, console: Console, *, device: str) -> Path:
-    """Run all stages that are not done yet and return the report.
-
-    Raises:
-        DependencyError: an extra is missing; said before any work.
-        InputError: the folder holds something else.
-        TrainingError: a training diverged or cannot write.
-        KeyboardInterrupt: Ctrl-C; what is done is kept.
-    """
-    from pcore.cli.results import counting
+    """Run all stages that are not done yet and return the report."""
     from pcore.data.video import require_video
     from pcore.demo.demo_folder import DemoFolder
     from pcore.demo.demo_story import evaluate_demo, film_demo, models_of
@@ -97,11 +90,10 @@ def make_demo(path: Path, settings: DemoSettings, console: Console, *, device: s
 
 def _say(console: Console, number: int, what: str) -> None:
     line = Text.assemble((f"{number}/{len(STAGES)} {STAGES[number - 1]}", "bold"), f": {what}")
-    console.print(line, soft_wrap=True)
+    say(console, line)
 
 
 def _sample(folder: DemoFolder, settings: DemoSettings, console: Console) -> None:
-    from pcore.cli.results import counting
     from pcore.demo.demo_folder import stamp_of
     from pcore.sample.sample import make_sample
 
@@ -185,11 +177,10 @@ def _report(folder: DemoFolder, settings: DemoSettings, console: Console) -> Pat
     """Write the page; made anew every time, from the files of the other stages."""
     from pcore.demo.demo_report import build_report, summary_lines
     from pcore.evaluation.report import render_report
-    from pcore.files.atomic import write_atomically
 
     target = folder.path / "report.html"
     write_atomically(target, render_report(build_report(folder, settings)).encode())
     for line in summary_lines(folder):
-        console.print(Text(line), soft_wrap=True)
-    console.print(Text.assemble("Report: ", (str(target.resolve()), "bold")), soft_wrap=True)
+        say(console, line)
+    say(console, Text.assemble("Report: ", (str(target.resolve()), "bold")))
     return target

@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.text import Text
+
+from pcore.cli.console import say
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 def note(console: Console, notes: Iterable[str]) -> None:
     """Print what is odd about edits and was not refused, each sentence once."""
     for line in dict.fromkeys(notes):
-        console.print(Text(f"warning: {line}", "yellow"), soft_wrap=True)
+        say(console, f"warning: {line}", style="yellow")
 
 
 def note_edit(console: Console, notes: Iterable[str], run: Path, edit: Path | None) -> None:
@@ -29,7 +30,7 @@ def note_edit(console: Console, notes: Iterable[str], run: Path, edit: Path | No
     note(console, found)
     if found and edit is not None:
         apply = f"pcore edit apply {run} --edit {edit} -o moved.ply --picture health.png"
-        console.print(Text(f"a picture of what goes wrong: {apply}"), soft_wrap=True)
+        say(console, f"a picture of what goes wrong: {apply}")
 
 
 def report(

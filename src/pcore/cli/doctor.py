@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import shutil
+import subprocess
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -13,7 +16,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from pcore.cli.console import say
 from pcore.demo.machine import usable_cores
+from pcore.errors import InputError
 
 _OPTIONAL = (
     ("embreex", "sample", "no embedded sample (`pcore demo`), no true depth of meshes"),
@@ -57,9 +62,9 @@ class DoctorCommand:
             mark = ("ok", "green") if finding.good else ("--", "yellow")
             line = f"  {finding.name:{width}}  {finding.value}"
             # Not wrapped: file names and addresses in it are there to be copied.
-            console.print(Text.assemble(mark, line), soft_wrap=True)
+            say(console, Text.assemble(mark, line))
             if finding.advice:
-                console.print(Text(f"{'':{width + 6}}{finding.advice}"), soft_wrap=True)
+                say(console, f"{'':{width + 6}}{finding.advice}")
 
 
 def examine() -> list[Finding]:
@@ -165,7 +170,6 @@ def _kernels() -> list[Finding]:
     """Say which backend searches neighbours and which attends to them, and why these."""
     import torch
 
-    from pcore.errors import InputError
     from pcore.kernels.backends import LARGEST_WIDTH, MOST_FOUND, MOST_NEIGHBOURS, backend
 
     kind = "cuda" if torch.cuda.is_available() else "cpu"
@@ -201,7 +205,7 @@ def _kernels() -> list[Finding]:
 
 
 def _gaussians() -> Finding:
-    from pcore.cli.doctor_gaussians import gaussian_report
+    from pcore.cli.doctor import gaussian_report
 
     value, advice = gaussian_report(installed)
     return Finding(name="Gaussians", value=value, good=not advice, advice=advice)
@@ -245,3 +249,55 @@ def weight_files() -> list[Finding]:
         else:
             findings.append(Finding(name=name, value=f"{paths.trunk}, {paths.heads}"))
     return findings
+
+
+_EXTENSION = "gsplat_cuda"
+
+
+def gaussian_report(installed: Callable[[str], str | None]) -> tuple[str, str]:
+    """Say which backend draws Gaussians, and what is missing; "" for nothing.
+
+    gsplat compiles its CUDA code when it draws for the first time, and is not asked to here.
+
+    Args:
+        installed: gives the version of a package.
+    """
+    import torch
+
+    if not torch.cuda.is_available():
+        return f"cpu (numba {installed('numba')})", ""
+    if find_spec("gsplat") is None:
+        return (
+            "none for cuda",
+            "Gaussians on a GPU need gsplat: `pip install 'pcore-edit[gsplat]'`",
+        )
+    value = f"gsplat for cuda ({installed('gsplat')})"
+    if _built():
+        return f"{value}, compiled", ""
+    return f"{value}, not compiled yet", _compiler_advice(torch.version.cuda or "")
+
+
+def _built() -> bool:
+    """Whether torch has compiled gsplat's extension for this user before."""
+    from torch.utils import cpp_extension
+
+    root = Path(cpp_extension.get_default_build_root())
+    return any(root.glob(f"**/{_EXTENSION}/*.so"))
+
+
+def _compiler_advice(cuda: str) -> str:
+    """What stands against compiling CUDA code for this torch; "" for nothing."""
+    nvcc = shutil.which("nvcc")
+    if nvcc is None:
+        return (
+            "its first picture compiles CUDA code, and nvcc is not found: install CUDA's toolkit "
+            f"{cuda}, or draw with --device cpu"
+        )
+    if find_spec("ninja") is None and shutil.which("ninja") is None:
+        return "its first picture compiles CUDA code and needs ninja: `pip install ninja`"
+    said = subprocess.run([nvcc, "--version"], capture_output=True, text=True, check=False).stdout
+    found = re.search(r"release (\d+)\.(\d+)", said)
+    if found is None or found.group(1) != cuda.split(".")[0]:
+        got = found.group(0) if found else "an unknown version"
+        return f"nvcc is {got}, and torch was built for CUDA {cuda}: install that toolkit"
+    return ""

@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
+from torch import Tensor
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from pcore.cli.cameras import Named
-    from pcore.data.video import VideoWriter
-    from pcore.geometry.camera import Camera
-    from pcore.render.image import Image
+from pcore.cli.cameras import Named
+from pcore.cli.console import bar
+from pcore.cli.diagnosing import note
+from pcore.data.pictures import depth_picture, depth_range, normal_picture, write_png, write_raw
+from pcore.data.video import VideoWriter
+from pcore.errors import InputError
+from pcore.geometry.camera import Camera
+from pcore.render.image import Image, whole_normals
+from pcore.training.ranks import current_ranks
 
 FPS = 30
 _FAINT = 0.02
@@ -62,14 +63,7 @@ def draw(
 
     Returns:
         The files, videos first.
-
-    Raises:
-        InputError: nothing is to be seen in any of the pictures.
-        KeyboardInterrupt: Ctrl-C; its message says what is complete.
     """
-    from pcore.data.pictures import depth_range
-    from pcore.training.ranks import current_ranks
-
     shades = depth_range(points, [camera for _, camera in views])
     files: list[Path] = []
     empty: list[str] = []
@@ -79,7 +73,10 @@ def draw(
             tell = stack.enter_context(_bar(console, len(views)))
 
             def picture_of(index: int) -> Image:
-                return take(views[index][1], progress=partial(_told, tell, index)).cpu()
+                def told(share: float) -> None:
+                    tell(index + share)
+
+                return take(views[index][1], progress=told).cpu()
 
             pictures = current_ranks().in_turn(len(views), picture_of)
             for (name, camera), picture in zip(views, pictures, strict=False):
@@ -100,9 +97,6 @@ def draw(
 
 def _tell_empty(empty: list[str], count: int, output: Path, console: Console) -> None:
     """Say which pictures show nothing; InputError when all of them do."""
-    from pcore.cli.diagnosing import note
-    from pcore.errors import InputError
-
     if empty and len(empty) == count:
         raise InputError(
             f"{output}: nothing is to be seen in any of the {count} picture(s) written; do the "
@@ -114,17 +108,10 @@ def _tell_empty(empty: list[str], count: int, output: Path, console: Console) ->
         note(console, [f"nothing is to be seen in {len(empty)} of {count} pictures: {some}"])
 
 
-def _told(tell: Callable[[float], None], done: int, share: float) -> None:
-    tell(done + share)
-
-
 def _layers(
     picture: Image, camera: Camera, wanted: Wanted, shades: tuple[float, float]
 ) -> dict[str, Tensor]:
     """Colours (H, W, 3) by the ending of their file's name."""
-    from pcore.data.pictures import depth_picture, normal_picture
-    from pcore.render.image import whole_normals
-
     layers = {"": picture.rgb}
     if wanted.depth:
         near, far = shades
@@ -144,9 +131,6 @@ def _write(
     layers: dict[str, Tensor],
     wanted: Wanted,
 ) -> list[Path]:
-    from pcore.data.pictures import write_png, write_raw
-    from pcore.render.image import whole_normals
-
     files: list[Path] = []
     if wanted.png:
         for ending, rgb in layers.items():
@@ -178,8 +162,6 @@ class _Films:
         return [self._output / f"orbit{ending}.mp4" for ending in self._writers]
 
     def add(self, layers: dict[str, Tensor]) -> None:
-        from pcore.data.video import VideoWriter
-
         for ending, rgb in layers.items():
             if ending not in self._writers:
                 path = self._output / f"orbit{ending}.mp4"
@@ -189,8 +171,6 @@ class _Films:
 
 @contextmanager
 def _bar(console: Console, total: int) -> Generator[Callable[[float], None]]:
-    from pcore.cli.results import bar
-
     progress = bar(console)
     task = progress.add_task("views", total=total)
     with progress:

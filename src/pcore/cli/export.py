@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import say
 from pcore.cli.options import Count, Folder, Number, optional
-from pcore.cli.runtime import DeviceName
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -109,23 +109,15 @@ class ExportCommand:
 
 
 def export(command: ExportCommand, console: Console) -> None:
-    """Write what is asked for and say what was written.
-
-    Raises:
-        CheckpointError: no run there, or it is damaged.
-        EditError: the edit file is not valid, or folds space.
-        InputError: contradicting options, nothing to be seen, or a place that cannot be written.
-        DependencyError: a package of the extra `mesh` is missing.
-    """
+    """Write what is asked for and say what was written."""
     from pcore.asset.saving import load
-    from pcore.cli.runtime import pick_device, prepare_torch
 
     _check(command)
     writer = _writer(command)
     prepare_torch(command.threads)
     asset = load(command.run_folder, device=pick_device(command.device))
     for line in writer(command, asset, console):
-        console.print(Text(line), soft_wrap=True)
+        say(console, line)
 
 
 def _check(command: ExportCommand) -> None:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.text import Text
 
-if TYPE_CHECKING:
-    from pcore.asset.asset import Asset
-    from pcore.evaluation.states import SceneStates, State
+from pcore.asset.asset import Asset
+from pcore.cli.console import say
+from pcore.cli.output import pictures_folder
+from pcore.data.points import read_point_file
+from pcore.evaluation.field_files import own_sources, write_cameras, write_field
+from pcore.evaluation.methods import apart
+from pcore.evaluation.states import SceneStates, State
 
 CAMERAS_FILE = "cameras.json"
 _REST = "rest"
@@ -32,16 +34,7 @@ def export_field(
         runs: whose own points are moved, where no files are given.
         given: names and files of points in the order of other checkpoints, of meshes and cages.
         where: the scene and the states.
-
-    Raises:
-        InputError: a file cannot be read or written, or the folder is in use.
-        DependencyError: scikit-image is not installed.
     """
-    from pcore.cli.output import pictures_folder
-    from pcore.data.points import read_point_file
-    from pcore.evaluation.field_files import own_sources, write_cameras, write_field
-    from pcore.evaluation.methods import apart
-
     places, states = where
     pictures_folder(folder, overwrite=None)
     sources = {name: read_point_file(path) for name, path in given}
@@ -53,8 +46,8 @@ def export_field(
     for name, source in sources.items():
         notes += write_field(folder, name, source, states)
         line = f"{name}: {len(source.positions):,} points in {len(states)} states"
-        console.print(Text(line), soft_wrap=True)
+        say(console, line)
     write_cameras(folder / CAMERAS_FILE, states)
     for line in notes:
-        console.print(Text(f"note: {line}"), soft_wrap=True)
-    console.print(Text(f"written to {folder}"), soft_wrap=True)
+        say(console, f"note: {line}")
+    say(console, f"written to {folder}")

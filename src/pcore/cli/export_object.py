@@ -4,21 +4,35 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import torch
+from rich.console import Console
+from torch import Tensor
+
+from pcore.asset.asset import Asset
+from pcore.asset.gaussian_content import GaussianContent
+from pcore.asset.mesh_finish import check_finish, finished, require_finish
+from pcore.asset.meshing import Meshing, map_of, mesh_of, moved_mesh
+from pcore.asset.painted_points import painted_points, posed_points
+from pcore.asset.posing import script_of
+from pcore.asset.splats_of_points import edited_splats, likeness, splats_of_points
+from pcore.cli.cameras import training_cameras
+from pcore.cli.console import counting
+from pcore.cli.deform_gaussians import edit_notes
+from pcore.cli.export import ExportCommand
+from pcore.data.mesh_output import MeshMotion, check_mesh_output, numbered, save_mesh
+from pcore.data.mesh_usd import require_usd
+from pcore.data.painted_ply import save_painted
+from pcore.data.splat_file import SplatFile, filter_words, splats_of
+from pcore.data.splat_formats import check_splat_output, save_splats
+from pcore.editing.animation import load_animation
+from pcore.editing.gaussian_edit import edited_gaussians
+from pcore.editing.script import EditScript
 from pcore.errors import EditError, InputError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-    from torch import Tensor
-
-    from pcore.asset.asset import Asset
-    from pcore.asset.meshing import Meshing
-    from pcore.cli.export import ExportCommand
-    from pcore.data.splat_file import SplatFile
-    from pcore.editing.script import EditScript
-    from pcore.gaussians.render import Footprint
-    from pcore.geometry.camera import Camera
+from pcore.gaussians.render import Footprint
+from pcore.gaussians.spherical_harmonics import brightened
+from pcore.geometry.camera import Camera
+from pcore.render.distance_grid import require_marching_cubes
 
 _ENDINGS = {"glb": (".glb",), "obj": (".obj",), "usd": (".usd", ".usda", ".usdc")}
 _STEPS = 1200
@@ -26,11 +40,6 @@ _STEPS = 1200
 
 def check(command: ExportCommand) -> None:
     """Raise InputError or DependencyError for what cannot be written, before any work."""
-    from pcore.data.mesh_output import check_mesh_output
-    from pcore.data.mesh_usd import require_usd
-    from pcore.data.splat_formats import check_splat_output
-    from pcore.render.distance_grid import require_marching_cubes
-
     path, kind = command.output, command.output.suffix.lower()
     if not path.absolute().parent.is_dir():
         raise InputError(f"{path}: expected an existing folder to write to, got {path.parent}")
@@ -51,20 +60,13 @@ def check(command: ExportCommand) -> None:
     if kind in _ENDINGS["usd"]:
         require_usd()
     if command.texture is not None or command.faces is not None:
-        from pcore.asset.mesh_finish import check_finish, require_finish
-
         check_finish(faces=command.faces, texture=command.texture)
         require_finish(texture=command.texture is not None, faces=command.faces is not None)
 
 
 def write_points(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
     """Write the points with what they look like."""
-    from pcore.asset.painted_points import painted_points, posed_points
-    from pcore.cli.results import counting
-    from pcore.data.mesh_output import numbered
-    from pcore.data.painted_ply import save_painted
-
-    times = _times(command)
+    times = times_of(command)
     poses = [asset.pose(command.edit, time=time) for time in times]
     with counting(console, "pictures") as tell:
         points = painted_points(asset, _cameras(command, asset), progress=tell)
@@ -79,18 +81,12 @@ def write_points(command: ExportCommand, asset: Asset, console: Console) -> list
 
 def write_mesh(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
     """Write the surface: made at rest, its vertices moved by the edit."""
-    from pcore.asset.meshing import map_of, mesh_of, moved_mesh
-    from pcore.cli.results import counting
-    from pcore.data.mesh_output import MeshMotion, save_mesh
-
     # Edits are bound first, so that one that folds costs no waiting.
-    maps = [map_of(asset, command.edit, time=time) for time in _times(command)]
+    maps = [map_of(asset, command.edit, time=time) for time in times_of(command)]
     with counting(console, "pictures") as tell:
         meshed = mesh_of(asset, _cameras(command, asset), _meshing(command), progress=tell)
     mesh = meshed.mesh
     if command.faces is not None or command.texture is not None:
-        from pcore.asset.mesh_finish import finished
-
         mesh = finished(meshed, faces=command.faces, texture=command.texture)
     moved = [moved_mesh(mesh, one) for one in maps]
     motion = None
@@ -105,12 +101,7 @@ def write_mesh(command: ExportCommand, asset: Asset, console: Console) -> list[s
 
 def write_splats(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
     """Write Gaussians: those of a run, or ones that are fitted to the pictures of a run of PAPR."""
-    from pcore.asset.gaussian_content import GaussianContent
-    from pcore.data.mesh_output import numbered
-    from pcore.data.splat_file import splats_of
-    from pcore.data.splat_formats import save_splats
-
-    times = _times(command)
+    times = times_of(command)
     if isinstance(asset.content, GaussianContent):
         footprint = asset.content.footprint
         name = str(command.run_folder)
@@ -133,11 +124,6 @@ def _fitted(
     command: ExportCommand, asset: Asset, times: list[float | None], console: Console
 ) -> tuple[list[SplatFile], list[str]]:
     """Gaussians that look like a run of PAPR at all times, and how near they come."""
-    from pcore.asset.meshing import map_of
-    from pcore.asset.splats_of_points import edited_splats, likeness, splats_of_points
-    from pcore.cli.results import counting
-    from pcore.data.splat_file import splats_of
-
     edit, steps = command.edit, _STEPS if command.steps is None else command.steps
     if command.split is not None:
         raise InputError("--split: expected a run of Gaussians, got one of PAPR's points")
@@ -159,8 +145,6 @@ def _fitted(
 
 def _of_filter(footprint: Footprint | None, kind: str) -> list[str]:
     """How pictures of a written file come out as those of the run."""
-    from pcore.data.splat_file import filter_words
-
     if footprint is None:
         return []
     read = {
@@ -180,10 +164,6 @@ def _carried(
     command: ExportCommand, asset: Asset, file: SplatFile, times: list[float | None]
 ) -> tuple[list[SplatFile], list[str]]:
     """Gaussians of a run at all times, and what is odd about the edit."""
-    from pcore.asset.posing import script_of
-    from pcore.cli.deform_gaussians import edit_notes
-    from pcore.editing.gaussian_edit import edited_gaussians
-
     if command.edit is None:
         return [file], []
     scripts: list[EditScript] = [script_of(command.edit, time) for time in times]
@@ -201,8 +181,6 @@ def _lit(
     file: SplatFile, asset: Asset, command: ExportCommand, time: float | None
 ) -> tuple[SplatFile, list[str]]:
     """Edited Gaussians in the light that stands still, as they are drawn; what is to be said."""
-    from pcore.gaussians.spherical_harmonics import brightened
-
     try:
         posed = asset.pose(command.edit, time=time)
     except EditError as error:
@@ -219,10 +197,8 @@ def _lit(
     return lit, [f"the light stands still: colours are those of the photos times {span}"]
 
 
-def _times(command: ExportCommand) -> list[float | None]:
+def times_of(command: ExportCommand) -> list[float | None]:
     """Times of all frames that are asked for."""
-    from pcore.editing.animation import load_animation
-
     if command.frames is None or command.edit is None:
         return [command.time]
     return [*load_animation(command.edit).times(command.frames)]
@@ -233,14 +209,10 @@ def _cameras(command: ExportCommand, asset: Asset) -> list[Camera] | None:
     folder = command.scene or asset.record.scene_folder
     if folder is None:
         return None
-    scene = asset.scene(folder)
-    split = "train" if "train" in scene.splits else scene.splits[0]
-    return [view.camera for view in scene.split(split)]
+    return [camera for _, camera in training_cameras(asset.scene(folder))]
 
 
 def _meshing(command: ExportCommand) -> Meshing:
-    from pcore.asset.meshing import Meshing
-
     how = Meshing(closed=command.watertight, box=_box(command))
     if command.resolution is not None:
         how = replace(how, resolution=command.resolution)
@@ -248,8 +220,6 @@ def _meshing(command: ExportCommand) -> Meshing:
 
 
 def _box(command: ExportCommand) -> tuple[Tensor, Tensor] | None:
-    import torch
-
     if command.box is None:
         return None
     lower, upper = torch.tensor(command.box, dtype=torch.float64).reshape(2, 3)

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import torch
+from rich.console import Console
+from torch import Tensor
+
+from pcore.asset.asset import Asset, Posed
+from pcore.asset.picture_set import frame_names, save_moving_set, save_picture_set
+from pcore.cli import cameras
+from pcore.cli.cameras import Named
+from pcore.cli.console import counting
+from pcore.cli.export import ExportCommand
+from pcore.cli.export_object import times_of
+from pcore.cli.output import pictures_folder
+from pcore.data.camera_output import TRANSFORMS, save_colmap, save_transforms
+from pcore.data.depth_files import depth_step, require_exr, save_depth_png, save_exr
+from pcore.data.pictures import normal_picture, write_png
+from pcore.data.whole_file import save_json
 from pcore.errors import InputError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-    from torch import Tensor
-
-    from pcore.asset.asset import Asset, Posed
-    from pcore.cli.cameras import Named
-    from pcore.cli.export import ExportCommand
-    from pcore.geometry.camera import Camera
-    from pcore.render.image import Image
+from pcore.geometry.camera import Camera
+from pcore.geometry.camera_path import path_through
+from pcore.render.image import Image, whole_normals
 
 Moment = tuple[float | None, "Posed"]
 """A time of the edit file, or None, and the object then."""
@@ -24,8 +32,6 @@ Shot = tuple[str, "Camera", float | None, "Posed"]
 
 def check(command: ExportCommand) -> None:
     """Raise InputError or DependencyError for what cannot be written, before any work."""
-    from pcore.data.depth_files import require_exr
-
     if command.to == "depth" and not command.no_exr:
         require_exr()
     if command.orbit is not None and command.orbit < 1:
@@ -34,13 +40,10 @@ def check(command: ExportCommand) -> None:
 
 def write(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
     """Write depth and normals, cameras, or a data set."""
-    import torch
-
-    from pcore.cli.output import export_folder
-
-    moments = _moments(command, asset)
+    times = times_of(command)
+    moments = [(time, asset.pose(command.edit, time=time)) for time in times]
     views = _views(command, asset, torch.cat([posed.points for _, posed in moments]))
-    export_folder(command.output, overwrite=command.overwrite)
+    pictures_folder(command.output, overwrite=command.overwrite)
     if command.to == "depth":
         return _write_depth(command, asset, _shots(command, views, moments), console)
     notes = [f"  note: {line}" for line in moments[0][1].notes]
@@ -49,21 +52,8 @@ def write(command: ExportCommand, asset: Asset, console: Console) -> list[str]:
     return [_write_pictures(command, asset, views, moments, console), *notes]
 
 
-def _moments(command: ExportCommand, asset: Asset) -> list[Moment]:
-    """The object at each time that is asked for."""
-    from pcore.editing.animation import load_animation
-
-    times: list[float | None] = [command.time]
-    if command.frames is not None and command.edit is not None:
-        times = [*load_animation(command.edit).times(command.frames)]
-    return [(time, asset.pose(command.edit, time=time)) for time in times]
-
-
 def _shots(command: ExportCommand, views: Named, moments: list[Moment]) -> list[Shot]:
     """Names, cameras, times and poses of the pictures of depth: one for each frame, on a path."""
-    from pcore.asset.picture_set import frame_names
-    from pcore.geometry.camera_path import path_through
-
     if command.frames is None:
         return [(name, camera, *moments[0]) for name, camera in views]
     path = path_through([camera for _, camera in views], len(moments))
@@ -75,8 +65,6 @@ def _shots(command: ExportCommand, views: Named, moments: list[Moment]) -> list[
 
 def _views(command: ExportCommand, asset: Asset, points: Tensor) -> Named:
     """Cameras of a file, of the scene's training views, or of an orbit."""
-    from pcore.cli import cameras
-
     if command.cameras is not None:
         given = cameras.cameras_of_file(command.cameras, command.size)
         return cameras.that_see(given, points, str(command.cameras))
@@ -87,15 +75,11 @@ def _views(command: ExportCommand, asset: Asset, points: Tensor) -> Named:
     scene = asset.scene(folder)
     if command.orbit is not None:
         return cameras.orbit_of_scene(scene, wish)
-    split = "train" if "train" in scene.splits else scene.splits[0]
-    return cameras.cameras_of_split(scene, split, command.size)
+    return cameras.training_cameras(scene, command.size)
 
 
 def _write_cameras(command: ExportCommand, named: Named, moments: list[Moment]) -> list[str]:
     """Write all cameras with the points of the object; a folder for each frame."""
-    from pcore.asset.picture_set import frame_names
-    from pcore.data.camera_output import TRANSFORMS, save_colmap, save_transforms
-
     folder = command.output
     folders = [folder]
     if command.frames is not None:
@@ -114,9 +98,6 @@ def _write_pictures(
     command: ExportCommand, asset: Asset, named: Named, moments: list[Moment], console: Console
 ) -> str:
     """Write pictures of all cameras; of all times where frames are asked for."""
-    from pcore.asset.picture_set import save_moving_set, save_picture_set
-    from pcore.cli.results import counting
-
     folder = command.output
     with counting(console, "pictures") as tell:
         if command.frames is None:
@@ -131,11 +112,6 @@ def _write_pictures(
 def _write_depth(
     command: ExportCommand, asset: Asset, shots: list[Shot], console: Console
 ) -> list[str]:
-    from pcore.cli.results import counting
-    from pcore.data.camera_output import TRANSFORMS, save_transforms
-    from pcore.data.depth_files import depth_step
-    from pcore.data.whole_file import save_json
-
     folder = command.output
     # One step for all pictures, before any is taken: what is behind the farthest point is nothing.
     step = depth_step(1.05 * max(float(c.depth(p.points).max()) for _, c, _, p in shots))
@@ -173,12 +149,6 @@ def _write_picture(
     folder: Path, name: str, camera: Camera, image: Image, step: float, *, exr: bool
 ) -> bool:
     """Write depth and normals of a picture; whether it shows any."""
-    import torch
-
-    from pcore.data.depth_files import save_depth_png, save_exr
-    from pcore.data.pictures import normal_picture, write_png
-    from pcore.render.image import whole_normals
-
     depth = torch.where(image.alpha >= 0.5, image.depth, torch.nan)
     facing = whole_normals(image, camera)
     save_depth_png(folder / f"{name}_depth.png", depth, step)

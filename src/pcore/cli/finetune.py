@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 
 from pcore.cli.losses import LossOptions, check_weights
 from pcore.cli.options import Count, Folder, PresetName, optional
-from pcore.cli.runtime import DeviceName
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
 from pcore.cli.torchrun import is_first
 from pcore.errors import InputError
 
@@ -90,18 +90,9 @@ def finetune_run(command: FinetuneCommand, console: Console) -> None:
     """Fine-tune as the command says, together with the other processes that torchrun started.
 
     Only the first of them has the folder and says anything.
-
-    Raises:
-        CheckpointError: there is no run, or its model is missing or damaged.
-        SceneError: the scene cannot be read.
-        InputError: no scene on record, or an output folder in use.
-        WeightsError: the preset asks for LPIPS weights that are missing.
-        TrainingError: training diverged or cannot write.
-        KeyboardInterrupt: Ctrl-C, after saving.
     """
     from pcore.asset.saving import load
     from pcore.asset.training import finetune
-    from pcore.cli.runtime import pick_device, prepare_torch
     from pcore.cli.sessions import show_result, trained_together
     from pcore.cli.train_checks import announce
     from pcore.files.run_place import check_place

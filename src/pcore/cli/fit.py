@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import counting, say
 from pcore.cli.options import Count, optional
-from pcore.cli.runtime import DeviceName
+from pcore.cli.output import check_place
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -80,8 +81,6 @@ class FitCommand:
     def run(self) -> None:
         """Fit; raises PcoreError subclasses for what the user can mend."""
         from pcore.asset.saving import load
-        from pcore.cli.results import counting
-        from pcore.cli.runtime import pick_device, prepare_torch
         from pcore.fitting.fit_sequence import check_times
         from pcore.fitting.shown_object import Shown
 
@@ -140,7 +139,6 @@ class FitCommand:
         return fit.edit, [fit]
 
     def _check(self) -> None:
-        from pcore.cli.output import check_place
         from pcore.validation import check_count
 
         if not self.photos:
@@ -166,14 +164,13 @@ class FitCommand:
     def _paint(
         self, asset: Asset, edit: EditScript, views: Sequence[View], folder: Path, console: Console
     ) -> None:
-        from pcore.cli.results import counting
         from pcore.fitting.appearance_fit import fit_appearance
 
         with counting(console, "appearance: steps") as tell:
             painted = fit_appearance(asset, edit, views, progress=tell)
         painted.save(folder)
         text = f"{folder}: the object in the colours of the photos\nnext: pcore render {folder}"
-        console.print(Text(f"{text} --edit {self.output}"), soft_wrap=True)
+        say(console, f"{text} --edit {self.output}")
 
     def _show(
         self, console: Console, states: Sequence[Sequence[View]], fits: Sequence[PoseFit]
@@ -184,18 +181,14 @@ class FitCommand:
                 f"{path}: {len(views)} photos, foreground PSNR {before.psnr:.2f} -> "
                 f"{after.psnr:.2f} dB, outlines overlap {before.overlap:.1%} -> {after.overlap:.1%}"
             )
-            console.print(Text(line), soft_wrap=True)
+            say(console, line)
         follow = "animate" if len(fits) > 1 else "render"
         text = f"{self.output}\nnext: pcore {follow} {self.run_folder} --edit {self.output}"
-        console.print(Text(text), soft_wrap=True)
+        say(console, text)
 
 
 def photos_in(path: Path, factor: int) -> tuple[View, ...]:
-    """Return the photos of a scene, or those of a deformed state of one by its folder.
-
-    Raises:
-        SceneError: there are none, or they are damaged.
-    """
+    """Return the photos of a scene, or those of a deformed state of one by its folder."""
     from pcore.capture.load import find_states, load_scene, load_state
 
     parent = path.parent

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import say
 from pcore.cli.options import Count, Folder, optional
+from pcore.cli.runtime import prepare_torch
 
 if TYPE_CHECKING:
     from pcore.data.splat_file import SplatFile
@@ -60,16 +61,8 @@ class ImportGaussiansCommand:
 
 
 def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
-    """Read the Gaussians, look at the photos if there are any, write a run.
-
-    Raises:
-        InputError: the file cannot be read, or does not show what the photos show.
-        DependencyError: a compressed file, and the package that decodes it is missing.
-        SceneError: the scene is damaged.
-        TrainingError: the run cannot be written.
-    """
+    """Read the Gaussians, look at the photos if there are any, write a run."""
     from pcore.asset.importing import save_imported
-    from pcore.cli.runtime import prepare_torch
     from pcore.data.splat_file import filter_words
     from pcore.data.splat_formats import read_splats
     from pcore.gaussians.render import Footprint
@@ -101,7 +94,7 @@ def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
         lines.append(f"  screen filter of the file's own comment: {filter_words(told)}")
     lines += [f"  note: {line}" for line in [*file.notes, *doubt, *_notes(file, gaussians)]]
     for line in lines:
-        console.print(Text(line), soft_wrap=True)
+        say(console, line)
 
 
 def _in_world(gaussians: Gaussians, transform: Path | None) -> Gaussians:

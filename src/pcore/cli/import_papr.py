@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import say
 from pcore.cli.options import optional
 from pcore.errors import InputError
-from pcore.model.papr_config import ReferenceOrigin
+
+if TYPE_CHECKING:
+    from pcore.model.papr_config import ReferenceOrigin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +48,11 @@ class ImportPaprCommand:
         asset = import_papr(self.model, self.config, self.output, reference=self._reference())
         came = asset.provenance
         text = f"{self.output}: {came.scene}, {len(asset):,} points, {came.step:,} steps"
-        Console().print(Text(text), soft_wrap=True)
+        say(Console(), text)
 
     def _reference(self) -> ReferenceOrigin | None:
+        from pcore.model.papr_config import ReferenceOrigin
+
         if self.reference_distance is None:
             if self.reference_center is not None:
                 raise InputError("--reference-center is for --reference-distance: give both")

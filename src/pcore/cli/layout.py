@@ -12,7 +12,6 @@ from itertools import groupby
 
 from rich.cells import cell_len
 from rich.console import Console
-from rich.text import Text
 
 _GAP = 2
 _MANY, _FEW = 4, 2
@@ -43,12 +42,6 @@ class Sheet:
 def room(console: Console) -> int | None:
     """Columns of a terminal; None without one, where nothing needs to be made to fit."""
     return console.width if console.is_terminal else None
-
-
-def print_lines(console: Console, lines: Sequence[str]) -> None:
-    """Print lines as they are, without wrapping, markup or colours of numbers."""
-    for line in lines:
-        console.print(Text(line), soft_wrap=True)
 
 
 def sheet_lines(sheet: Sheet, width: int | None) -> list[str]:

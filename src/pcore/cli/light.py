@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import counting, say
+from pcore.cli.diagnosing import note
 from pcore.cli.options import Count, Folder, optional
-from pcore.cli.runtime import DeviceName
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset
@@ -51,8 +52,6 @@ class LightCommand:
     def run(self) -> None:
         """Estimate; raises PcoreError subclasses for what the user can mend."""
         from pcore.asset.saving import load
-        from pcore.cli.diagnosing import note
-        from pcore.cli.runtime import pick_device, prepare_torch
 
         prepare_torch(self.threads)
         asset = load(self.run_folder, device=pick_device(self.device))
@@ -62,14 +61,8 @@ class LightCommand:
 
 
 def estimate(asset: Asset, scene: Scene, console: Console) -> None:
-    """Estimate the light of a run, write it into its folder and say what it is.
-
-    Raises:
-        InputError: too few points have a normal that the views agree on, or there is no folder.
-        OSError: the file cannot be written.
-    """
+    """Estimate the light of a run, write it into its folder and say what it is."""
     from pcore.asset.lighting import estimate_light
-    from pcore.cli.results import counting
     from pcore.files.model_file import MODEL_FILE, describe_model
 
     known = not (asset.path / MODEL_FILE).is_file() or describe_model(asset.path).surfels
@@ -80,7 +73,7 @@ def estimate(asset: Asset, scene: Scene, console: Console) -> None:
         if not known and describe_model(asset.path).surfels:
             where = asset.path / MODEL_FILE
             text = f"{where}: the surface over the points was not known; estimated now and kept"
-            console.print(Text(text), soft_wrap=True)
+            say(console, text)
     show_light(made, console)
 
 
@@ -92,4 +85,4 @@ def show_light(asset: Asset, console: Console) -> None:
     light, surfels = asset.light, asset.content.surfels
     if light is not None and surfels is not None:
         text = f"{asset.path / LIGHT_FILE}: {describe_light(light, surfels)}"
-        console.print(Text(text), soft_wrap=True)
+        say(console, text)

@@ -42,9 +42,6 @@ class LossOptions:
         Args:
             config: the settings with the changes in them.
             views: training views.
-
-        Raises:
-            InputError: an option asks for what cannot be.
         """
         if self.lpips_trunk is not None and config.lpips_weight == 0:
             raise InputError(

@@ -5,22 +5,25 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from rich.console import Console
-from rich.text import Text
 
+from pcore.cli.console import clock, say
+from pcore.cli.scenes import opened
+from pcore.cli.train import TrainCommand
+from pcore.data.scene import Scene
 from pcore.errors import InputError
+from pcore.files.records import from_dict
+from pcore.files.run_place import saved_nothing
+from pcore.files.run_record import RunRecord, begun
+from pcore.training.config import PretrainConfig
+from pcore.training.gaussian_config import GaussianConfig
+from pcore.training.measured_speed import measured_speed, papr_step, photos_of
+from pcore.training.speed import Speed
+from pcore.training.time_plan import ShortPromiseError, TimePlan, plan_gaussians, plan_papr
 
-if TYPE_CHECKING:
-    from pcore.cli.train import TrainCommand
-    from pcore.data.scene import Scene
-    from pcore.training.config import PretrainConfig
-    from pcore.training.gaussian_config import GaussianConfig
-    from pcore.training.speed import Speed
-    from pcore.training.time_plan import TimePlan
-
-Config = TypeVar("Config", "GaussianConfig", "PretrainConfig")
+Config = TypeVar("Config", bound=GaussianConfig | PretrainConfig)
 
 _LIGHT_STEPS = 2.0
 """What the estimate of the light costs, in steps per view at the finest size."""
@@ -58,13 +61,7 @@ class Promise:
 def promised(
     command: TrainCommand, scene: Scene, base: Config, device: str, promise: Promise
 ) -> tuple[Scene, Config, str]:
-    """Photos and settings for a promise, and the plan in words; of the run itself to go on.
-
-    Raises:
-        InputError: an option that the promise decides on, or too little time.
-    """
-    from pcore.training.time_plan import ShortPromiseError
-
+    """Photos and settings for a promise, and the plan in words; of the run itself to go on."""
     _check(command)
     if command.resume:
         going = _recorded(command, base)
@@ -92,10 +89,6 @@ class _Planner:
 
 
 def _planner(scene: Scene, base: GaussianConfig | PretrainConfig, device: str) -> _Planner:
-    from pcore.training.config import PretrainConfig
-    from pcore.training.measured_speed import measured_speed, papr_step, photos_of
-    from pcore.training.time_plan import plan_gaussians, plan_papr
-
     photos = photos_of(scene)
     if isinstance(base, PretrainConfig):
         step = papr_step(scene, base, device).seconds
@@ -113,17 +106,7 @@ def _planner(scene: Scene, base: GaussianConfig | PretrainConfig, device: str) -
 
 
 def _recorded(command: TrainCommand, base: Config) -> tuple[Scene, Config] | None:
-    """What was planned when the run began, with today's options for all else; None: nothing was.
-
-    Raises:
-        InputError: the run made no promise, or is of another kind of object.
-    """
-    from pcore.cli.train import opened
-    from pcore.files.records import from_dict
-    from pcore.files.run_place import saved_nothing
-    from pcore.files.run_record import RunRecord, begun
-    from pcore.training.config import PretrainConfig
-
+    """What was planned when the run began, with today's options for all else; None: nothing was."""
     if not begun(command.output) or saved_nothing(command.output):
         return None
     record = RunRecord.read(command.output).config
@@ -142,8 +125,6 @@ def _recorded(command: TrainCommand, base: Config) -> tuple[Scene, Config] | Non
 
 
 def _divided(command: TrainCommand, scene: Scene, factor: int) -> Scene:
-    from pcore.cli.train import opened
-
     if factor == 1:
         return scene
     # Masks that were cut for this run lie in its folder by now.
@@ -167,8 +148,6 @@ def _least_minutes(planner: _Planner, factor: int | None, needed: float, promise
 
 def _in_words(scene: Scene, config: GaussianConfig | PretrainConfig, promise: Promise) -> str:
     """The plan in one sentence."""
-    from pcore.training.config import PretrainConfig
-
     what = f"{config.points:,} points"
     if not isinstance(config, PretrainConfig):
         what = f"{config.points:,} to {config.density.limit:,} Gaussians"
@@ -198,10 +177,6 @@ def say_duration(
     console: Console, scene: Scene, config: GaussianConfig | PretrainConfig, device: str
 ) -> None:
     """Say how long a training without a promise will take on this machine."""
-    from pcore.cli.console import clock
-    from pcore.training.config import PretrainConfig
-    from pcore.training.measured_speed import measured_speed, papr_step
-
     if config.steps < _WORTH_MEASURING:
         return
     views = scene.split("train")
@@ -213,9 +188,7 @@ def say_duration(
         speed = measured_speed(scene, config, device)
         seconds = config.steps * speed.seconds(pixels, config.density.limit)
         seconds += after_gaussians(pixels, len(views), config, speed)
-    console.print(
-        Text(f"about {clock(seconds)} on this machine, as busy as it is now"), soft_wrap=True
-    )
+    say(console, f"about {clock(seconds)} on this machine, as busy as it is now")
 
 
 def _check(command: TrainCommand) -> None:

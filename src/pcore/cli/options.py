@@ -41,11 +41,7 @@ Output = Annotated[Path | None, optional("FOLDER", "-o")]
 
 
 def check_given_samples(samples: int | None) -> None:
-    """Refuse rays per pixel that make no square grid, before any work is done.
-
-    Raises:
-        InputError: they do not.
-    """
+    """Refuse rays per pixel that make no square grid, before any work is done."""
     from pcore.geometry.pixel_samples import check_samples
 
     if samples is not None:
@@ -53,11 +49,7 @@ def check_given_samples(samples: int | None) -> None:
 
 
 def named_paths(option: str, texts: Sequence[str]) -> list[tuple[str, Path]]:
-    """Names and paths of NAME=PATH.
-
-    Raises:
-        InputError: one has no name or no path, or a name comes twice.
-    """
+    """Names and paths of NAME=PATH."""
     pairs = [text.partition("=") for text in texts]
     if any(not name or not path for name, _, path in pairs):
         raise InputError(f"{option}: expected NAME=PATH, got {' '.join(texts)}")

@@ -7,6 +7,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from pcore.errors import InputError
+
 
 def pictures_folder(folder: Path, *, overwrite: bool | None) -> None:
     """Make a folder for pictures; refuse one that holds other files.
@@ -15,13 +17,7 @@ def pictures_folder(folder: Path, *, overwrite: bool | None) -> None:
         folder: made with its parents.
         overwrite: accept what is there; files of the same names are replaced, others stay. None:
             False, and the command has no such option.
-
-    Raises:
-        InputError: it is a file, a run, or holds files and `overwrite` is False.
-        OSError: it cannot be made.
     """
-    from pcore.errors import InputError
-
     there = _content(folder, "pictures")
     if there and not overwrite:
         way_out = "" if overwrite is None else ", or --overwrite to replace those of the same name"
@@ -33,13 +29,7 @@ def pictures_folder(folder: Path, *, overwrite: bool | None) -> None:
 
 
 def check_place(folder: Path) -> None:
-    """Refuse a place at which no folder can be made, before any work; leaves nothing there.
-
-    Raises:
-        InputError: something on the way to it is a file, or cannot be written into.
-    """
-    from pcore.errors import InputError
-
+    """Refuse a place at which no folder can be made, before any work; leaves nothing there."""
     there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
     if not there.is_dir():
         raise InputError(f"{folder}: {there} is a file: expected a folder; choose another place")
@@ -53,45 +43,16 @@ def check_place(folder: Path) -> None:
         ) from error
 
 
-def export_folder(folder: Path, *, overwrite: bool) -> None:
-    """Do the same as `pictures_folder`; InputError as well where it cannot be made."""
-    from pcore.errors import InputError
-
-    try:
-        pictures_folder(folder, overwrite=overwrite)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot make the folder ({error.strerror}); expected a place that can be "
-            "written to"
-        ) from error
-
-
-def results_folder(folder: Path, *, about: Path) -> None:
-    """Make a folder for results and write into it which run they are about.
+def results_folder(folder: Path, file: str, *, about: Path) -> None:
+    """Make a folder for results and write into it which run or scene they are about.
 
     Results of the same run are replaced, also those of an evaluation that did not come to its end.
 
     Args:
         folder: where the results go; made with its parents.
-        about: the run that they are about.
-
-    Raises:
-        InputError: it is a file, a run, or holds other files or the results of another run.
-        OSError: it cannot be made or written.
+        file: name of their summary.
+        about: the run, or the scene, that they are about.
     """
-    from pcore.evaluation.tables import SUMMARY_FILE
-
-    results_of(folder, SUMMARY_FILE, about=about)
-
-
-def results_of(folder: Path, file: str, *, about: Path) -> None:
-    """Do the same for results whose summary is another file, about a run or a scene.
-
-    Raises:
-        InputError: as `results_folder`.
-        OSError: it cannot be made or written.
-    """
-    from pcore.errors import InputError
     from pcore.evaluation.tables import write_json
     from pcore.files.run_record import relative
 
@@ -115,7 +76,6 @@ def results_of(folder: Path, file: str, *, about: Path) -> None:
 
 def _content(folder: Path, kind: str) -> str:
     """First names in a folder, empty when there are none; InputError for a file or a run."""
-    from pcore.errors import InputError
     from pcore.files.manifest import MANIFEST_FILE
     from pcore.validation import first_names
 

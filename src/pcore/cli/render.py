@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
+from pcore.cli.console import say
+from pcore.cli.diagnosing import note, note_edit
 from pcore.cli.light import LightChoice
 from pcore.cli.options import Count, Folder, Number, Output, Samples, check_given_samples, optional
-from pcore.cli.runtime import DeviceName
-from pcore.cli.torchrun import is_first
+from pcore.cli.output import pictures_folder
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
+from pcore.cli.torchrun import is_first, joined_ranks
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -115,17 +117,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
     """Render what the command asks for, write the files and say where they are.
 
     The processes that torchrun started take turns at the views; the first of them writes.
-
-    Raises:
-        CheckpointError: no model there, or it is damaged.
-        EditError: the edit file is not valid or folds space.
-        SceneError: the cameras cannot be read.
-        InputError: contradicting options, or an output folder in use.
-        DependencyError: a video is asked for and its package is missing.
     """
-    from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.torchrun import joined_ranks
-
     _check(command)
     prepare_torch(command.threads)
     device = pick_device(command.device)
@@ -135,9 +127,7 @@ def render_run(command: RenderCommand, console: Console) -> None:
 
 def _render(command: RenderCommand, device: str, ranks: Ranks, console: Console) -> None:
     from pcore.asset.saving import load
-    from pcore.cli.diagnosing import note_edit
     from pcore.cli.draw import Wanted, draw
-    from pcore.cli.output import pictures_folder
     from pcore.data.video import require_video
 
     asset = load(command.run_or_file, device=device)
@@ -192,7 +182,6 @@ def _image_size(folder: Path, factor: int) -> tuple[int, int]:
 def _views(command: RenderCommand, asset: Asset, posed: Posed, console: Console) -> Named:
     from pcore.capture.load import camera_notes, load_scene
     from pcore.cli import cameras
-    from pcore.cli.diagnosing import note
     from pcore.geometry.orbit import growth
 
     record = asset.record
@@ -222,7 +211,7 @@ def _views(command: RenderCommand, asset: Asset, posed: Posed, console: Console)
     )
     if folder is None or command.fov is not None:
         if folder is None:
-            console.print("no scene at hand: the orbit is fitted to the points")
+            say(console, "no scene at hand: the orbit is fitted to the points")
         return cameras.orbit_of_cloud(posed.points, wish)
     scene = asset.scene(folder, factor=factor)
     note(console, scene.notes)
@@ -248,4 +237,4 @@ def _tell(console: Console, views: Named, output: Path, files: list[Path]) -> No
     names = ", ".join(file.name for file in files[:3]) + ", ..." * (len(files) > 3)
     count = "1 view" if len(views) == 1 else f"{len(views)} views"
     text = f"{count} of {' and '.join(sizes)} pixels in {output}: {names}"
-    console.print(Text(text), soft_wrap=True)
+    say(console, text)

@@ -12,9 +12,6 @@ def prepare_torch(threads: int | None = None) -> None:
 
     Args:
         threads: of torch and of the kernels; None leaves torch's choice.
-
-    Raises:
-        InputError: fewer than one thread.
     """
     import torch
 
@@ -29,11 +26,7 @@ def prepare_torch(threads: int | None = None) -> None:
 
 
 def pick_device(name: DeviceName) -> str:
-    """Return the device to compute on: "cuda" or "cpu"; auto takes a GPU where there is one.
-
-    Raises:
-        InputError: a GPU was asked for and torch finds none.
-    """
+    """Return the device to compute on: "cuda" or "cpu"; auto takes a GPU where there is one."""
     import torch
 
     from pcore.errors import InputError

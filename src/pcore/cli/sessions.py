@@ -4,34 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from functools import partial
+from pathlib import Path
 
 from rich.console import Console
-from rich.text import Text
 
-if TYPE_CHECKING:
-    from pathlib import Path
+from pcore.asset.asset import Asset
+from pcore.asset.run_options import RunOptions
+from pcore.cli.console import ProgressDisplay, say
+from pcore.cli.finetune import FinetuneCommand
+from pcore.cli.light import show_light
+from pcore.cli.torchrun import joined_ranks
+from pcore.cli.train import TrainCommand
+from pcore.data.scene import Scene
+from pcore.files.provenance import pcore_version
+from pcore.files.run_record import finished
+from pcore.training.events import Listener, silent
 
-    from pcore.asset.asset import Asset
-    from pcore.asset.run_options import RunOptions
-    from pcore.cli.finetune import FinetuneCommand
-    from pcore.cli.train import TrainCommand
-    from pcore.data.scene import Scene
-    from pcore.training.events import Listener
-
-    Make = Callable[[Path | None, Listener, RunOptions], Asset]
+Make = Callable[[Path | None, Listener, RunOptions], Asset]
 
 
 @contextmanager
 def shown_training(console: Console) -> Generator[tuple[Listener, Callable[[str], None]]]:
     """Give a listener that shows a training, and what prints its notes."""
-    from pcore.cli.console import ProgressDisplay
-
-    def note(text: str) -> None:
-        console.print(Text(text), soft_wrap=True)
-
     with ProgressDisplay(console) as display:
-        yield display, note
+        yield display, partial(say, console)
 
 
 def trained_together(
@@ -59,16 +56,7 @@ def trained_together(
 
     Returns:
         The result in the first process, the only one that has the folder; None in the others.
-
-    Raises:
-        InputError: processes that were given different things.
     """
-    from pcore.asset.run_options import RunOptions
-    from pcore.cli.torchrun import joined_ranks
-    from pcore.files.provenance import pcore_version
-    from pcore.files.run_record import finished
-    from pcore.training.events import silent
-
     with joined_ranks(device) as ranks:
         views = [
             (view.name, view.camera.width, view.camera.height) for view in scene.split("train")
@@ -92,9 +80,6 @@ def _trained(
     done: bool,
 ) -> Asset:
     """Train with progress shown; say what the light is, unless the run was finished before."""
-    from pcore.asset.run_options import RunOptions
-    from pcore.cli.light import show_light
-
     with shown_training(console) as (listener, note):
         options = RunOptions(
             resume=command.resume,
@@ -114,10 +99,10 @@ def show_result(console: Console, asset: Asset) -> None:
     path, validation = asset.path, asset.record.notes.get("validation") or {}
     psnr = validation.get("kept_psnr" if "kept_step" in validation else "psnr")
     quality = "" if psnr is None else f": {psnr:.2f} dB on held-out training views"
-    console.print(Text(f"{path}{quality}"), soft_wrap=True)
+    say(console, f"{path}{quality}")
     # Measured: with aware rays and a light, fine-tuning costs more than it brings
     # (docs/research/quality.md), so that it is no step on the way.
-    console.print(Text(f"next: pcore render {path} --edit edit.json"), soft_wrap=True)
+    say(console, f"next: pcore render {path} --edit edit.json")
     if asset.record.stage == "pretrain" and asset.record.config.get("model") != "gaussians":
         text = f"the paper's method, for plain rays: pcore finetune {path}"
-        console.print(Text(text), soft_wrap=True)
+        say(console, text)

@@ -11,16 +11,19 @@ import threading
 import traceback
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
 from tyro.conf import Positional, arg
 
-from pcore.cli.layout import print_lines
+from pcore.cli.console import say
 from pcore.cli.options import Count, optional
-from pcore.cli.runtime import DeviceName
+from pcore.cli.runtime import DeviceName, pick_device, prepare_torch
 from pcore.errors import InputError
+from pcore.studio.guard import Guard
+from pcore.studio.ports import check_port
 
 if TYPE_CHECKING:
     from pcore.studio.studio import Studio
@@ -68,14 +71,7 @@ class StudioCommand:
 
 
 def studio(command: StudioCommand, console: Console, stack: ExitStack) -> None:
-    """Open the page and wait until Ctrl-C.
-
-    Raises:
-        CheckpointError: no run there, or it is damaged.
-        EditError: the edit file is not valid or does not fit the points.
-        DependencyError: viser is not installed.
-        InputError: options that contradict, a port in use.
-    """
+    """Open the page and wait until Ctrl-C."""
     from pcore.studio.server import require_viser
 
     if (command.run_or_file is None) != command.demo:
@@ -87,21 +83,18 @@ def studio(command: StudioCommand, console: Console, stack: ExitStack) -> None:
     last.daemon = True
     stack.callback(last.cancel)
     page = stack.enter_context(closing(_opened(command, stack)))
-    print_lines(console, [page.url, *_tunnel(command), _ending(command)])
+    say(console, page.url, *_tunnel(command), _ending(command))
     try:
         ended.wait()
     except KeyboardInterrupt:
-        console.print("")
+        say(console, "")
     # A tab or a thread that does not let go must not keep the program after Ctrl-C.
     last.start()
 
 
 def _opened(command: StudioCommand, stack: ExitStack) -> Studio:
     from pcore.asset.saving import load
-    from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.studio.guard import Guard
     from pcore.studio.outputs import Outputs
-    from pcore.studio.ports import check_port
     from pcore.studio.studio import Studio
 
     check_port(command.host, command.port)
@@ -112,18 +105,13 @@ def _opened(command: StudioCommand, stack: ExitStack) -> Studio:
     outputs = Outputs(folder=folder, edit=command.edit or folder / "edit.json", run=run)
     guard = Guard(host=command.host, port=command.port)
     title = "demo" if command.demo else run.resolve().name
-    return Studio(asset, guard, outputs, title=title, tour=command.demo, report=_report)
-
-
-def _report(error: Exception) -> None:
-    """What should not happen stands in the terminal; the page shows no trace."""
-    traceback.print_exception(error)
+    # What should not happen stands in the terminal; the page shows no trace.
+    report = traceback.print_exception
+    return Studio(asset, guard, outputs, title=title, tour=command.demo, report=report)
 
 
 def _demo(stack: ExitStack) -> Path:
     """A copy of the object that comes along, which is gone with the page."""
-    from importlib.resources import as_file, files
-
     scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pcore-studio-")))
     with as_file(files("pcore.studio").joinpath("demo_run")) as source:
         shutil.copytree(source, scratch / "demo")

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 from rich.console import Console
 from tyro.conf import Positional, arg
 
-from pcore.cli.layout import Sheet, print_lines, room, sheet_lines
+from pcore.cli.console import say
+from pcore.cli.layout import Sheet, room, sheet_lines
 from pcore.cli.options import Count, named_paths, optional
+from pcore.cli.output import pictures_folder
 from pcore.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,7 +55,6 @@ class StudyMakeCommand:
 
     def run(self) -> None:
         """Write both files; raises PcoreError subclasses for what the user can mend."""
-        from pcore.cli.output import pictures_folder
         from pcore.evaluation.report import require_jinja
         from pcore.study.page import KEY_FILE, PAGE_FILE, QUESTION, write_study
         from pcore.study.trials import plan_study
@@ -79,7 +80,7 @@ class StudyMakeCommand:
         if caught < self.catch:
             said = "each needs a picture of its own, and films make none"
             lines.insert(1, f"note: {caught} of {self.catch} catch trials: {said}")
-        print_lines(Console(), lines)
+        say(Console(), *lines)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +117,7 @@ class StudyReadCommand:
                 f"agreement of two people on one of {both.pairs} pairs: "
                 f"{100 * both.observed:.1f} %, Fleiss' kappa {kappa}"
             )
-        print_lines(console, [*lines, "", *sheet_lines(_quoted(), room(console))])
+        say(console, *lines, "", *sheet_lines(_quoted(), room(console)))
 
 
 def _methods(given: tuple[str, ...]) -> dict[str, Path]:

@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from rich.console import Console
-from rich.text import Text
 from tyro.conf import Positional, arg
 
 from pcore.cli.options import Count, optional
-from pcore.errors import InputError, TrainingError
-from pcore.validation import check_count
-
-if TYPE_CHECKING:
-    from pcore.sweep.executors import Execute, Machine
-    from pcore.sweep.sweep_plan import SweepPlan
-    from pcore.sweep.sweep_trial import Trial, TrialResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,155 +42,6 @@ class SweepCommand:
 
     def run(self) -> None:
         """Run the plan; raises PcoreError subclasses for what the user can mend."""
+        from pcore.cli.sweep_results import sweep
+
         sweep(self, Console())
-
-
-def sweep(command: SweepCommand, console: Console) -> None:
-    """Check everything, run what is not finished, write and print the tables.
-
-    Raises:
-        InputError: a plan that is wrong, impossible resources, or a folder in use.
-        SceneError: a scene cannot be read.
-        DependencyError: workers without Ray.
-        TrainingError: trials failed; the others are finished.
-        KeyboardInterrupt: Ctrl-C; trainings have saved their state.
-    """
-    from pcore.cli.sweep_places import placed
-    from pcore.cli.sweep_results import show_failures, write_results
-    from pcore.cli.sweep_verbs import check_trials, output_folder
-    from pcore.files.lock import FolderLock
-    from pcore.sweep.sweep_plan import read_plan
-    from pcore.sweep.sweep_storage import check_storage, publish
-    from pcore.sweep.sweep_tables import SWEEP_FILE, TABLES, write_start
-    from pcore.sweep.sweep_trial import fetch_records, trials_of
-
-    plan = read_plan(command.plan)
-    beside = command.plan.parent
-    trials = trials_of(plan, beside=beside, folder=command.output, storage=command.storage)
-    trials = placed(trials, beside)
-    check_trials(trials)
-    if command.storage is not None:
-        check_storage(command.storage)
-    with ExitStack() as stack:
-        if command.dry_run:
-            from pcore.cli.sweep_forecast import show_plan
-
-            at_once = _at_once(command, plan)
-            show_plan(console, trials, _known(trials), at_once)
-            return
-        execute = _executor(command, plan, stack)
-        output_folder(command.output, SWEEP_FILE)
-        lock = FolderLock.acquire(command.output)
-        stack.callback(lock.release)
-        write_start(command.output)
-        for one in trials:
-            fetch_records(one)
-        results = _attempt(console, trials, _finished(trials), execute)
-    failures = [one for one in results if one.failed is not None]
-    write_results(console, command.output, trials, results)
-    if command.storage is not None:
-        publish(command.output, command.storage, TABLES)
-    if failures:
-        show_failures(console, failures)
-        raise TrainingError(
-            f"{len(failures)} of {len(trials)} trials failed, the others are finished: "
-            f"{', '.join(one.trial.name for one in failures)}; mend what they say, then give the "
-            "same command again"
-        )
-
-
-def _finished(trials: Sequence[Trial]) -> list[TrialResult]:
-    from pcore.sweep.sweep_trial import finished_trial
-
-    return [one for one in map(finished_trial, trials) if one is not None]
-
-
-def _known(trials: Sequence[Trial]) -> list[TrialResult]:
-    """Finished trials, also those that only the storage knows of; writes nothing beside them."""
-    from pcore.sweep.sweep_trial import fetch_records, finished_trial
-
-    found: list[TrialResult | None] = []
-    with tempfile.TemporaryDirectory() as folder:
-        for number, one in enumerate(trials):
-            place = one.folder if one.storage is None else Path(folder) / str(number)
-            fetch_records(one, place)
-            found.append(finished_trial(one, place) or finished_trial(one, one.folder))
-    return [one for one in found if one is not None]
-
-
-def _at_once(command: SweepCommand, plan: SweepPlan) -> int:
-    """How many trials run at a time; InputError where none could."""
-    from pcore.sweep.executors import machines_of, trials_at_once
-
-    _check_options(command)
-    _check_here(command, plan)
-    if command.address is None:
-        return command.workers or 1
-    return trials_at_once(plan.resources, machines_of(command.address))
-
-
-def _check_options(command: SweepCommand) -> None:
-    if command.workers is not None:
-        check_count("--workers", command.workers)
-    if command.workers is not None and command.address is not None:
-        raise InputError(
-            f"--workers {command.workers}: expected no number with --address, whose cluster has "
-            "its own; leave one of the options out"
-        )
-
-
-def _check_here(command: SweepCommand, plan: SweepPlan) -> None:
-    """Check resources against this machine, unless others do the work."""
-    from pcore.sweep.executors import check_resources, check_workers
-
-    if command.address is None:
-        check_resources(plan.resources, [_machine()])
-        check_workers(plan.resources, command.workers or 1, _machine())
-
-
-def _executor(command: SweepCommand, plan: SweepPlan, stack: ExitStack) -> Execute:
-    from pcore.sweep.executors import in_turn, on_ray
-
-    _check_options(command)
-    _check_here(command, plan)
-    if command.workers is None and command.address is None:
-        return in_turn
-    ray = on_ray(
-        plan.resources,
-        address=command.address,
-        workers=command.workers or 1,
-        machine=_machine(),
-    )
-    return stack.enter_context(ray)
-
-
-def _machine() -> Machine:
-    """This one."""
-    import torch
-
-    from pcore.demo.machine import usable_cores
-    from pcore.sweep.executors import this_machine
-
-    return this_machine(usable_cores(), torch.cuda.device_count())
-
-
-def _attempt(
-    console: Console, trials: Sequence[Trial], done: Sequence[TrialResult], execute: Execute
-) -> list[TrialResult]:
-    """Results of all trials, in their order."""
-    from pcore.cli.sweep_verbs import run_trial
-    from pcore.demo.machine import clock
-    from pcore.sweep.sweep_trial import fetch_records
-
-    results = {one.trial.name: one for one in done}
-    if done:
-        console.print(f"{len(done)} of {len(trials)} trials are finished already")
-    left = [one for one in trials if one.name not in results]
-    for result in execute(left, run_trial):
-        fetch_records(result.trial)
-        results[result.trial.name] = result
-        took = "" if result.seconds is None else f" in {clock(result.seconds)}"
-        said = f"finished{took}" if result.failed is None else f"failed: {result.failed}"
-        line = f"{len(results)}/{len(trials)} {result.trial.name}: {said}"
-        console.print(Text(line), soft_wrap=True)
-    return [results[one.name] for one in trials]

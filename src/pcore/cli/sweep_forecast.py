@@ -11,15 +11,16 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rich.console import Console
-from rich.text import Text
 
-from pcore.cli.layout import Sheet, print_lines, room, sheet_lines
-
-if TYPE_CHECKING:
-    from pcore.sweep.sweep_trial import Trial, TrialResult
+from pcore.cli.console import say
+from pcore.cli.layout import Sheet, room, sheet_lines
+from pcore.cli.sweep_verbs import RUN, process_words, words_of
+from pcore.demo.machine import clock
+from pcore.files.run_folder import LOG_FILE
+from pcore.sweep.sweep_trial import Trial, TrialResult
 
 _WATCH = 10.0
 """Seconds of training after its first step, when all is compiled, that tell how fast it is."""
@@ -39,9 +40,6 @@ def show_plan(
     console: Console, trials: Sequence[Trial], done: Sequence[TrialResult], workers: int
 ) -> None:
     """Print all trials with what each runs, and the time that what is left will take."""
-    from pcore.cli.sweep_verbs import words_of
-    from pcore.demo.machine import clock
-
     finished = {one.trial.name for one in done}
     left = [one for one in trials if one.name not in finished]
     known = {name: _forecast(name, left, done) for name in dict.fromkeys(t.setting for t in left)}
@@ -50,24 +48,22 @@ def show_plan(
     )
     keys = ("scene", "setting", "seed")
     sheet = Sheet(title=f"{len(trials)} trials", keys=keys, columns=("predicted time",), rows=rows)
-    print_lines(console, sheet_lines(sheet, room(console)))
+    say(console, *sheet_lines(sheet, room(console)))
     for setting in dict.fromkeys(one.setting for one in trials):
         first = next(one for one in trials if one.setting == setting)
         for verb in first.verbs:
-            console.print(Text(f"{setting}: {' '.join(words_of(first, verb))}"), soft_wrap=True)
+            say(console, f"{setting}: {' '.join(words_of(first, verb))}")
     seconds = [known[one.setting].seconds for one in left]
     total = sum(one for one in seconds if one is not None) / max(1, min(workers, len(left)))
     lower = any(one.seconds is None or not one.whole for one in known.values())
     least = "at least " if lower else "about "
     said = f"{len(left)} to run, {workers} at a time: {least}{clock(math.ceil(total))}"
-    console.print(Text(said), soft_wrap=True)
+    say(console, said)
     if lower:
-        console.print("(training only; the rest is known once one trial of a setting is finished)")
+        say(console, "(training only; the rest is known once one trial of a setting is finished)")
 
 
 def _told(trial: Trial, finished: set[str], known: dict[str, Forecast]) -> str:
-    from pcore.demo.machine import clock
-
     if trial.name in finished:
         return "finished"
     seconds = known[trial.setting].seconds
@@ -89,9 +85,6 @@ def _forecast(setting: str, left: Sequence[Trial], done: Sequence[TrialResult]) 
 
 def _watched(trial: Trial) -> float | None:
     """Begin a training in a process of its own, and ask its log what is left; then end it."""
-    from pcore.cli.sweep_verbs import RUN, process_words
-    from pcore.files.run_folder import LOG_FILE
-
     begun, first = time.monotonic(), None
     quiet = subprocess.DEVNULL
     process = subprocess.Popen(

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pcore.errors import InputError
-
-if TYPE_CHECKING:
-    from pcore.sweep.sweep_trial import Trial
+from pcore.sweep.sweep_trial import Trial
 
 _WORDS: dict[tuple[str, str], tuple[str, ...]] = {
     ("train", "init"): ("hull", "grid", "sparse", "views"),
@@ -29,9 +27,6 @@ def placed(trials: Sequence[Trial], beside: Path) -> list[Trial]:
     Args:
         trials: as `trials_of` lists them.
         beside: folder that the plan's paths are seen from.
-
-    Raises:
-        InputError: a place that is not there.
     """
     found: list[Trial] = []
     for one in trials:

@@ -21,9 +21,6 @@ def run_together(words: Sequence[str]) -> None:
 
     Args:
         words: of `process_words`.
-
-    Raises:
-        TrainingError: it failed; the message is the command's own where it has one.
     """
     told = "no message"
     pipe, joined = subprocess.PIPE, subprocess.STDOUT

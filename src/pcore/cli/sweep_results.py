@@ -1,21 +1,58 @@
-"""Results of `pcore sweep` in the terminal."""
+"""`pcore sweep`: what is left to run, where, and its results in the terminal."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import torch
 from rich.console import Console
-from rich.text import Text
 
-from pcore.cli.layout import Column, Sheet, print_lines, room, sheet_lines
+from pcore.cli.console import say
+from pcore.cli.layout import Column, Sheet, room, sheet_lines
+from pcore.cli.sweep import SweepCommand
+from pcore.cli.sweep_forecast import show_plan
+from pcore.cli.sweep_places import placed
+from pcore.cli.sweep_verbs import check_trials, output_folder, run_trial
+from pcore.demo.machine import clock, usable_cores
+from pcore.errors import InputError, TrainingError
 from pcore.evaluation.tables import shown
-
-if TYPE_CHECKING:
-    from pcore.sweep.spread import PairedDifference, Spread, VariantMean
-    from pcore.sweep.sweep_trial import Trial, TrialResult
+from pcore.files.lock import FolderLock
+from pcore.sweep.executors import (
+    Execute,
+    Machine,
+    check_resources,
+    check_workers,
+    in_turn,
+    machines_of,
+    on_ray,
+    this_machine,
+    trials_at_once,
+)
+from pcore.sweep.spread import (
+    PairedDifference,
+    Spread,
+    VariantMean,
+    paired_differences,
+    variant_means,
+)
+from pcore.sweep.storage_claim import claimed
+from pcore.sweep.sweep_plan import ALL, SweepPlan, read_plan
+from pcore.sweep.sweep_scores import notes_of, scores_of
+from pcore.sweep.sweep_storage import check_storage, publish
+from pcore.sweep.sweep_tables import SWEEP_FILE, TABLES, write_sweep
+from pcore.sweep.sweep_trial import (
+    OUTPUT_FILE,
+    Trial,
+    TrialResult,
+    fetch_records,
+    finished_trial,
+    trials_of,
+)
+from pcore.validation import check_count
 
 _COLUMNS = (
     ("foreground_psnr", "fg PSNR\ndB", 2, 1),
@@ -30,45 +67,42 @@ _SHOWN = "standard"
 
 
 def write_results(
+    folder: Path, trials: Sequence[Trial], results: Sequence[TrialResult]
+) -> tuple[list[VariantMean], list[PairedDifference], int]:
+    """Gather the scores of the trials that have finished so far, and write the files.
+
+    Returns:
+        Means, differences, and how many seeds there are.
+    """
+    scores = scores_of([one.trial for one in results if one.failed is None])
+    means, differences = variant_means(scores), paired_differences(scores)
+    write_sweep(folder, results, scores, means, differences, trials=len(trials))
+    return means, differences, len({one.seed for one in scores})
+
+
+def show_results(
     console: Console, folder: Path, trials: Sequence[Trial], results: Sequence[TrialResult]
 ) -> None:
-    """Gather the scores of finished trials, write the files and print the tables.
-
-    Raises:
-        InputError: a trial's results are damaged.
-        OSError: a file cannot be written.
-    """
-    from pcore.sweep.spread import paired_differences, variant_means
-    from pcore.sweep.sweep_scores import notes_of, scores_of
-    from pcore.sweep.sweep_tables import write_sweep
-
-    failed = {one.trial.name for one in results if one.failed is not None}
-    finished = [one for one in trials if one.name not in failed]
-    scores = scores_of(finished)
-    means, differences = variant_means(scores), paired_differences(scores)
-    write_sweep(folder, results, scores, means, differences)
-    seeds = len({one.seed for one in scores})
+    """Write the files and print the tables."""
+    means, differences, seeds = write_results(folder, trials, results)
     for sheet in (_mean_sheet(means, seeds), _difference_sheet(differences)):
         if sheet.rows:
-            print_lines(console, [*sheet_lines(_filled(sheet), room(console)), ""])
-    print_lines(console, [f"note: {note}" for note in notes_of(finished)])
-    console.print(Text(f"written to {folder}"), soft_wrap=True)
+            say(console, *sheet_lines(_filled(sheet), room(console)), "")
+    finished = [one.trial for one in results if one.failed is None]
+    say(console, *[f"note: {note}" for note in notes_of(finished)])
+    say(console, f"written to {folder}")
 
 
 def show_failures(console: Console, failures: Sequence[TrialResult]) -> None:
     """List failed trials, each with its reason and where its whole output is."""
-    from pcore.sweep.sweep_trial import OUTPUT_FILE
-
-    console.print(f"failed: {len(failures)}")
+    say(console, f"failed: {len(failures)}")
     for one in failures:
         told = f"  {one.trial.name}: {one.failed} ({one.trial.folder / OUTPUT_FILE})"
-        console.print(Text(told), soft_wrap=True)
+        say(console, told)
 
 
 def _mean_sheet(means: Sequence[VariantMean], seeds: int) -> Sheet:
     """Means over scenes where there are any, else of each scene."""
-    from pcore.sweep.sweep_plan import ALL
-
     chosen = [one for one in means if one.protocol == _SHOWN]
     over = {(one.setting, one.method, one.state) for one in chosen if one.scene == ALL}
     rows = tuple(
@@ -118,3 +152,119 @@ def _text(one: Spread | None, digits: int, factor: float, sign: bool) -> str:
     plus = "+" if sign and one.mean > 0 else ""
     text = plus + shown(factor * one.mean, digits)
     return text if one.spread is None else f"{text} ± {factor * one.spread:.{digits}f}"
+
+
+def sweep(command: SweepCommand, console: Console) -> None:
+    """Check everything, run what is not finished, write and print the tables."""
+    plan = read_plan(command.plan)
+    beside = command.plan.parent
+    trials = trials_of(plan, beside=beside, folder=command.output, storage=command.storage)
+    trials = placed(trials, beside)
+    check_trials(trials)
+    if command.storage is not None:
+        check_storage(command.storage)
+    with ExitStack() as stack:
+        if command.dry_run:
+            at_once = _at_once(command, plan)
+            show_plan(console, trials, _known(trials), at_once)
+            return
+        if command.storage is not None:
+            stack.enter_context(claimed(command.storage))
+        execute = _executor(command, plan, stack)
+        output_folder(command.output, SWEEP_FILE)
+        lock = FolderLock.acquire(command.output)
+        stack.callback(lock.release)
+        for one in trials:
+            fetch_records(one)
+        results = _attempt(console, command.output, trials, execute)
+        failures = [one for one in results if one.failed is not None]
+        show_results(console, command.output, trials, results)
+        if command.storage is not None:
+            publish(command.output, command.storage, TABLES)
+    if failures:
+        show_failures(console, failures)
+        raise TrainingError(
+            f"{len(failures)} of {len(trials)} trials failed, the others are finished: "
+            f"{', '.join(one.trial.name for one in failures)}; mend what they say, then give the "
+            "same command again"
+        )
+
+
+def _known(trials: Sequence[Trial]) -> list[TrialResult]:
+    """Finished trials, also those that only the storage knows of; writes nothing beside them."""
+    found: list[TrialResult | None] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for number, one in enumerate(trials):
+            place = one.folder if one.storage is None else Path(folder) / str(number)
+            fetch_records(one, place)
+            found.append(finished_trial(one, place) or finished_trial(one, one.folder))
+    return [one for one in found if one is not None]
+
+
+def _at_once(command: SweepCommand, plan: SweepPlan) -> int:
+    """How many trials run at a time; InputError where none could."""
+    _check_options(command)
+    _check_here(command, plan)
+    if command.address is None:
+        return command.workers or 1
+    return trials_at_once(plan.resources, machines_of(command.address))
+
+
+def _check_options(command: SweepCommand) -> None:
+    if command.workers is not None:
+        check_count("--workers", command.workers)
+    if command.workers is not None and command.address is not None:
+        raise InputError(
+            f"--workers {command.workers}: expected no number with --address, whose cluster has "
+            "its own; leave one of the options out"
+        )
+
+
+def _check_here(command: SweepCommand, plan: SweepPlan) -> None:
+    """Check resources against this machine, unless others do the work."""
+    if command.address is None:
+        check_resources(plan.resources, [_machine()])
+        check_workers(plan.resources, command.workers or 1, _machine())
+
+
+def _executor(command: SweepCommand, plan: SweepPlan, stack: ExitStack) -> Execute:
+    _check_options(command)
+    _check_here(command, plan)
+    if command.workers is None and command.address is None:
+        return in_turn
+    ray = on_ray(
+        plan.resources,
+        address=command.address,
+        workers=command.workers or 1,
+        machine=_machine(),
+    )
+    return stack.enter_context(ray)
+
+
+def _machine() -> Machine:
+    """This one."""
+    return this_machine(usable_cores(), torch.cuda.device_count())
+
+
+def _attempt(
+    console: Console, folder: Path, trials: Sequence[Trial], execute: Execute
+) -> list[TrialResult]:
+    """Results of all trials, in their order; the files are written anew after each of them."""
+    done = [one for one in map(finished_trial, trials) if one is not None]
+    results = {one.trial.name: one for one in done}
+    if done:
+        say(console, f"{len(done)} of {len(trials)} trials are finished already")
+    left = [one for one in trials if one.name not in results]
+
+    def so_far() -> list[TrialResult]:
+        return [results[one.name] for one in trials if one.name in results]
+
+    write_results(folder, trials, so_far())
+    for result in execute(left, run_trial):
+        fetch_records(result.trial)
+        results[result.trial.name] = result
+        write_results(folder, trials, so_far())
+        took = "" if result.seconds is None else f" in {clock(result.seconds)}"
+        said = f"finished{took}" if result.failed is None else f"failed: {result.failed}"
+        say(console, f"{len(results)}/{len(trials)} {result.trial.name}: {said}")
+    return so_far()

@@ -8,13 +8,21 @@ import sys
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from pcore.errors import InputError
-
-if TYPE_CHECKING:
-    from pcore.cli.main import Command
-    from pcore.sweep.sweep_trial import Trial
+from pcore.capture.load import load_scene
+from pcore.cli.compare import CompareCommand
+from pcore.cli.compare_results import wanted_methods
+from pcore.cli.main import VERBS, Command, command_of
+from pcore.cli.output import pictures_folder
+from pcore.cli.sweep_processes import TORCHRUN, run_together
+from pcore.errors import InputError, SceneError
+from pcore.evaluation.states import open_states
+from pcore.files.run_place import bytes_needed, check_space
+from pcore.files.run_record import begun
+from pcore.sweep.sweep_scores import COMPARE, EVAL
+from pcore.sweep.sweep_trial import Trial
+from pcore.validation import check_count
 
 RUN, TUNED = "run", "tuned"
 """Folders of a trial's trainings."""
@@ -28,34 +36,26 @@ _OURS = {
 
 
 def run_trial(trial: Trial) -> None:
-    """Run the verbs of a trial one after another; trainings go on from what lies in its folder.
-
-    Raises:
-        PcoreError: as the commands.
-        KeyboardInterrupt: Ctrl-C, after saving.
-    """
+    """Run the verbs of a trial one after another; trainings go on from what lies in its folder."""
     for verb in trial.verbs:
         if trial.processes > 1:
-            from pcore.cli.sweep_processes import run_together
-
             run_together(process_words(trial, verb))
         else:
             parsed(trial, verb).run()
 
 
 def parsed(trial: Trial, verb: str) -> Command:
-    """One command of a trial, ready to run.
-
-    Raises:
-        InputError: the plan has an option that the verb does not, or that is the sweep's.
-    """
-    from pcore.cli.main import VERBS, command_of
-
-    known = {one.name: one for one in VERBS}
-    if verb not in known:
-        raise InputError(f"plan: setting {trial.setting!r}: this pcore has no verb {verb!r}")
+    """One command of a trial, ready to run."""
     where = f"plan: setting {trial.setting!r}, {verb}"
     words = [*_own_words(trial, verb), *_plan_words(trial, verb, where)]
+    return parsed_words(verb, words, where)
+
+
+def parsed_words(verb: str, words: Sequence[str], where: str) -> Command:
+    """The command of a verb with options as on the command line."""
+    known = {one.name: one for one in VERBS}
+    if verb not in known:
+        raise InputError(f"{where}: this pcore has no verb {verb!r}")
     told = io.StringIO()
     try:
         with redirect_stderr(told), redirect_stdout(told):
@@ -69,8 +69,6 @@ def parsed(trial: Trial, verb: str) -> Command:
 
 def words_of(trial: Trial, verb: str) -> list[str]:
     """The same command as words of a command line."""
-    from pcore.cli.sweep_processes import TORCHRUN
-
     start = [*TORCHRUN, str(trial.processes), "--no-python"] if trial.processes > 1 else []
     return [*start, "pcore", verb, *_own_words(trial, verb), *_plan_words(trial, verb, verb)]
 
@@ -91,31 +89,37 @@ def check_trials(trials: Sequence[Trial]) -> None:
         trials: all of the sweep; every setting and every scene is checked once.
 
     Raises:
-        InputError: an unknown option or state.
-        SceneError: a scene that is missing or damaged.
+        InputError: an unknown option or state, or scenes that are missing or damaged, all of them.
     """
-    from pcore.capture.load import load_scene
-    from pcore.evaluation.states import open_states
-
     commands = {one.setting: {verb: parsed(one, verb) for verb in one.verbs} for one in trials}
     processes = {one.setting: one.processes for one in trials}
     for setting, verbs in commands.items():
         for verb, command in verbs.items():
             _check_values(command, f"plan: setting {setting!r}, {verb}", processes[setting])
-    for place, setting in dict.fromkeys((one.scene_folder, one.setting) for one in trials):
-        train: Any = commands[setting]["train"]
-        load_scene(place, factor=train.factor)
-        for verb in {"eval", "compare"} & {*commands[setting]}:
-            scored: Any = commands[setting][verb]
-            states = scored.state or (() if verb == "eval" and scored.edit else ("all",))
-            open_states(place, factor=scored.factor or train.factor).select(states)
+    wrong: dict[str, str] = {}
+    for one in {(one.scene, one.setting): one for one in trials}.values():
+        try:
+            _check_scene(one.scene_folder, commands[one.setting])
+        except (InputError, SceneError) as error:
+            wrong.setdefault(one.scene, f"scene {one.scene!r}, setting {one.setting!r}: {error}")
+    if len(wrong) == 1:
+        raise InputError(f"plan: {next(iter(wrong.values()))}")
+    if wrong:
+        told = "".join(f"\n- {one}" for one in wrong.values())
+        raise InputError(f"plan: {len(wrong)} scenes cannot be used:{told}")
+
+
+def _check_scene(place: Path, commands: Mapping[str, Any]) -> None:
+    train = commands["train"]
+    load_scene(place, factor=train.factor)
+    for verb in {"eval", "compare"} & {*commands}:
+        scored = commands[verb]
+        states = scored.state or (() if verb == "eval" and scored.edit else ("all",))
+        open_states(place, factor=scored.factor or train.factor).select(states)
 
 
 def _check_values(command: Any, where: str, processes: int) -> None:
     """Refuse numbers and methods that the verb would refuse, hours later."""
-    from pcore.cli.compare import CompareCommand, wanted_methods
-    from pcore.validation import check_count
-
     for name in ("steps", "points", "patches", "every"):
         value = getattr(command, name, None)
         if isinstance(value, int):
@@ -131,9 +135,6 @@ def _check_values(command: Any, where: str, processes: int) -> None:
 
 def _own_words(trial: Trial, verb: str) -> list[str]:
     """What the sweep itself says: places, seed, resources, whether there is something to resume."""
-    from pcore.files.run_record import begun
-    from pcore.sweep.sweep_scores import COMPARE, EVAL
-
     run, tuned = trial.folder / RUN, trial.folder / TUNED
     last = tuned if "finetune" in trial.verbs else run
     scene, seed = str(trial.scene_folder), str(trial.seed)
@@ -164,9 +165,6 @@ def option_words(
         ours: names that the file cannot give.
         where: the place in the file, for messages.
         giver: what gives ours, such as "sweep".
-
-    Raises:
-        InputError: one of ours, or no value.
     """
     found: list[str] = []
     for key, value in options.items():
@@ -188,15 +186,6 @@ def option_words(
 
 
 def output_folder(folder: Path, file: str) -> None:
-    """Make the folder of a sweep; refuse one that holds something else.
-
-    Raises:
-        InputError: it is a file, or holds other files.
-        TrainingError: its disk has no space for any run.
-        OSError: it cannot be made.
-    """
-    from pcore.cli.output import pictures_folder
-    from pcore.files.run_place import bytes_needed, check_space
-
+    """Make the folder of a sweep; refuse one that holds something else."""
     check_space(folder, bytes_needed(0))
     pictures_folder(folder, overwrite=(folder / file).is_file() or None)

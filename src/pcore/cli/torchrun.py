@@ -46,11 +46,7 @@ def is_first() -> bool:
 
 
 def refuse_ranks(what: str) -> None:
-    """Refuse to do the same work several times.
-
-    Raises:
-        InputError: torchrun started several processes.
-    """
+    """Refuse to do the same work several times."""
     from pcore.errors import InputError
 
     if _processes() > 1:

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from rich.console import Console
 from tyro.conf import Positional, arg
 
-from pcore.cli.losses import LossOptions, check_weights
-from pcore.cli.minutes import Promise, promised, say_duration
+from pcore.cli.losses import LossOptions
 from pcore.cli.options import Count, optional
 from pcore.cli.runtime import DeviceName
 from pcore.cli.torchrun import is_first
-from pcore.cli.train_checks import EARLY, announce, check_shows, start_file, warn_of_start
-from pcore.errors import InputError
-
-if TYPE_CHECKING:
-    from pcore.asset.asset import Asset
-    from pcore.data.scene import Scene
-    from pcore.training.config import PretrainConfig
-    from pcore.training.gaussian_config import GaussianConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,135 +108,6 @@ class TrainCommand:
 
     def run(self) -> None:
         """Train; raises PcoreError subclasses for what the user can mend."""
-        if self.model == "gaussians":
-            from pcore.cli.train_gaussians import train_gaussians
+        from pcore.cli.training import train
 
-            train_gaussians(self, Console(quiet=not is_first()))
-        else:
-            train(self, Console(quiet=not is_first()))
-
-
-def train(command: TrainCommand, console: Console) -> None:
-    """Train as the command says, together with the other processes that torchrun started.
-
-    Only the first of them has the folder and says anything.
-
-    Raises:
-        SceneError: the scene cannot be read.
-        InputError: options that do not fit the scene, or an output folder in use.
-        WeightsError: the preset asks for LPIPS weights that are missing.
-        TrainingError: training diverged or cannot write, or nothing is to be seen at its end.
-        KeyboardInterrupt: Ctrl-C, after saving.
-    """
-    from pcore.cli.runtime import pick_device, prepare_torch
-    from pcore.cli.sessions import show_result
-    from pcore.cli.torchrun import refuse_ranks
-    from pcore.files.run_place import check_place
-
-    began = time.monotonic()
-    _refuse_foreign(command)
-    prepare_torch(command.threads)
-    device = pick_device(command.device)
-    if is_first():
-        check_place(command.output, resume=command.resume)  # Before the photos are read.
-    scene = opened(command, console)
-    config = _config(command, scene, console)
-    command.losses.check(config, scene.split("train"))
-    check_weights(config.lpips_weight, config.lpips_trunk)
-    plan = f"{command.preset}, {config.steps:,} steps"
-    if command.minutes is not None:
-        refuse_ranks("--minutes")
-        promise = Promise(minutes=command.minutes, began=began)
-        scene, config, plan = promised(command, scene, config, device, promise)
-    announce(console, scene, f"{plan} on {device}")
-    if command.minutes is None:
-        say_duration(console, scene, config, device)
-    asset = trained(command, scene, config, device, console)
-    if asset is None:
-        return
-    if config.steps >= EARLY:
-        check_shows(asset, scene)
-    show_result(console, asset)
-
-
-def opened(command: TrainCommand, console: Console) -> Scene:
-    """Open the scene with the masks that are asked for, and find its object.
-
-    Raises:
-        SceneError: the scene or a mask cannot be read.
-        InputError: a bad box, or masks that cannot be found.
-        DependencyError: automatic masks without OpenCV.
-    """
-    from pcore.cli.scenes import located_scene
-
-    return located_scene(
-        command.scene,
-        factor=command.factor,
-        masks=command.masks,
-        box=command.box,
-        made=command.output / "masks",
-        console=console,
-        points=command.init == "sparse",
-    ).scene
-
-
-def trained(
-    command: TrainCommand,
-    scene: Scene,
-    config: PretrainConfig | GaussianConfig,
-    device: str,
-    console: Console,
-) -> Asset | None:
-    """Train with progress shown; only the first process has the result, the others get None."""
-    from pcore.asset.training import train as make
-    from pcore.cli.sessions import trained_together
-
-    return trained_together(
-        command,
-        console,
-        lambda folder, listener, options: make(
-            scene, config, folder=folder, listener=listener, device=device, options=options
-        ),
-        output=command.output,
-        preset=command.preset,
-        device=device,
-        scene=scene,
-        given={"settings": config},
-    )
-
-
-def _refuse_foreign(command: TrainCommand) -> None:
-    given = "--flat" if command.flat else f"--init {command.init}"
-    if command.flat or command.init in ("sparse", "views"):
-        raise InputError(
-            f"{given}: expected an option of PAPR (--model papr), got one that only Gaussians "
-            "have; leave it out, or train with --model gaussians"
-        )
-
-
-def _config(command: TrainCommand, scene: Scene, console: Console) -> PretrainConfig:
-    """Return the preset with what the command changes."""
-    from pcore.training.presets import preset
-
-    changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
-    for name in ("steps", "points", "background", "origin", "exposure"):
-        if getattr(command, name) is not None:
-            changes[name] = getattr(command, name)
-    if command.init in ("hull", "grid"):
-        changes["start"] = command.init
-    elif command.init is not None:
-        changes["start"] = start_file(command.init, command.points)
-    elif not all(view.has_alpha for view in scene.split("train")):
-        console.print(
-            "images without alpha have no visual hull: points start on a grid. PAPR learns little "
-            "before a background (7 to 13 dB of two sets of photos): add --masks auto, or train "
-            "with --model gaussians",
-            soft_wrap=True,
-        )
-        changes["start"] = "grid"
-    start = preset(command.preset)
-    if command.patches is not None:
-        changes["patch"] = replace(start.patch, views=command.patches)
-    config = replace(start, **changes)
-    warn_of_start(scene, config.start, console, otherwise="grid")
-    return config
+        train(self, Console(quiet=not is_first()))

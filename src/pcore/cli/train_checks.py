@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.text import Text
 
-from pcore.errors import InputError
-
-if TYPE_CHECKING:
-    from pcore.asset.asset import Asset
-    from pcore.data.scene import Scene
+from pcore.asset.asset import Asset
+from pcore.cli.console import say
+from pcore.cli.diagnosing import note
+from pcore.data.masks import check_masks
+from pcore.data.scene import Scene
+from pcore.errors import InputError, TrainingError
+from pcore.training.hull import faint_share
+from pcore.training.start_cloud import check_start, start_from_file
 
 _LOOKS, _LOOK_SIDE, _LEAST_SIDE, _FAINT = 3, 64, 4, 0.02
 """Views that are looked at in the end, sizes of these pictures, and what opacity is nothing."""
@@ -41,16 +42,7 @@ def warn_of_start(scene: Scene, start: str, console: Console, *, otherwise: str)
         start: where points begin.
         console: told of it.
         otherwise: the start that needs no masks.
-
-    Raises:
-        SceneError: no mask holds anything.
-        InputError: no camera sees the points.
     """
-    from pcore.cli.diagnosing import note
-    from pcore.data.masks import check_masks
-    from pcore.training.hull import faint_share
-    from pcore.training.start_cloud import check_start, start_from_file
-
     views = scene.split("train")
     notes = [*check_masks(views)]
     share = faint_share(views) if start == "hull" else 0.0
@@ -67,27 +59,20 @@ def warn_of_start(scene: Scene, start: str, console: Console, *, otherwise: str)
 
 def announce(console: Console, scene: Scene, plan: str) -> None:
     """Say in one line what is about to be trained."""
-    from pcore.cli.diagnosing import note
-
     views = scene.split("train")
     note(console, scene.notes)
     sizes = Counter((view.camera.width, view.camera.height) for view in views)
     width, height = sizes.most_common(1)[0][0]
     more = len(sizes) - 1
     others = f" (and {more} other size{'s' * (more > 1)})" * (more > 0)
-    console.print(
-        Text(
-            f"{scene.name}: {len(views)} training views of {width} x {height} pixels{others}; "
-            f"{plan}"
-        ),
-        soft_wrap=True,
+    say(
+        console,
+        f"{scene.name}: {len(views)} training views of {width} x {height} pixels{others}; {plan}",
     )
 
 
 def check_shows(asset: Asset, scene: Scene) -> None:
     """Raise TrainingError when an object shows nothing in any of a few training views."""
-    from pcore.errors import TrainingError
-
     views = scene.split("train")
     for view in views[:: max(1, len(views) // _LOOKS)][:_LOOKS]:
         scale = min(1.0, _LOOK_SIDE / max(view.camera.width, view.camera.height))

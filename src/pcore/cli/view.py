@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.console import Console
 from tyro.conf import Positional, arg
 
-from pcore.cli.layout import print_lines
+from pcore.cli.console import say
 from pcore.cli.light import LightChoice
 from pcore.cli.options import Count, Number, optional
+from pcore.cli.runtime import prepare_torch
+from pcore.data.whole_file import write_whole
 from pcore.errors import InputError
+from pcore.studio.guard import Guard
+from pcore.studio.ports import check_port
 
 if TYPE_CHECKING:
     from pcore.asset.asset import Asset, Posed
@@ -68,19 +72,9 @@ class ViewCommand:
 
 
 def view(command: ViewCommand, console: Console) -> None:
-    """Make the page, and write or serve it.
-
-    Raises:
-        CheckpointError: no model there, or it is damaged.
-        EditError: the edit file is not valid, or folds space.
-        InputError: options that make no page, a file that cannot be written, a port in use.
-    """
+    """Make the page, and write or serve it."""
     from pcore.asset.saving import load
-    from pcore.cli.runtime import prepare_torch
-    from pcore.data.whole_file import write_whole
-    from pcore.studio.guard import Guard
-    from pcore.studio.page_server import page_server
-    from pcore.studio.ports import check_port
+    from pcore.studio.viewer_page import page_server
 
     _check(command)
     if command.html is None:
@@ -91,11 +85,11 @@ def view(command: ViewCommand, console: Console) -> None:
     if command.html is not None:
         write_whole(command.html, page.content, "page")
         size = len(page.content) / 1e6
-        print_lines(console, [f"{command.html}: {size:.1f} MB, opens in any browser", *notes])
+        say(console, f"{command.html}: {size:.1f} MB, opens in any browser", *notes)
         return
     guard = Guard(host=command.host, port=command.port)
     with page_server(guard, page.content) as server, suppress(KeyboardInterrupt):
-        print_lines(console, [guard.url, *notes, "Ctrl-C ends"])
+        say(console, guard.url, *notes, "Ctrl-C ends")
         server.serve_forever()
 
 
@@ -111,8 +105,6 @@ def _check(command: ViewCommand) -> None:
 
 
 def _page(asset: Asset, command: ViewCommand) -> Page:
-    from dataclasses import replace
-
     from pcore.studio.recording import record
     from pcore.studio.viewer_page import viewer_page
 

@@ -47,7 +47,10 @@ def _joined(glb: Glb) -> tuple[FloatArray, Faces]:
         node = glb.document.nodes[number]
         weights = mesh.weights if node.weights is None else node.weights
         places = _places(glb, primitive, weights)
-        faces.append(primitive_faces(glb, primitive, len(places)) + count)
+        corners = primitive_faces(glb, primitive, len(places))
+        if node.skin is None and np.linalg.det(world[number][:3, :3]) < 0:
+            corners = corners[:, ::-1]  # A mirrored part would be inside out.
+        faces.append(corners + count)
         vertices.append(_posed(glb, node, primitive, places, world, number))
         count += len(places)
     if not vertices:

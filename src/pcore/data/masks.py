@@ -26,7 +26,8 @@ def check_masks(views: Sequence[View]) -> tuple[str, ...]:
     whole: list[str] = []
     masked = [v for v in views if v.image.header.has_alpha or v.image.cut is not None]
     for view in masked:
-        alpha = view.image.rgba()[..., 3][view.image.shown().expand(*_size(view))]
+        size = (view.camera.height, view.camera.width)
+        alpha = view.image.rgba()[..., 3][view.image.shown().expand(*size)]
         if float(alpha.max()) <= _TRACE:
             empty.append(view.name)
         elif float(alpha.min()) > _SOLID:
@@ -54,10 +55,6 @@ def check_masks(views: Sequence[View]) -> tuple[str, ...]:
             "picture, mend them, or remove these frames"
         )
     return tuple(notes)
-
-
-def _size(view: View) -> tuple[int, int]:
-    return view.camera.height, view.camera.width
 
 
 def _some(names: Sequence[str], count: int) -> str:

@@ -55,7 +55,8 @@ def write_usd(
     stage.SetDefaultPrim(root.GetPrim())
     shape = UsdGeom.Mesh.Define(stage, "/object/surface")
     shape.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    shape.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(_threes(len(mesh.faces))))
+    corners = np.full(len(mesh.faces), 3, dtype=np.int32)
+    shape.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(corners))
     corners = mesh.faces.numpy().reshape(-1).astype(np.int32)
     shape.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners))
     places, normals = shape.CreatePointsAttr(), shape.CreateNormalsAttr()
@@ -109,10 +110,6 @@ def _add_material(stage: Any, shape: Any, coordinates: Tensor, texture: str) -> 
 
 def _vectors(values: Tensor) -> Any:
     return _pxr("Vt").Vec3fArray.FromNumpy(np.ascontiguousarray(values.numpy().astype(np.float32)))
-
-
-def _threes(count: int) -> Any:
-    return np.full(count, 3, dtype=np.int32)
 
 
 def _pxr(name: str) -> Any:

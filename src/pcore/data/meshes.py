@@ -83,7 +83,8 @@ def _parsed(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     if suffix == ".gltf":
         return read_shape(read_gltf(content, where, path.parent))
     if suffix == ".obj":
-        return parse_obj(content, where)
+        obj = parse_obj(content, where)
+        return obj.vertices, obj.faces
     points = read_point_ply(content, where)
     faces = points.triangles()
     if faces is None:

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcore.data.ply_binary import BinaryRows, locate_binary
+from pcore.data.ply_binary import Binary, Indices
 from pcore.data.ply_header import Element, Header, read_header
-from pcore.data.ply_text import TextRows, locate_text
+from pcore.data.ply_rows import Rows, Source, locate
+from pcore.data.ply_text import Text
 
 Place = tuple[int, int]
 """Numbers of an element in its file and of a property in its element."""
@@ -40,13 +41,15 @@ class Ply:
 
     Attributes:
         header: what it holds.
-        content: the file.
-        rows: where the numbers of each element are.
+        source: its numbers.
+        rows: where those of each element are.
+        where: its name, for messages.
     """
 
     header: Header
-    content: bytes
-    rows: tuple[BinaryRows | TextRows, ...]
+    source: Source
+    rows: tuple[Rows, ...]
+    where: str
 
     def element(self, name: str) -> tuple[int, Element] | None:
         """Number and header of the first element of this name; None when there is none."""
@@ -55,34 +58,29 @@ class Ply:
 
     def scalars(self, place: Place) -> NDArray[Any]:
         """Values (N,) of a property of one number, in its own type."""
-        element, one = place
-        return self.rows[element].scalars(one)
+        return self._values(place, self.rows[place[0]].begin(place[1]))
 
     def lists(self, place: Place) -> Lists:
         """Values of a list property."""
-        element, one = place
-        lengths, values = self.rows[element].lists(one)
-        return Lists(lengths=lengths, values=values)
+        rows = self.rows[place[0]]
+        width = self.source.width(rows.element.properties[place[1]].dtype)
+        lengths, places = rows.lists(place[1], width)
+        return Lists(lengths=lengths, values=self._values(place, places))
 
     def replaced(self, values: Mapping[Place, NDArray[Any]]) -> bytes:
         """Write the file with other values (N,) of properties of one number, in their types."""
-        if self.header.encoding == "ascii":
-            return self._replaced_text(values)
-        content = np.frombuffer(self.content, dtype=np.uint8).copy()
-        for (element, one), numbers in values.items():
-            rows = self.rows[element]
-            assert isinstance(rows, BinaryRows)
-            rows.write(content, one, numbers)
-        return content.tobytes()
+        changes = [
+            (self.rows[element].begin(one), self.rows[element].element.properties[one], numbers)
+            for (element, one), numbers in values.items()
+        ]
+        starts = [rows.starts for rows in self.rows]
+        return self.source.replaced(changes, starts, self.header.newline)
 
-    def _replaced_text(self, values: Mapping[Place, NDArray[Any]]) -> bytes:
-        lines: list[bytes] = []
-        for number, rows in enumerate(self.rows):
-            assert isinstance(rows, TextRows)
-            own = {one: new for (element, one), new in values.items() if element == number}
-            lines += rows.lines(own)
-        newline = self.header.newline
-        return self.content[: self.header.size] + newline.join([*lines, b""])
+    def _values(self, place: Place, places: Indices) -> NDArray[Any]:
+        element = self.rows[place[0]].element
+        one = element.properties[place[1]]
+        what = f"{self.where}: PLY element {element.name!r}, property {one.name!r}"
+        return self.source.values(places, one, what)
 
 
 def parse_ply(content: bytes, where: str) -> Ply:
@@ -97,8 +95,10 @@ def parse_ply(content: bytes, where: str) -> Ply:
             header says.
     """
     header = read_header(content, where)
-    locate = locate_text if header.encoding == "ascii" else locate_binary
-    return Ply(header=header, content=content, rows=tuple(locate(content, header, where)))
+    source: Source = Binary(content=content, start=header.size)
+    if header.encoding == "ascii":
+        source = Text(head=content[: header.size], words=content[header.size :].split())
+    return Ply(header=header, source=source, rows=locate(source, header, where), where=where)
 
 
 def plain_ply(

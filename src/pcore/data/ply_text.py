@@ -1,9 +1,9 @@
-"""Where the numbers of a PLY file in text are: words behind one another, whatever their lines."""
+"""The numbers of a PLY file in text: words behind one another, whatever their lines."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcore.data.ply_header import Element, Header
+from pcore.data.ply_binary import Changes, Indices
+from pcore.data.ply_header import Property
 from pcore.errors import InputError
 
 _LONGEST = 400
@@ -21,56 +22,38 @@ _PLAIN = re.compile(rb"[+-]?[0-9]{1,19}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TextRows:
-    """Rows of one element.
+class Text:
+    """The words behind its header, which is kept as it is: places count them; as `Binary`."""
 
-    Attributes:
-        element: its header.
-        words: the words of the file behind its header.
-        begins: for each row where it begins: (N + 1,) numbers of words; the last is the end.
-        columns: for each property where its first value is behind a row's first word: (N,), or
-            one number for all rows.
-        lengths: for each property how many values it has: (N,), or one number for all rows.
-        where: the file, for messages.
-    """
-
-    element: Element
+    head: bytes
     words: Sequence[bytes]
-    begins: NDArray[np.int64]
-    columns: tuple[NDArray[np.int64] | int, ...]
-    lengths: tuple[NDArray[np.int64] | int, ...]
-    where: str
+    start: int = 0
 
-    def scalars(self, one: int) -> NDArray[Any]:
-        """Values (N,) of a property of one number."""
-        places = self.begins[:-1] + self.columns[one]
-        return self._numbers([self.words[k] for k in places.tolist()], one)
+    @property
+    def size(self) -> int:
+        """See `Binary.size`."""
+        return len(self.words)
 
-    def lists(self, one: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
-        """Lengths (N,) and values of a list property."""
-        starts = (self.begins[:-1] + self.columns[one]).tolist()
-        lengths = np.broadcast_to(np.asarray(self.lengths[one]), (self.element.length,))
-        words = [
-            word
-            for start, length in zip(starts, lengths.tolist(), strict=True)
-            for word in self.words[start : start + length]
-        ]
-        return lengths.astype(np.int64), self._numbers(words, one)
+    def width(self, dtype: np.dtype[Any]) -> int:
+        """See `Binary.width`."""
+        return 1
 
-    def lines(self, values: Mapping[int, NDArray[Any]]) -> list[bytes]:
-        """The rows as lines, with other values (N,) of properties of one number."""
-        words = list(self.words[int(self.begins[0]) : int(self.begins[-1])])
-        begins = self.begins - self.begins[0]
-        for one, numbers in values.items():
-            new = numbers.astype(self.element.properties[one].dtype.newbyteorder("="))
-            for place, number in zip((begins[:-1] + self.columns[one]).tolist(), new, strict=True):
-                words[place] = str(number).encode()
-        return [b" ".join(words[a:b]) for a, b in pairwise(begins.tolist())]
+    def count(self, place: int, dtype: np.dtype[Any]) -> int:
+        """See `Binary.count`; ValueError, with what is there, of none."""
+        word = self.words[place]
+        length = int(float(word)) if _WHOLE.fullmatch(word) else -1
+        if length < 0:
+            raise ValueError(_shown(word))
+        return length
 
-    def _numbers(self, words: list[bytes], one: int) -> NDArray[Any]:
-        found = self.element.properties[one]
-        dtype = found.dtype.newbyteorder("=")
-        what = f"{self.where}: PLY element {self.element.name!r}, property {found.name!r}"
+    def are_alike(self, place: int, step: int, number: int, dtype: np.dtype[Any]) -> bool:
+        """See `Binary.are_alike`."""
+        return len({*self.words[place : place + step * number : step]}) == 1
+
+    def values(self, places: Indices, one: Property, what: str) -> NDArray[Any]:
+        """See `Binary.values`; InputError of what is no such number."""
+        words = [self.words[k] for k in places.tolist()]
+        dtype = one.dtype.newbyteorder("=")
         numbers = _floats(words, what)
         if dtype.kind == "f":
             with np.errstate(over="ignore"):
@@ -89,84 +72,23 @@ class TextRows:
         exact = [int(w) if _PLAIN.fullmatch(w) else int(float(w)) for w in words]
         return np.array(exact, dtype=dtype)
 
+    def check_end(self, place: int, where: str) -> None:
+        """See `Binary.check_end`."""
+        if place < self.size:
+            raise InputError(
+                f"{where}: expected {place:,} numbers as its PLY header says, got {self.size:,}; "
+                "the header is of another file, or lines have more columns than it declares"
+            )
 
-def locate_text(content: bytes, header: Header, where: str) -> list[TextRows]:
-    """Find the rows of all elements.
-
-    Raises:
-        InputError: the file ends within a row, or goes on behind the last one.
-    """
-    words = content[header.size :].split()
-    place = 0
-    found: list[TextRows] = []
-    for element in header.elements:
-        rows = _locate(words, element, place, where)
-        place = int(rows.begins[-1])
-        found.append(rows)
-    if place < len(words):
-        raise InputError(
-            f"{where}: expected {place:,} numbers as its PLY header says, got {len(words):,}; the "
-            "header is of another file, or lines have more columns than it declares"
-        )
-    return found
-
-
-def _locate(words: Sequence[bytes], element: Element, place: int, where: str) -> TextRows:
-    size = len(element.properties)
-    if size * element.length > len(words) - place:
-        raise _short(element, (len(words) - place) // size, where)
-    if all(one.count is None for one in element.properties):
-        begins = place + size * np.arange((element.length if size else 0) + 1)
-        return TextRows(
-            element=element if size else Element(name=element.name, length=0, properties=()),
-            words=words,
-            begins=begins,
-            columns=tuple(range(size)),
-            lengths=(1,) * size,
-            where=where,
-        )
-    return _walked(words, element, place, where)
-
-
-def _walked(words: Sequence[bytes], element: Element, place: int, where: str) -> TextRows:
-    """Go from row to row, because each begins where the lists of the one before end."""
-    shape = (len(element.properties), element.length)
-    columns, lengths = np.zeros(shape, dtype=np.int64), np.ones(shape, dtype=np.int64)
-    begins = np.zeros(element.length + 1, dtype=np.int64)
-    for row in range(element.length):
-        begins[row] = begin = place
-        for k, one in enumerate(element.properties):
-            if one.count is not None:
-                lengths[k, row] = _length(words, place, element, row, where)
-                place += 1
-            columns[k, row] = place - begin
-            place += int(lengths[k, row])
-        if place > len(words):
-            raise _short(element, row, where)
-    begins[-1] = place
-    return TextRows(
-        element=element,
-        words=words,
-        begins=begins,
-        columns=tuple(columns),
-        lengths=tuple(lengths),
-        where=where,
-    )
-
-
-def _length(words: Sequence[bytes], place: int, element: Element, row: int, where: str) -> int:
-    if place >= len(words):
-        raise _short(element, row, where)
-    word = words[place]
-    length = int(float(word)) if _WHOLE.fullmatch(word) else -1
-    if length < 0:
-        raise InputError(
-            f"{where}: PLY element {element.name!r}, row {row}: expected the length of a list, got "
-            f"{_shown(word)}"
-        )
-    if length > len(words) - place:
-        raise _short(element, row, where)
-    return length
+    def replaced(self, changes: Changes, rows: Sequence[Indices], newline: bytes) -> bytes:
+        """The file with other values; all other words stay, each of the rows on a line."""
+        words = list(self.words)
+        for places, one, numbers in changes:
+            new = numbers.astype(one.dtype.newbyteorder("="))
+            for place, number in zip(places.tolist(), new, strict=True):
+                words[place] = str(number).encode()
+        lines = [b" ".join(words[a:b]) for starts in rows for a, b in pairwise(starts.tolist())]
+        return self.head + newline.join([*lines, b""])
 
 
 def _floats(words: list[bytes], what: str) -> NDArray[np.float64]:
@@ -190,10 +112,3 @@ def _is_number(word: bytes) -> bool:
 
 def _shown(word: bytes) -> str:
     return repr(word[:40].decode("latin-1"))
-
-
-def _short(element: Element, rows: int, where: str) -> InputError:
-    return InputError(
-        f"{where}: expected {element.length} of the PLY element {element.name!r} as its header "
-        f"says, got {rows}; the file is truncated or damaged: export or download it again"
-    )

@@ -242,16 +242,13 @@ def check_corners(faces: NDArray[np.int64], vertices: int, where: str) -> None:
 
 def _paint(path: Path, array: NDArray[Any], colors: Tensor | None) -> NDArray[np.uint8] | None:
     paint = None if colors is None else colors.detach().cpu().numpy()
-    if paint is not None and (paint.dtype != np.uint8 or paint.shape not in _paint_shapes(array)):
+    shapes = ((len(array), 3), (len(array), 4))
+    if paint is not None and (paint.dtype != np.uint8 or paint.shape not in shapes):
         raise InputError(
             f"{path}: expected colours (N, 3) or (N, 4) uint8 for {len(array)} points, "
             f"got {paint.shape} {paint.dtype}"
         )
     return paint
-
-
-def _paint_shapes(array: NDArray[Any]) -> tuple[tuple[int, int], tuple[int, int]]:
-    return (len(array), 3), (len(array), 4)
 
 
 def _checked(path: Path, array: NDArray[Any]) -> Tensor:

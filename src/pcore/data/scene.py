@@ -223,9 +223,11 @@ class Scene:
         poses = torch.stack([camera.world_from_camera for camera in cameras])
         point = closest_to_axes(poses)
         if point is None:
+            why = "".join(f" ({note})" for note in self.notes)
             raise SceneError(
                 f"scene {self.root}: the viewing axes of its {len(cameras)} view(s) are parallel, "
                 "so they do not tell where the object is; give views from at least two directions"
+                f"{why}"
             )
         return point.float()
 

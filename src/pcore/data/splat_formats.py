@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
 from pcore.data.compressed_gaussians import read_compressed
-from pcore.data.gaussian_glb import HIGHEST_DEGREE, glb_content
-from pcore.data.gaussian_ply import gaussian_ply, is_gaussian, lost, read_gaussian_ply
-from pcore.data.gaussian_splat import read_splat, splat_content
+from pcore.data.gaussian_ply import CONSTANT, gaussian_ply, is_gaussian, lost, read_gaussian_ply
+from pcore.data.gltf_writer import VERTICES, GltfWriter
 from pcore.data.ply import Ply, parse_ply
+from pcore.data.ply_binary import Binary
 from pcore.data.ply_header import read_header
-from pcore.data.splat_file import SplatFile
+from pcore.data.splat_file import SplatFile, sound
 from pcore.data.whole_file import write_whole
 from pcore.errors import InputError
+from pcore.gaussians.carry import carried
+from pcore.gaussians.gaussians import Gaussians
 from pcore.validation import read_bytes
 
 OUTPUTS = (".ply", ".splat", ".glb")
@@ -33,7 +39,8 @@ def holds_splats(path: Path | str) -> bool:
             header = read_header(file.read(1 << 16), str(path))
     except (OSError, InputError):
         return False
-    ply = Ply(header=header, content=b"", rows=())
+    nothing = Binary(content=b"", start=0)
+    ply = Ply(header=header, source=nothing, rows=(), where=str(path))
     return _is_compressed(ply) or is_gaussian(ply)
 
 
@@ -125,3 +132,104 @@ def check_splat_output(path: Path) -> None:
 
 def _is_compressed(ply: Ply) -> bool:
     return ply.header.find("chunk") is not None
+
+
+_ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("paint", "u1", 4), ("quats", "u1", 4)])
+_SMALLEST = 1e-20
+
+
+def read_splat(content: bytes, where: str) -> SplatFile:
+    """Read the Gaussians of a `.splat` file.
+
+    Args:
+        content: the file.
+        where: its name, for messages.
+
+    Raises:
+        InputError: no Gaussians, half ones, or see `sound`.
+    """
+    if not content or len(content) % _ROW.itemsize:
+        raise InputError(
+            f"{where}: expected 32 bytes for each Gaussian of a .splat file, got {len(content):,} "
+            "bytes, which is no multiple; the file is cut short or of another kind"
+        )
+    rows = np.frombuffer(content, dtype=_ROW)
+    with np.errstate(invalid="ignore"):
+        means, scales = (torch.from_numpy(rows[k].astype(np.float64)) for k in ("means", "scales"))
+    quats = torch.from_numpy((rows["quats"].astype(np.float64) - 128) / 128)
+    paint = torch.from_numpy(rows["paint"].astype(np.float64) / 255)
+    gaussians = Gaussians(
+        means=means,
+        quats=quats / quats.norm(dim=1, keepdim=True),
+        scales=scales.clamp_min(_SMALLEST),
+        opacities=paint[:, 3],
+        sh=((paint[:, None, :3] - 0.5) / CONSTANT).float(),
+    )
+    numbers = np.arange(len(gaussians), dtype=np.int64)
+    return sound(SplatFile(gaussians=gaussians, where=where, rows=numbers))
+
+
+def splat_content(gaussians: Gaussians) -> bytes:
+    """Content of a `.splat` file; colours are those of degree 0, and quaternions have 8 bits."""
+    own = gaussians.detached().to("cpu", torch.float64)
+    rows = np.empty(len(own), dtype=_ROW)
+    rows["means"], rows["scales"] = own.means.numpy(), own.scales.numpy()
+    shade = torch.cat([0.5 + CONSTANT * own.sh[:, 0], own.opacities[:, None]], dim=1)
+    rows["paint"] = (shade * 255).round().clamp(0, 255).numpy()
+    rows["quats"] = (own.quats * 128 + 128).round().clamp(0, 255).numpy()
+    return rows.tobytes()
+
+
+HIGHEST_DEGREE = 3
+"""Of the harmonics that the extension knows."""
+
+_EXTENSION = "KHR_gaussian_splatting"
+_POINTS = 0
+_UP = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
+"""From z up to y up."""
+
+
+def glb_content(gaussians: Gaussians) -> bytes:
+    """Content of a `.glb` file of Gaussians (z up); degrees above 3 are left out."""
+    attributes = _attributes(_turned(gaussians.detached().to("cpu", torch.float64)))
+    writer = GltfWriter()
+    numbers = {
+        name: writer.add(values, target=VERTICES, bounds=name == "POSITION")
+        for name, values in attributes.items()
+    }
+    primitive = {
+        "mode": _POINTS,
+        "attributes": numbers,
+        "extensions": {_EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
+    }
+    return writer.content(
+        {
+            "extensionsUsed": [_EXTENSION],
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0}],
+            "meshes": [{"primitives": [primitive]}],
+        }
+    )
+
+
+def _turned(gaussians: Gaussians) -> Gaussians:
+    up = torch.tensor(_UP, dtype=torch.float64)
+    return carried(gaussians, gaussians.means @ up.T, up.expand(len(gaussians), 3, 3))
+
+
+def _attributes(own: Gaussians) -> dict[str, NDArray[np.float64]]:
+    paint = (0.5 + CONSTANT * own.sh[:, 0]).clamp(0, 1)
+    result = {
+        "POSITION": own.means,
+        # What viewers show that know points but no Gaussians.
+        "COLOR_0": torch.cat([paint, own.opacities[:, None]], dim=1),
+        f"{_EXTENSION}:ROTATION": own.quats.roll(-1, dims=1),
+        f"{_EXTENSION}:SCALE": own.scales,
+        f"{_EXTENSION}:OPACITY": own.opacities,
+    }
+    for degree in range(min(own.degree, HIGHEST_DEGREE) + 1):
+        for k in range(2 * degree + 1):
+            name = f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{k}"
+            result[name] = own.sh[:, degree * degree + k]
+    return {name: tensor.numpy() for name, tensor in result.items()}

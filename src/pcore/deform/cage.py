@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pcore.deform.base import Deformation, check_points, frozen_tensor
-from pcore.deform.mean_value import carried, slopes_at, topology, weights_at
+from pcore.deform.mean_value import carried, slopes_at, topology, weights_at, winding_numbers
 from pcore.deform.sites import sites_of
-from pcore.deform.winding import winding_numbers
 from pcore.errors import InputError
 
 FloatArray = NDArray[np.float64]

@@ -13,8 +13,8 @@ from torch.nn import functional as F
 from pcore.deform.base import SINGULAR, Deformation, gradients, uprightness
 from pcore.deform.checks import check_invertible
 from pcore.errors import EditError
-from pcore.geometry.extent import size_of
 from pcore.geometry.local_maps import LocalMaps
+from pcore.geometry.point_cloud import size_of
 from pcore.geometry.rotation import nearest_rotation
 
 _NEIGHBOURS = 16

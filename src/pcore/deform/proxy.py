@@ -117,8 +117,8 @@ def _followed(
 
 
 def _vertex_maps(rest: FloatArray, posed: FloatArray, faces: NDArray[np.int64]) -> FloatArray:
-    old, area = _frames(rest[faces])
-    new, new_area = _frames(posed[faces])
+    old, area = face_frames(rest[faces])
+    new, new_area = face_frames(posed[faces])
     sound = area > 1e-12 * area.max()
     if not sound.any():
         raise InputError(
@@ -139,7 +139,7 @@ def _vertex_maps(rest: FloatArray, posed: FloatArray, faces: NDArray[np.int64]) 
     return total
 
 
-def _frames(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+def face_frames(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Edges and unit normal of triangles (F, 3, 3) as columns (F, 3, 3), and areas (F,)."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(first, second)

@@ -31,8 +31,8 @@ from pcore.deform.base import (
 from pcore.deform.jacobian import is_mirrored
 from pcore.deform.sites import Sites, sites_of
 from pcore.errors import InputError
-from pcore.geometry.extent import size_of
 from pcore.geometry.neighbours import as_points
+from pcore.geometry.point_cloud import size_of
 
 NEIGHBOURS = 12
 """Sites that answer for a place, and that the gradient of a value is fitted to."""

@@ -20,9 +20,9 @@ from pcore.deform.anchor_distance import (
 from pcore.deform.skinning import AnchorPose, SkinnedDeformation, SkinningWeights, Weigher
 from pcore.editing.contents import content_of, from_content
 from pcore.errors import EditError, InputError
-from pcore.geometry.extent import size_of
 from pcore.geometry.farthest_points import ANCHORS, farthest_points
 from pcore.geometry.neighbours import nearest
+from pcore.geometry.point_cloud import size_of
 from pcore.geometry.rotation import procrustes
 
 SIGMA = 0.33

@@ -53,7 +53,7 @@ def write_session(path: Path | str, session: EditSession, view: Any = None) -> N
     first = max(0, min(history.now, len(history.moments) - _MOST))
     moments = history.moments[first:]
     known: dict[str, int] = {}
-    numbers = [known.setdefault(_text(one.stack), len(known)) for one in moments]
+    numbers = [known.setdefault(json.dumps(one.stack.content), len(known)) for one in moments]
     content = {
         "version": _VERSION,
         "points": fingerprint(session.canonical),
@@ -115,7 +115,3 @@ def read_session(path: Path | str, points: Tensor, *, rig: AnchorRig | None = No
 def fingerprint(points: Tensor) -> str:
     """What tells one cloud (N, 3) from another."""
     return hashlib.sha256(content_of(points.float())).hexdigest()[:16]
-
-
-def _text(stack: Stack) -> str:
-    return json.dumps(stack.content)

@@ -15,7 +15,7 @@ from pcore.deform.weighted import Held, Weighted, blend
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.edits import Edit
 from pcore.editing.regions import RegionEntry, Setting, bind_region, bind_union
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 
 FAR = 2.0
 """How many times its own size an edit moves a point of the object, seldom by intent."""

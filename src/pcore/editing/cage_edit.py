@@ -16,7 +16,7 @@ from pcore.editing.contents import content_of, from_content
 from pcore.editing.regions import Setting
 from pcore.editing.shapes import MeshPair, reached
 from pcore.errors import EditError
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 
 LARGE = 10.0
 """How many times larger than the object a cage is, seldom by intent: it hardly acts then."""

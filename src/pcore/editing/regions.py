@@ -21,8 +21,8 @@ from pcore.deform.region import Box, HalfSpace, Region, Sphere, Union
 from pcore.editing.anchors import AnchorRig
 from pcore.editing.fields import Axis, Length, StoredFile, Triple
 from pcore.errors import EditError
-from pcore.geometry.extent import size_of
 from pcore.geometry.neighbours import nearest, neighbour_graph
+from pcore.geometry.point_cloud import size_of
 
 FALLOFF = 0.05
 """Width of a seam that is not given, as a share of the diagonal of the points' bounding box."""

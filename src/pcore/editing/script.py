@@ -123,7 +123,7 @@ class EditScript(BaseModel):
             try:
                 bound = bound.then(edit, check=check)
             except (EditError, InputError) as error:
-                raise EditError(f"{_place(self._source, number, edit.type)}: {error}") from error
+                raise EditError(f"{self._source}: edit {number} ({edit.type}): {error}") from error
         return bound
 
     def to_json(self, folder: Path | str | None = None) -> str:
@@ -294,7 +294,3 @@ def _dumped(entry: BaseModel, first: str, context: dict[str, Any]) -> dict[str, 
     if plain.get("enabled") is True:
         del plain["enabled"]
     return {first: plain[first], **plain}
-
-
-def _place(source: str, number: int, name: str) -> str:
-    return f"{source}: edit {number} ({name})"

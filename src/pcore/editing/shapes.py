@@ -23,8 +23,8 @@ from pcore.editing.edits import Edit
 from pcore.editing.fields import Amount, Between, Positive, StoredFile, StoredPlaces
 from pcore.editing.regions import Setting
 from pcore.errors import EditError
-from pcore.geometry.extent import size_of
 from pcore.geometry.neighbours import nearest
+from pcore.geometry.point_cloud import size_of
 
 SAME = 1e-4
 NEAR = 0.02

@@ -15,7 +15,7 @@ from pcore.editing.stack import (
     raw_region,
 )
 from pcore.errors import EditError
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 
 _GROWTH = 1.25
 _DIGITS = 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Collection, Sequence
 
@@ -107,14 +108,10 @@ def _camera(place: Tensor, look: Tensor, name: str, odd: bool) -> str:
     kind = "c b" if odd else "c"
     return (
         f'<g><polygon points="{points}" class="{kind}"/><circle cx="{x:.1f}" cy="{y:.1f}" r="1.6" '
-        f'class="{kind}"/><title>{_escaped(name)}</title></g>'
+        f'class="{kind}"/><title>{html.escape(name)}</title></g>'
     )
 
 
 def _line(one: Tensor, other: Tensor) -> str:
     (x0, y0), (x1, y1) = one.tolist(), other.tolist()
     return f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" class="l"/>'
-
-
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

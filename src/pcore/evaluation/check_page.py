@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 
 import numpy as np
 import torch
@@ -17,12 +16,11 @@ from pcore.data.scene import View
 from pcore.evaluation.camera_drawing import camera_drawing
 from pcore.evaluation.figures import data_uri
 from pcore.evaluation.findings import Finding
-from pcore.evaluation.report import require_jinja
+from pcore.evaluation.report import filled_page
 from pcore.evaluation.scene_check import SceneCheck
 from pcore.geometry.object_region import coordinates
 from pcore.training.forecast import Forecast
 
-_TEMPLATE = "templates/check.html.j2"
 _SIDE, _QUALITY = 200, 80
 _MOST_PAIRS, _MOST_PHOTOS = 4, 24
 _VEIL = 0.22
@@ -66,12 +64,7 @@ def check_page(check: SceneCheck, commands: Sequence[str]) -> str:
     Raises:
         DependencyError: jinja2 is not installed.
     """
-    jinja = require_jinja()
-    source = files("pcore.evaluation").joinpath(_TEMPLATE).read_text(encoding="utf-8")
-    environment = jinja.Environment(
-        autoescape=True, undefined=jinja.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return str(environment.from_string(source).render(page=_page(check, commands)))
+    return filled_page("pcore.evaluation", "check.html.j2", page=_page(check, commands))
 
 
 def summary(check: SceneCheck) -> str:

@@ -13,8 +13,8 @@ from pcore.capture.coverage import ONE_SIDE
 from pcore.capture.triangulation import WRONG, PoseAgreement
 from pcore.data.masks import check_masks
 from pcore.errors import SceneError
-from pcore.geometry.extent import size_of
 from pcore.geometry.object_region import coordinates
+from pcore.geometry.point_cloud import size_of
 
 if TYPE_CHECKING:
     from pcore.evaluation.scene_check import SceneCheck

@@ -6,7 +6,6 @@ Reads `meshes.npz` of a scene (canonical mesh and states, one vertex order) and
 
 from __future__ import annotations
 
-import json
 import re
 import zipfile
 from collections.abc import Mapping
@@ -18,20 +17,23 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import ValidationError
 from torch import Tensor
 
 from pcore.deform.base import Deformation
+from pcore.deform.proxy import face_frames
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.deformation_record import DeformationRecord
 from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.geometry.camera import Camera
 from pcore.geometry.surface_search import SurfacePoints, SurfaceSearch
+from pcore.validation import parse, read_json
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_NOT_STATES = ("canonical", "faces", "sample_face", "sample_barycentric", "sample_visible")
+_CUT_OUT = "cut_out"
+_SAMPLES = ("sample_face", "sample_barycentric", "sample_visible")
+_NOT_STATES = ("canonical", "faces", _CUT_OUT, *_SAMPLES)
 _STATE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _LARGEST_SCALE = 4.0
 
@@ -58,12 +60,14 @@ class DeformedTruth:
         canonical: (V, 3) vertices before deformation.
         faces: (F, 3) corners of the triangles.
         states: (V, 3) vertices by state, same order as `canonical`.
+        cut_out: (F,) triangles in which something is cut out by its texture; None: none.
     """
 
     root: Path
     canonical: FloatArray
     faces: IntArray
     states: Mapping[str, FloatArray]
+    cut_out: NDArray[np.bool_] | None = None
 
     def object_size(self, state: str | None = None) -> float:
         """Diagonal of the bounding box of a state (None: canonical), world units."""
@@ -85,7 +89,7 @@ class DeformedTruth:
 
     def depth(self, state: str | None, camera: Camera) -> Tensor:
         """Return the true depth (H, W) of a state (None: canonical); see `mesh_depth`."""
-        return mesh_depth(self.vertices(state), self.faces, camera)
+        return mesh_depth(self.vertices(state), self.faces, camera, cut_out=self.cut_out)
 
     def anchor(self, points: Tensor) -> SurfaceAnchors:
         """Hang points (N, 3), world units, on the canonical mesh: exact closest points.
@@ -112,8 +116,8 @@ class DeformedTruth:
         vertices = self.vertices(state)
         foot = _interpolate(vertices, self.faces, anchors.surface)
         corners = self.faces[anchors.surface.face]
-        before, area_before = _face_frames(self.canonical[corners])
-        after, area_after = _face_frames(vertices[corners])
+        before, area_before = face_frames(self.canonical[corners])
+        after, area_after = face_frames(vertices[corners])
         left, _, right = np.linalg.svd(after @ np.linalg.pinv(before))
         # A mirrored result can only come from a triangle that lost its area: undo the mirror.
         left[..., 2] *= np.where(np.linalg.det(left @ right) < 0, -1.0, 1.0)[:, None]
@@ -142,13 +146,8 @@ class DeformedTruth:
         """
         self.vertices(state)
         path = self.root / state / "deformation.json"
-        try:
-            return DeformationRecord.model_validate(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError) as error:
-            reason = _short(error) if isinstance(error, ValidationError) else str(error)
-            raise SceneError(
-                f"{path}: expected a JSON object that describes the state {state!r}, got: {reason}"
-            ) from error
+        found = read_json(path, what=f"description of the state {state!r}", error=SceneError)
+        return parse(DeformationRecord, found, where=str(path), error=SceneError)
 
     def analytic(self, state: str) -> Deformation | None:
         """Build the deformation of a state from its formula; None for animations.
@@ -184,6 +183,12 @@ def load_truth(root: Path) -> DeformedTruth:
         raise SceneError(
             f"{path}: expected at least one triangle with corners from 0 to {len(canonical) - 1}"
         )
+    cut_out = arrays.get(_CUT_OUT)
+    if cut_out is not None and (cut_out.shape, cut_out.dtype) != ((len(faces),), np.bool_):
+        raise SceneError(
+            f"{path}: expected a truth value for each of {len(faces)} triangles in {_CUT_OUT!r}, "
+            f"got {_what(cut_out)}"
+        )
     states = {k: v for k, v in arrays.items() if k not in _NOT_STATES}
     for name in states:
         if not _STATE_NAME.fullmatch(name):
@@ -195,6 +200,7 @@ def load_truth(root: Path) -> DeformedTruth:
         canonical=canonical,
         faces=faces.astype(np.int64),
         states={k: _vertices(path, k, v, len(canonical)) for k, v in states.items()},
+        cut_out=cut_out,
     )
 
 
@@ -212,15 +218,6 @@ def _as_points(points: Tensor) -> FloatArray:
 
 def _interpolate(vertices: FloatArray, faces: IntArray, surface: SurfacePoints) -> FloatArray:
     return np.einsum("nk,nkd->nd", surface.barycentric, vertices[faces[surface.face]])
-
-
-def _face_frames(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Columns edge, edge, unit normal (N, 3, 3) and areas (N,) of triangles (N, 3, 3)."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(first, second)
-    length = np.linalg.norm(normal, axis=1)
-    unit = normal / np.maximum(length, np.finfo(np.float64).tiny)[:, None]
-    return np.stack([first, second, unit], axis=2), 0.5 * length
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -257,7 +254,3 @@ def _vertices(path: Path, name: str, value: NDArray[Any] | None, count: int | No
 
 def _what(value: NDArray[Any] | None) -> str:
     return "nothing" if value is None else f"{value.dtype} of shape {value.shape}"
-
-
-def _short(error: ValidationError) -> str:
-    return "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())

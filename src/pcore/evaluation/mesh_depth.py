@@ -15,16 +15,24 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-def mesh_depth(vertices: FloatArray, faces: IntArray, camera: Camera) -> Tensor:
+def mesh_depth(
+    vertices: FloatArray,
+    faces: IntArray,
+    camera: Camera,
+    *,
+    cut_out: NDArray[np.bool_] | None = None,
+) -> Tensor:
     """Depth of a mesh by ray casting at pixel centres.
 
     Args:
         vertices: (V, 3) world units.
         faces: (F, 3) indices; both sides of a triangle are seen.
         camera: the view.
+        cut_out: (F,) triangles with holes that the mesh does not know; None: none.
 
     Returns:
-        (H, W) float32 camera z in world units; infinity where nothing is hit.
+        (H, W) float32 camera z in world units; infinity where nothing is hit, or where a triangle
+        with holes is in front, so that nobody knows.
 
     Raises:
         DependencyError: embreex is not installed.
@@ -34,7 +42,7 @@ def mesh_depth(vertices: FloatArray, faces: IntArray, camera: Camera) -> Tensor:
     origin = camera.center.double().numpy()
     mesh = trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
     first = ray_caster_class()(mesh).intersects_first(rays.origins.numpy(), directions)
-    ray = np.flatnonzero(first >= 0)
+    ray = np.flatnonzero((first >= 0) if cut_out is None else (first >= 0) & ~cut_out[first])
     # embree knows which triangle is hit; where on its plane is computed here in float64.
     corners = np.asarray(vertices, dtype=np.float64)[faces[first[ray]]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -12,8 +12,6 @@ from pcore.evaluation.summary import Gain, StateMean
 from pcore.evaluation.tables import shown
 from pcore.packages import package
 
-_TEMPLATE = "templates/report.html.j2"
-
 # Metric, title, digits, shown as percent, whether more is better.
 _METRICS = (
     ("foreground_psnr", "PSNR, object", 2, False, True),
@@ -115,17 +113,22 @@ class Report:
 
 
 def render_report(report: Report) -> str:
-    """Fill the page; every text is escaped.
+    """Fill the page; see `filled_page`."""
+    return filled_page("pcore.evaluation", "report.html.j2", report=report)
+
+
+def filled_page(package: str, template: str, **values: Any) -> str:
+    """Fill a template of a package; every text is escaped.
 
     Raises:
         DependencyError: jinja2 is not installed.
     """
     jinja = require_jinja()
-    source = files("pcore.evaluation").joinpath(_TEMPLATE).read_text(encoding="utf-8")
+    source = files(package).joinpath("templates", template).read_text(encoding="utf-8")
     environment = jinja.Environment(
         autoescape=True, undefined=jinja.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    return str(environment.from_string(source).render(report=report))
+    return str(environment.from_string(source).render(**values))
 
 
 def require_jinja() -> Any:

@@ -27,8 +27,6 @@ from pcore.evaluation.gaussian_method import GaussianMethod
 from pcore.evaluation.voxel_method import VoxelMethod
 from pcore.files.run_record import begun, finished
 from pcore.gaussians.gaussians import Gaussians
-from pcore.geometry.camera import Camera
-from pcore.render.image import Image
 from pcore.rivals.bound_fit import fit_bound, sized_mesh
 from pcore.rivals.cage_mesh import coarse_cage
 from pcore.rivals.kept import Spent, kept_bound, kept_cost, kept_mesh, kept_voxels
@@ -163,7 +161,7 @@ class Workshop:
         def make() -> Mesh:
             with torch.no_grad():
                 fused, *mesh = sized_mesh(
-                    lambda camera: _at_rest(asset, camera), self.scene, asset.points, triangles
+                    partial(asset.render, None), self.scene, asset.points, triangles
                 )
             return mesh[0], mesh[1], *coarse_cage(fused)
 
@@ -242,10 +240,6 @@ class Workshop:
         )
         asset, spent = kept_cost(run.with_suffix(".json"), learn)
         return asset.over(WHITE), spent
-
-
-def _at_rest(asset: Asset, camera: Camera) -> Image:
-    return asset.render(None, camera)
 
 
 def _cost(gaussians: Gaussians, spent: Sequence[Spent | None]) -> Cost:

@@ -20,9 +20,9 @@ from pcore.deform.jacobian import analytic_maps
 from pcore.deform.scattered import PointMotion
 from pcore.errors import SceneError
 from pcore.evaluation.ground_truth import DeformedTruth, SurfaceAnchors
-from pcore.geometry.extent import size_of
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.neighbours import nearest
+from pcore.geometry.point_cloud import size_of
 
 Move = Callable[[Tensor], Tensor]
 

@@ -23,7 +23,7 @@ from pcore.fitting.fit_photos import Photo, photos_of
 from pcore.fitting.fitter import picture_loss
 from pcore.fitting.pose_fit import PoseFit, Progress
 from pcore.fitting.shown_object import Shown
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 
 _DEGREES = 20.0
 _SHARE = 0.1

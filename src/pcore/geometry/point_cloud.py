@@ -58,3 +58,8 @@ def extent_of(positions: Tensor) -> tuple[Tensor, Tensor]:
         raise InputError("point cloud: expected at least one point, got none")
     positions = positions.detach()
     return torch.amin(positions, dim=0), torch.amax(positions, dim=0)
+
+
+def size_of(points: Tensor) -> float:
+    """Diagonal of the bounding box of points (N, 3), in their unit."""
+    return float((points.amax(dim=0) - points.amin(dim=0)).norm())

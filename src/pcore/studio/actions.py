@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.picking import pick
 from pcore.errors import EditError
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.studio.edit_forms import AXES, CAGES
-from pcore.studio.handle_pose import HandlePose
 from pcore.studio.help_text import NO_PHOTOS, NO_SCALE, OVERLAY_LEGENDS
 from pcore.studio.scaling import Scaling, scaling_of
 from pcore.studio.shown import OVERLAYS
@@ -21,14 +20,19 @@ if TYPE_CHECKING:
     from pcore.studio.studio import Studio
 
 COMMANDS = (
-    *("undo", "redo", "add", "select", "enable", "order", "remove_handle", "cancel", "finish"),
-    *("play", "step", "jump", "set", "key", "unkey", "reach", "put", "turn", "widen"),
-    *("overlay", "still", "moving", "points", "rest", "before"),
-    *("mirror", "lock", "gizmo", "click", "save", "open"),
+    *("add", "enable", "order", "cancel", "finish", "reach", "put", "turn", "widen", "set"),
+    *("play", "step", "jump", "key", "unkey", "overlay", "points", "before"),
+    *("mirror", "lock", "gizmo", "save", "open"),
 )
 """Wishes that are all fulfilled, in their order."""
-NEWEST = ("rename", "time", "compare")
+EDITOR_COMMANDS = ("undo", "redo", "select", "remove_handle", "freeze", "thaw")
+"""Such wishes that are commands of the editor itself."""
+SHOWN = ("still", "moving", "rest", "click", "tool")
+"""Such wishes that are values of `Shown`."""
+NEWEST = ("rename", "time")
 """Wishes of which only the newest counts."""
+NEWEST_SHOWN = ("compare", "brush")
+"""Such wishes that are values of `Shown`."""
 OF_TAB = ("camera_key", "screenshot", "film")
 """Wishes that are all fulfilled and need to know which tab has them."""
 
@@ -47,14 +51,6 @@ class Actions(TimeActions):
         self.camera_key = studio.files.camera_key
         self.screenshot, self.film = studio.files.screenshot, studio.files.film
 
-    def undo(self) -> None:
-        """Take the last command back."""
-        self._editor.undo()
-
-    def redo(self) -> None:
-        """Do again what was undone."""
-        self._editor.redo()
-
     def add(self, kind: str) -> None:
         """Add an edit, or one of `CAGES`."""
         if kind in CAGES:
@@ -63,18 +59,10 @@ class Actions(TimeActions):
         else:
             self._editor.add(kind)
 
-    def select(self, index: int) -> None:
-        """Show another edit."""
-        self._editor.select(index)
-
     def set(self, index: int, path: str, value: Any) -> None:
         """Change a value of an edit, as a step of its own."""
         self._editor.begin()
         self._editor.set(index, path, value)
-
-    def slide(self, index: int, path: str, value: Any) -> None:
-        """Show another value of an edit, which `settle` keeps once the slider rests."""
-        self._editor.slide(index, path, value)
 
     def settle(self) -> None:
         """Keep what a slider shows."""
@@ -99,10 +87,6 @@ class Actions(TimeActions):
         else:
             raise EditError(f"order: expected Up, Down, Copy or Delete, got {what!r}")
 
-    def remove_handle(self) -> None:
-        """Take the selected handle away."""
-        self._editor.remove_handle()
-
     def cancel(self) -> None:
         """Put a drag back, or a stroke."""
         if not self._studio.selecting.take_back():
@@ -113,33 +97,17 @@ class Actions(TimeActions):
         names: list[str] = list(OVERLAYS)
         now = names.index(self._editor.shown.overlay)
         name = name or names[(now + 1) % len(names)]
-        self._shown(overlay=name)
+        self.show(overlay=name)
         blind = name == "exposed" and not self._studio.drawer.has_photos
         self._studio.say(NO_PHOTOS if blind else OVERLAY_LEGENDS[name])
 
-    def compare(self, share: float) -> None:
-        """Show how the object was before, in a share of the picture."""
-        self._shown(compare=share)
-
-    def still(self, on: bool) -> None:
-        """Whether the light stands still."""
-        self._shown(still=on)
-
     def before(self) -> None:
         """Show the object before the edits in half of the picture, or no more."""
-        self._shown(compare=0.0 if self._editor.shown.compare else 0.5)
+        self.show(compare=0.0 if self._editor.shown.compare else 0.5)
 
     def points(self) -> None:
         """Show points while things move, or splats again."""
-        self._shown(moving="splats" if self._editor.shown.moving == "points" else "points")
-
-    def moving(self, what: str) -> None:
-        """What is shown while things move, one of `MOVING`."""
-        self._shown(moving=what)
-
-    def rest(self, on: bool) -> None:
-        """Whether an exact picture is drawn when things rest."""
-        self._shown(rest=on)
+        self.show(moving="splats" if self._editor.shown.moving == "points" else "points")
 
     def widen(self) -> None:
         """Do what folded, with soft edges wide enough."""
@@ -150,16 +118,16 @@ class Actions(TimeActions):
         """Across which axis handles move in pairs; None is the next one."""
         names = ("off", *AXES)
         now = names.index(self._editor.shown.mirror)
-        self._shown(mirror=axis or names[(now + 1) % len(names)])
+        self.show(mirror=axis or names[(now + 1) % len(names)])
 
     def lock(self, axis: str) -> None:
         """Let handles move along one axis alone; the same once more, or "off", lets them go."""
-        self._shown(lock="off" if axis == self._editor.shown.lock else axis)
+        self.show(lock="off" if axis == self._editor.shown.lock else axis)
 
     def gizmo(self, what: str) -> None:
         """What arrows and rings do, one of `GIZMOS`; the same once more: move and turn."""
         what = "all" if what == self._editor.shown.gizmo else what
-        self._shown(gizmo=what)
+        self.show(gizmo=what)
         raw = self._editor.present
         if what == "scale" and raw is not None and self._scaling(raw) is None:
             self._studio.say(NO_SCALE)
@@ -173,10 +141,6 @@ class Actions(TimeActions):
     def finish(self) -> None:
         """Select no edit: the next handle begins another one."""
         self._editor.select(None)
-
-    def click(self, what: str) -> None:
-        """What a click without a key puts, one of `CLICKS`."""
-        self._shown(click=what)
 
     def reach(self, by: float) -> None:
         """Let the selected handles reach so many times as far."""
@@ -205,22 +169,19 @@ class Actions(TimeActions):
             raise EditError("handle: there is nothing under the pointer")
         editor.place_handle(hit.point, pin=pin)
 
-    def drag(self, pose: HandlePose) -> None:
-        """Show the selected handle elsewhere."""
-        self._editor.drag(pose)
-
     def drop(self) -> None:
         """Keep what is dragged."""
         back = self._editor.back
         self._stays(self._editor.drop(), back)
 
+    def show(self, **changes: Any) -> None:
+        """Show the object in other ways: values of `Shown`."""
+        self._editor.shown = replace(self._editor.shown, **changes)
+
     def _stays(self, there: bool, back: str = "") -> None:
         if not there:
             by = f", {back} away" if back else ""
             raise EditError(f"space would fold there; back to the last place where it did not{by}")
-
-    def _shown(self, **changes: Any) -> None:
-        self._editor.shown = replace(self._editor.shown, **changes)
 
     def _scaling(self, raw: dict[str, Any]) -> Scaling | None:
         return scaling_of(raw, size_of(self._editor.asset.points))

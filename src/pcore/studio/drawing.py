@@ -10,9 +10,8 @@ from torch import Tensor
 
 from pcore.asset.asset import Asset, Posed
 from pcore.asset.neural_points import NeuralPoints
-from pcore.editing.diagnosis import CALM, painted
+from pcore.editing.diagnosis import CALM, LiveDiagnosis, painted
 from pcore.editing.handles import handle_colors, handles_in
-from pcore.editing.live import LiveDiagnosis
 from pcore.editing.state import EditState
 from pcore.errors import PcoreError
 from pcore.gaussians.splats import Splats

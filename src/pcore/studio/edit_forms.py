@@ -10,8 +10,7 @@ from torch import Tensor
 
 from pcore.editing.regions import FALLOFF
 from pcore.errors import EditError
-from pcore.geometry.extent import size_of
-from pcore.geometry.point_cloud import extent_of
+from pcore.geometry.point_cloud import extent_of, size_of
 
 
 @dataclass(frozen=True, kw_only=True)

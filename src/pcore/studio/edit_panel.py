@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pcore.editing.stack import raw_edit
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.studio.edit_forms import AXES, CAGES, CHOICES, LABELS, NEW, SLIDERS, SOFT, value_at
 from pcore.studio.edit_handles import TURNING
 from pcore.studio.editor import Editor

@@ -13,7 +13,7 @@ from torch import Tensor
 from pcore.editing.dragging import Mirror
 from pcore.editing.tracks import put_at, remove_key, tracks_of
 from pcore.errors import EditError, PcoreError
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.studio.cage_handles import loose_box, write_cage
 from pcore.studio.edit_forms import AXES
 from pcore.studio.edit_handles import (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from abc import abstractmethod
 from collections.abc import Callable
@@ -11,7 +12,6 @@ from pcore.studio.actions import Actions
 from pcore.studio.editor import Editor
 from pcore.studio.handle_nodes import HandleNodes
 from pcore.studio.handle_pose import HandlePose
-from pcore.studio.pauses import Pause
 from pcore.studio.select_actions import SelectActions
 from pcore.studio.stroke_nodes import HELD
 from pcore.studio.tabs import Tabs
@@ -54,7 +54,7 @@ class Gestures(Tabs):
     def _slide(self, tab: int, index: int, path: str, value: Any) -> None:
         if self._may(tab):
             self._pause.touch()
-            do = self.actions.slide
+            do = self.editor.slide
             self.newest(f"slide {index} {path}", lambda: do(index, path, value), light=True)
 
     def _cancel(self, tab: int) -> None:
@@ -100,7 +100,7 @@ class Gestures(Tabs):
         self._pulled(tab, phase, "scale", lambda: self.actions.scale(share), self.actions.settle)
 
     def _dragged(self, tab: int, phase: str, pose: HandlePose) -> None:
-        self._pulled(tab, phase, "drag", lambda: self.actions.drag(pose), self.actions.drop)
+        self._pulled(tab, phase, "drag", lambda: self.editor.drag(pose), self.actions.drop)
 
     def _pulled(
         self, tab: int, phase: str, name: str, show: Callable[[], None], keep: Callable[[], None]
@@ -112,3 +112,39 @@ class Gestures(Tabs):
             self.perform(keep)
         else:
             self.newest(name, show, light=True)
+
+
+class Pause:
+    """Does something once nobody touched it for a while."""
+
+    def __init__(self, seconds: float, do: Callable[[], object]) -> None:
+        """Begin untouched.
+
+        Args:
+            seconds: of the while.
+            do: what follows it, from a thread of its own.
+        """
+        self._seconds, self._do = seconds, do
+        self._lock, self._waits, self._until = threading.Lock(), False, 0.0
+
+    def touch(self) -> None:
+        """Begin the while anew."""
+        with self._lock:
+            self._until = time.monotonic() + self._seconds
+            if not self._waits:
+                self._wait(self._seconds)
+
+    def _wait(self, seconds: float) -> None:
+        self._waits = True
+        timer = threading.Timer(seconds, self._look)
+        timer.daemon = True
+        timer.start()
+
+    def _look(self) -> None:
+        with self._lock:
+            left = self._until - time.monotonic()
+            if left > 0:
+                self._wait(left)
+                return
+            self._waits = False
+        self._do()

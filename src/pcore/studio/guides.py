@@ -16,7 +16,7 @@ from pcore.editing.anchors_edit import AnchorsEdit
 from pcore.editing.regions import FALLOFF
 from pcore.editing.selection import Rim
 from pcore.errors import PcoreError
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.studio.cage_handles import KINDS, cage_shapes
 from pcore.studio.carrying import carried_places
 from pcore.studio.edit_forms import AXES

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.studio.cage_handles import KINDS
 from pcore.studio.edit_forms import AXES
 from pcore.studio.edit_handles import TURNING

@@ -61,7 +61,12 @@ def differences(old: Any, new: Any, path: str = "") -> Iterator[tuple[str, Any, 
         items = cast("dict[str, Any]", new).items()
         before = cast("dict[str, Any]", old) if isinstance(old, dict) else {}
         pairs = [(name, before.get(name), item) for name, item in items]
-    elif isinstance(new, list) and isinstance(old, list) and len(old) == len(new) and _nested(new):
+    elif (
+        isinstance(new, list)
+        and isinstance(old, list)
+        and len(old) == len(new)
+        and any(isinstance(one, (dict, list)) for one in new)
+    ):
         lists = cast("list[Any]", old), cast("list[Any]", new)
         pairs = [(str(k), *both) for k, both in enumerate(zip(*lists, strict=True))]
     else:
@@ -70,7 +75,3 @@ def differences(old: Any, new: Any, path: str = "") -> Iterator[tuple[str, Any, 
         return
     for name, one, other in pairs:
         yield from differences(one, other, f"{path}/{name}" if path else name)
-
-
-def _nested(values: list[Any]) -> bool:
-    return any(isinstance(one, (dict, list)) for one in values)

@@ -15,8 +15,7 @@ from torch import Tensor
 
 from pcore.gaussians.splats import Splats
 from pcore.geometry.camera import Camera
-from pcore.geometry.extent import size_of
-from pcore.geometry.point_cloud import extent_of
+from pcore.geometry.point_cloud import extent_of, size_of
 
 SIZE = 20.0
 """Diagonal of an object on the page."""

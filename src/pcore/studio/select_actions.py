@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
+from torch import Tensor
 
-from pcore.errors import EditError
+from pcore.data.points import read_array
+from pcore.editing.selection import save_mask
+from pcore.errors import EditError, InputError
 from pcore.studio.editor import Editor
-from pcore.studio.named_selections import NamedSelections
+from pcore.studio.guard import is_file_name
 from pcore.studio.stroke import Stroke
 from pcore.studio.stroke_nodes import HELD
 from pcore.studio.viewport import Viewport
@@ -19,7 +23,7 @@ if TYPE_CHECKING:
     from pcore.studio.studio import Studio
 
 SELECT_COMMANDS = (
-    *("visible_only", "selection", "freeze", "thaw", "tool"),
+    *("visible_only", "selection"),
     *("where", "name_selection", "take_selection", "forget_selection"),
 )
 """Wishes that are all fulfilled, in their order."""
@@ -51,14 +55,6 @@ class SelectActions:
         """Whether what is covered is left out."""
         self._visible_only = on
 
-    def tool(self, name: str) -> None:
-        """Select with another tool."""
-        self._editor.shown = replace(self._editor.shown, tool=name)
-
-    def brush(self, share: float) -> None:
-        """Select with a brush or a ball of another radius, in shares of the object's size."""
-        self._editor.shown = replace(self._editor.shown, brush=share)
-
     def selection(self, what: str) -> None:
         """Invert, grow, shrink or clear the selection."""
         if what == "Clear":
@@ -67,14 +63,6 @@ class SelectActions:
             getattr(self._editor, what.lower())()
         else:
             raise EditError(f"selection: expected Invert, Grow, Shrink or Clear, got {what!r}")
-
-    def freeze(self) -> None:
-        """Hold the selection."""
-        self._editor.freeze()
-
-    def thaw(self) -> None:
-        """Let everything go."""
-        self._editor.thaw()
 
     def where(self, index: int, name: str) -> None:
         """Let an edit act everywhere, in the selection, or in one with a name."""
@@ -165,3 +153,67 @@ class SelectActions:
             if camera is None
             else Stroke(self._editor, camera, how=how, through=not self._visible_only)
         )
+
+
+_ENDING = ".npy"
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedSelections:
+    """Those of one object.
+
+    Attributes:
+        folder: of the files; made when first needed.
+        count: of the points.
+    """
+
+    folder: Path
+    count: int
+
+    @property
+    def names(self) -> list[str]:
+        """In their alphabetical order."""
+        return sorted(path.stem for path in self.folder.glob(f"*{_ENDING}"))
+
+    def read(self, name: str) -> Tensor:
+        """Points (N,) bool of a selection.
+
+        Raises:
+            InputError: there is none of this name, or its file cannot be read.
+            EditError: it is of another object.
+        """
+        path = self._path(name)
+        if not path.is_file():
+            raise InputError(f"selection: there is none with the name {name!r}")
+        mask = read_array(path)
+        if mask.shape != (self.count,) or mask.dtype != bool:
+            raise EditError(
+                f"selection {name}: expected true or false for each of {self.count} points, got "
+                f"{mask.dtype} {mask.shape}; it belongs to another object"
+            )
+        return torch.from_numpy(mask)
+
+    def keep(self, name: str, mask: Tensor) -> None:
+        """Keep points (N,) bool under a name; an older one of this name is replaced.
+
+        Raises:
+            InputError: a name that is none.
+            EditError: nothing is selected, or the file cannot be written.
+        """
+        path = self._path(name)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise EditError(f"selection: cannot be kept ({error.strerror})") from error
+        save_mask(path, mask)
+
+    def forget(self, name: str) -> None:
+        """Remove one; nothing where there is none."""
+        self._path(name).unlink(missing_ok=True)
+
+    def _path(self, name: str) -> Path:
+        if not is_file_name(name):
+            raise InputError(
+                f"name of a selection: expected letters, numbers and - _ ., got {name!r}"
+            )
+        return self.folder / f"{name}{_ENDING}"

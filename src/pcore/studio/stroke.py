@@ -10,7 +10,7 @@ from torch import Tensor
 from pcore.editing.picking import pick
 from pcore.editing.state import EditState
 from pcore.geometry.camera import Camera
-from pcore.geometry.extent import size_of
+from pcore.geometry.point_cloud import size_of
 from pcore.studio.selection_editor import SelectionEditor
 
 _CLICK = 4.0

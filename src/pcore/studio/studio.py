@@ -6,7 +6,15 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from pcore.asset.asset import Asset
-from pcore.studio.actions import COMMANDS, NEWEST, OF_TAB, Actions
+from pcore.studio.actions import (
+    COMMANDS,
+    EDITOR_COMMANDS,
+    NEWEST,
+    NEWEST_SHOWN,
+    OF_TAB,
+    SHOWN,
+    Actions,
+)
 from pcore.studio.dialogs import ask_to_restore, show_help
 from pcore.studio.drawing import Drawer
 from pcore.studio.editor import Editor
@@ -181,12 +189,14 @@ class Studio(Gestures):
         """What widgets and keys ask for, by name; each takes the number of the tab first."""
         actions = self.actions
         wishes = {name: self._wish(getattr(actions, name)) for name in COMMANDS}
+        wishes |= {name: self._wish(getattr(self.editor, name)) for name in EDITOR_COMMANDS}
+        wishes |= {name: self._wish(_shows(actions, name)) for name in SHOWN}
         wishes |= {name: self._newest_of(name, getattr(actions, name)) for name in NEWEST}
+        wishes |= {name: self._newest_of(name, _shows(actions, name)) for name in NEWEST_SHOWN}
         wishes |= {name: self._of_tab(getattr(actions, name)) for name in OF_TAB}
         wishes |= {name: self._wish(getattr(self.selecting, name)) for name in SELECT_COMMANDS}
         wishes["slide"] = self._slide
         wishes["cancel"] = self._cancel
-        wishes["brush"] = self._newest_of("brush", self.selecting.brush)
         return wishes | {
             "top": self._top,
             "home": self._home,
@@ -288,3 +298,8 @@ class Studio(Gestures):
         drawn = bool(tabs) and all(viewport.drawn for viewport in tabs)
         saved, said = self.files.saved, self._said
         return self._line.text(self.editor, saved=saved, said=said, drawn=drawn)
+
+
+def _shows(actions: Actions, name: str) -> Callable[[Any], None]:
+    """Give what shows another value of the one thing of `Shown` that has this name."""
+    return lambda value: actions.show(**{name: value})

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from pcore.errors import InputError
 from pcore.study.page import ANSWERS_FORMAT, KEY_FORMAT, VERSION, name_of
-from pcore.validation import read_json
+from pcore.validation import parse, read_json
 
 
 class _Strict(BaseModel):
@@ -74,10 +74,7 @@ def read_key(path: Path) -> Key:
         InputError: it is none, or was changed.
     """
     record = read_json(path, what="key of a study", error=InputError)
-    try:
-        key = Key.model_validate(record)
-    except ValidationError as error:
-        raise InputError(f"key of a study {path}: {_first(error)}; give the key.json") from None
+    key = parse(Key, record, where=f"key of a study {path}", error=InputError)
     if (key.format, key.version) != (KEY_FORMAT, VERSION):
         raise InputError(
             f"key of a study {path}: expected format {KEY_FORMAT!r}, version {VERSION}, got "
@@ -130,12 +127,7 @@ def read_answers(paths: Sequence[Path], key: Key, *, caught: float) -> Sheets:
 
 def _read(path: Path, key: Key) -> Answers:
     record = read_json(path, what="answers", error=InputError)
-    try:
-        found = Answers.model_validate(record)
-    except ValidationError as error:
-        raise InputError(
-            f"answers {path}: {_first(error)}; expected a file that the study's page has saved"
-        ) from None
+    found = parse(Answers, record, where=f"answers {path}", error=InputError)
     if (found.format, found.version) != (ANSWERS_FORMAT, VERSION):
         raise InputError(
             f"answers {path}: expected format {ANSWERS_FORMAT!r}, version {VERSION}, got "
@@ -189,9 +181,3 @@ def _attentive(person: Answers, key: Key, caught: float, notes: list[str]) -> bo
         )
         return False
     return True
-
-
-def _first(error: ValidationError) -> str:
-    found = error.errors()[0]
-    place = ".".join(str(part) for part in found["loc"]) or "top level"
-    return f"{place}: {found['msg']}"

@@ -7,13 +7,12 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from pcore.data.whole_file import replace_file
 from pcore.errors import InputError
-from pcore.evaluation.report import require_jinja
+from pcore.evaluation.report import filled_page
 from pcore.study.trials import Study
 
 PAGE_FILE, KEY_FILE = "study.html", "key.json"
@@ -83,9 +82,6 @@ def name_of(question: str, trials: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _page(question: str, content: dict[str, Any]) -> str:
-    jinja = require_jinja()
-    source = files("pcore.study").joinpath("templates/study.html.j2").read_text(encoding="utf-8")
-    environment = jinja.Environment(autoescape=True, undefined=jinja.StrictUndefined)
     # Inside a script element only "<" could end it.
     data = json.dumps(content).replace("<", "\\u003c")
-    return str(environment.from_string(source).render(question=question, data=data))
+    return filled_page("pcore.study", "study.html.j2", question=question, data=data)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import Field, ValidationError
 
 from pcore.errors import InputError
-from pcore.validation import describe_problem, read_text
+from pcore.validation import Strict, check_folder_name, describe_problem, read_yaml
 
 ALL = "all"
 """Name of the mean over scenes; no scene may be called so."""
@@ -19,15 +18,10 @@ VerbName = Literal["train", "finetune", "eval", "compare"]
 VERB_NAMES: tuple[VerbName, ...] = get_args(VerbName)
 """What a trial may do, in this order."""
 
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=64)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-
-class TrialResources(_Strict):
+class TrialResources(Strict):
     """What one trial may take."""
 
     processes: int = Field(default=1, ge=1)
@@ -46,7 +40,7 @@ class TrialResources(_Strict):
         return self.cpus * self.processes
 
 
-class SweepSetting(_Strict):
+class SweepSetting(Strict):
     """Which verbs a trial runs, each with options as on the command line."""
 
     train: dict[str, Any] | None
@@ -63,13 +57,13 @@ class SweepSetting(_Strict):
         return found
 
 
-class SweepPlan(_Strict):
+class SweepPlan(Strict):
     """Every scene with every setting and every seed is one trial."""
 
     version: Literal[1]
-    scenes: dict[Name, str] = Field(min_length=1)
+    scenes: dict[str, str] = Field(min_length=1)
     """Name -> folder, seen from the plan's own folder."""
-    settings: dict[Name, SweepSetting] = Field(min_length=1)
+    settings: dict[str, SweepSetting] = Field(min_length=1)
     """Name -> verbs; the first setting is what the others are compared with."""
     seeds: list[Seed] = Field(min_length=1)
     resources: TrialResources = TrialResources()
@@ -82,19 +76,7 @@ def read_plan(path: Path) -> SweepPlan:
         InputError: there is no file, it is no YAML, or it holds what a plan does not.
     """
     where = f"plan {path}"
-    text = read_text(path, where=where, error=InputError)
-    try:
-        # JSON's rules let lists be lists of any kind and numbers be nothing but numbers.
-        found = yaml.load(text, _OneOfEach)
-        data = json.dumps(found, allow_nan=False)
-    except yaml.YAMLError as error:
-        told = " ".join(str(error).split())
-        raise InputError(f"{where}: expected YAML, got text that does not parse: {told}") from error
-    except (TypeError, ValueError, RecursionError) as error:
-        raise InputError(
-            f"{where}: expected texts, numbers, lists and mappings, got something else ({error}); "
-            "put quotes around dates and the like"
-        ) from error
+    found = read_yaml(path, where=where, error=InputError)
     if not isinstance(found, dict):
         got = "an empty file" if found is None else f"one {type(found).__name__}"
         raise InputError(
@@ -102,7 +84,8 @@ def read_plan(path: Path) -> SweepPlan:
             f'{got}; the guide "Sweeps" has a plan to begin with'
         )
     try:
-        plan = SweepPlan.model_validate_json(data)
+        # JSON's rules let lists be lists of any kind and numbers be nothing but numbers.
+        plan = SweepPlan.model_validate_json(json.dumps(found))
     except ValidationError as error:
         raise InputError(f"{where}: {describe_problem(error)}") from error
     _check_names(plan, where)
@@ -129,23 +112,11 @@ def _check_names(plan: SweepPlan, where: str) -> None:
             "over scenes; rename the scene"
         )
     for kind, names in (("scenes", plan.scenes), ("settings", plan.settings)):
+        for name in names:
+            check_folder_name(f"{where}: '{kind}'", name)
         # They become folders, and some disks do not tell case apart.
         if len({name.lower() for name in names}) < len(names):
             raise InputError(
                 f"{where}: '{kind}': expected names that differ by more than case, got "
                 f"{', '.join(names)}"
             )
-
-
-class _OneOfEach(yaml.SafeLoader):
-    """Refuses keys that stand twice, of which YAML would silently take the last."""
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
-        found = super().construct_mapping(node, deep=deep)
-        names = [key.value for key, _ in node.value if key.tag != "tag:yaml.org,2002:merge"]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"the key {twice!r} stands twice", node.start_mark
-            )
-        return found

@@ -11,7 +11,7 @@ from typing import Any
 from pcore.errors import InputError
 from pcore.evaluation.runner import Value
 from pcore.evaluation.summary import StateMean
-from pcore.evaluation.tables import SUMMARY_FILE, read_summary
+from pcore.evaluation.tables import SUMMARY_FILE, numbers_of, read_summary
 from pcore.sweep.sweep_trial import Trial
 
 EVAL, COMPARE = "eval", "compare"
@@ -84,7 +84,7 @@ def _compared(path: Path) -> list[StateMean]:
                 kind="analytic",
                 protocol=_COMPARED,
                 views=0,
-                scores={name: _number(cell["value"]) for name, cell in cells.items()},
+                scores=numbers_of({name: cell["value"] for name, cell in cells.items()}),
             )
             for line in record["methods"]
             for state, cells in line["cells"].items()
@@ -109,7 +109,3 @@ def notes_of(trials: Sequence[Trial]) -> list[str]:
         if "compare" in trial.verbs
         for note in json.loads((trial.folder / COMPARE / "compare.json").read_bytes())["notes"]
     ]
-
-
-def _number(value: Any) -> Value:
-    return float(value) if value in ("inf", "-inf") else value

@@ -33,7 +33,7 @@ def check_storage(url: str) -> None:
         TrainingError: a disk that has no space for any run.
     """
     try:
-        files, root = _opened(url)
+        files, root = opened(url)
         files.makedirs(root, exist_ok=True)
         files.pipe_file(f"{root}/{_PROBE}", b"pcore")
         files.rm_file(f"{root}/{_PROBE}")
@@ -65,8 +65,8 @@ def fetch(url: str, folder: Path, *, records: bool = False) -> bool:
     Raises:
         OSError: the storage cannot be read.
     """
-    with _os_errors(url):
-        files, root = _opened(url)
+    with storage_errors(url):
+        files, root = opened(url)
         found = _names(files, root)
         for name in found:
             if not records or name.endswith(_RECORDS):
@@ -88,8 +88,8 @@ def mirrored(folder: Path, url: str | None) -> Generator[None]:
     if url is None:
         yield
         return
-    with _os_errors(url):
-        begun = bool(_names(*_opened(url)))
+    with storage_errors(url):
+        begun = bool(_names(*opened(url)))
     if begun:
         # The storage is right: what lies here may be of an attempt before the last.
         shutil.rmtree(folder, ignore_errors=True)
@@ -108,8 +108,8 @@ def publish(folder: Path, url: str, names: Iterable[str]) -> None:
     Raises:
         OSError: the storage cannot be written.
     """
-    with _os_errors(url):
-        files, root = _opened(url)
+    with storage_errors(url):
+        files, root = opened(url)
         for name in names:
             _send(files, root, folder, name)
 
@@ -130,9 +130,9 @@ class _Sender:
         """Send the rest and take away what is not here any more; OSError where that fails."""
         self._ended.set()
         self._thread.join()
-        with _os_errors(self._url):
+        with storage_errors(self._url):
             self._send_changes()
-            files, root = _opened(self._url)
+            files, root = opened(self._url)
             here = {*self._looks(), _LAST}
             for name in _names(files, root):
                 if name not in here:
@@ -148,7 +148,7 @@ class _Sender:
                 continue
 
     def _send_changes(self) -> None:
-        files, root = _opened(self._url)
+        files, root = opened(self._url)
         for name, look in self._looks().items():
             if self._sent.get(name) != look:
                 _send(files, root, self._folder, name)
@@ -192,7 +192,8 @@ def _names(files: Any, root: str) -> list[str]:
     return sorted(str(one) for one in names if ".." not in one.parts)
 
 
-def _opened(url: str) -> tuple[Any, str]:
+def opened(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the path in it."""
     from fsspec.core import url_to_fs
 
     files, root = url_to_fs(url)
@@ -202,7 +203,7 @@ def _opened(url: str) -> tuple[Any, str]:
 
 
 @contextmanager
-def _os_errors(url: str) -> Generator[None]:
+def storage_errors(url: str) -> Generator[None]:
     """Every kind of storage has errors of its own; here they are all one."""
     try:
         yield

@@ -24,19 +24,24 @@ _MEAN_KEYS = ("setting", "method", "scene", "state", "protocol")
 _DIFFERENCE_KEYS = ("setting", "method", "against_setting", "against_method", "state", "protocol")
 
 
-def write_start(folder: Path) -> None:
-    """Mark a folder as that of a sweep which is not finished."""
-    write_json(folder / SWEEP_FILE, {"pcore": pcore_version(), "status": "not finished"})
-
-
 def write_sweep(
     folder: Path,
     results: Sequence[TrialResult],
     scores: Sequence[Score],
     means: Sequence[VariantMean],
     differences: Sequence[PairedDifference],
+    *,
+    trials: int,
 ) -> None:
     """Write all files of a sweep; they depend on nothing but what trials computed.
+
+    Args:
+        folder: of the sweep.
+        results: of the trials that have ended so far.
+        scores: of those that have not failed.
+        means: of the scores.
+        differences: of the scores.
+        trials: how many there are in all.
 
     Raises:
         OSError: a file cannot be written; old ones are then as they were.
@@ -51,7 +56,7 @@ def write_sweep(
     write_atomically(folder / DIFFERENCES_FILE, _csv(_DIFFERENCE_KEYS, rows))
     record = {
         "pcore": pcore_version(),
-        "status": "finished",
+        "status": "finished" if len(results) == trials else "not finished",
         "trials": [{"trial": one.trial.name, "failed": one.failed} for one in results],
         "scores": [asdict(one) for one in scores],
         "means": [asdict(one) for one in means],

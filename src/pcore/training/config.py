@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
-from typing import Literal
+from typing import Any, Literal
 
 from pcore.contrib.learned_skinning import SkinningConfig
 from pcore.deform.sampler import DeformationRanges
@@ -143,10 +143,8 @@ class PretrainConfig:
 
     def __post_init__(self) -> None:
         check_levels(self.levels)
-        _check_positive(self, "steps", "points", "validate_every", "save_every")
-        if self.hold_out < 2:
-            raise InputError(f"pre-training: expected hold_out of at least 2, got {self.hold_out}")
-        _check_weights(self, "lpips_weight", "opacity_weight", "front_weight")
+        check_positive(self, "steps", "points", "validate_every", "save_every")
+        check_weights(self, "lpips_weight", "opacity_weight", "front_weight")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,7 +175,7 @@ class SkinningTrainConfig:
                 "skinning: expected at least 2 anchors and a finite learning rate of 0 or more, "
                 f"got {self.anchors} and {self.rate.base}"
             )
-        _check_weights(self, "position_weight")
+        check_weights(self, "position_weight")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,9 +246,9 @@ class FinetuneConfig:
     """Of every random draw."""
 
     def __post_init__(self) -> None:
-        _check_positive(self, "steps", "validate_every", "save_every")
-        _check_weights(self, "geometry_weight", "texture_weight")
-        _check_weights(self, "lpips_weight", "opacity_weight", "front_weight")
+        check_positive(self, "steps", "validate_every", "save_every")
+        check_weights(self, "geometry_weight", "texture_weight")
+        check_weights(self, "lpips_weight", "opacity_weight", "front_weight")
         if not (self.points_only or self.rays_and_points):
             raise InputError(
                 "fine-tuning: expected at least one of points_only and rays_and_points"
@@ -262,21 +260,23 @@ class FinetuneConfig:
             )
 
 
-def _check_positive(config: PretrainConfig | FinetuneConfig, *names: str) -> None:
-    """Refuse numbers below 1, and seeds that torch's generators do not take."""
+def check_positive(config: Any, *names: str) -> None:
+    """Refuse numbers below 1, all views held out, and seeds that torch's generators do not take."""
     for name in names:
         value = getattr(config, name)
         if value < 1:
             raise InputError(f"{type(config).__name__}: expected {name} >= 1, got {value}")
+    if config.hold_out < 2:
+        raise InputError(
+            f"{type(config).__name__}: expected hold_out of at least 2, got {config.hold_out}"
+        )
     if not 0 <= config.seed < 2**63 - 1:
         raise InputError(
             f"{type(config).__name__}: expected a seed from 0 to 2**63 - 2, got {config.seed}"
         )
 
 
-def _check_weights(
-    config: PretrainConfig | FinetuneConfig | SkinningTrainConfig, *names: str
-) -> None:
+def check_weights(config: Any, *names: str) -> None:
     """Refuse negative weights of losses, which would reward errors, and infinity and NaN."""
     for name in names:
         value = getattr(config, name)

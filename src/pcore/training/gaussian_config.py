@@ -9,7 +9,7 @@ from pcore.deform.sampler import DeformationRanges
 from pcore.errors import InputError
 from pcore.gaussians.render import Footprint
 from pcore.gaussians.spherical_harmonics import HIGHEST_DEGREE
-from pcore.training.config import Background, Exposure
+from pcore.training.config import Background, Exposure, check_positive, check_weights
 from pcore.training.schedule import Level, Schedule, check_levels
 
 
@@ -116,15 +116,7 @@ class GaussianConfig:
     the steps and promises nothing."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "views", "points", "validate_every", "save_every"):
-            if getattr(self, name) < 1:
-                raise InputError(
-                    f"training of Gaussians: expected {name} >= 1, got {getattr(self, name)}"
-                )
-        if self.hold_out < 2:
-            raise InputError(
-                f"training of Gaussians: expected hold_out of at least 2, got {self.hold_out}"
-            )
+        check_positive(self, "steps", "views", "points", "validate_every", "save_every")
         if not 0 <= self.degree <= HIGHEST_DEGREE:
             raise InputError(
                 f"training of Gaussians: expected harmonics of degree 0 to {HIGHEST_DEGREE}, got "
@@ -136,9 +128,9 @@ class GaussianConfig:
                 f"SSIM from 0 to 1, got {self.opacity_start} and {self.ssim_weight}"
             )
         check_levels(self.levels)
-        if not 0 <= self.seed < 2**63 - 1 or not math.isfinite(self.degree_every):
+        if not math.isfinite(self.degree_every):
             raise InputError(
-                f"training of Gaussians: expected a seed from 0 to 2**63 - 2, got {self.seed}"
+                f"training of Gaussians: expected a finite degree_every, got {self.degree_every}"
             )
 
 
@@ -201,17 +193,8 @@ class GaussianFinetuneConfig:
         return max(self.geometry_weight, self.texture_weight, self.spread_weight) > 0
 
     def __post_init__(self) -> None:
-        for name in ("steps", "views", "rays", "validate_every", "save_every"):
-            if getattr(self, name) < 1:
-                raise InputError(
-                    f"fine-tuning of Gaussians: expected {name} >= 1, got {getattr(self, name)}"
-                )
-        for name in ("geometry_weight", "texture_weight", "spread_weight", "needle_weight"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise InputError(
-                    f"fine-tuning of Gaussians: expected {name} to be a finite number of 0 or "
-                    f"more, got {getattr(self, name)}; 0 leaves this loss out"
-                )
+        check_positive(self, "steps", "views", "rays", "validate_every", "save_every")
+        check_weights(self, "geometry_weight", "texture_weight", "spread_weight", "needle_weight")
         if not (self.points_only or self.rays_and_points):
             raise InputError(
                 "fine-tuning of Gaussians: expected at least one of points_only and rays_and_points"
@@ -220,8 +203,4 @@ class GaussianFinetuneConfig:
             raise InputError(
                 "fine-tuning of Gaussians: expected origin_distance above 0 and at most 1 and "
                 f"ssim_weight from 0 to 1, got {self.origin_distance} and {self.ssim_weight}"
-            )
-        if not 0 <= self.seed < 2**63 - 1:
-            raise InputError(
-                f"fine-tuning of Gaussians: expected a seed from 0 to 2**63 - 2, got {self.seed}"
             )

@@ -33,13 +33,12 @@ from pcore.training.losses import (
     photometric,
     training_image,
 )
-from pcore.training.near_origin import moved_config, near_origin
+from pcore.training.near_origin import in_frame, moved_config, near_origin, network_frame
 from pcore.training.pace import Clock, Pace
 from pcore.training.patches import draw_patch
 from pcore.training.population import growth_mixture, growth_sites, replace_rows
 from pcore.training.ranks import current_ranks
 from pcore.training.reduced_view import Photo, PhotosInTurn
-from pcore.training.scene_frame import in_frame, network_frame
 from pcore.training.schedule import reduction_at
 from pcore.training.start_cloud import start_positions
 from pcore.training.trainable import Trainable, trainable

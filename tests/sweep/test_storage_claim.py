@@ -1,0 +1,59 @@
+"""One sweep at a time writes to a storage."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from pcore.errors import InputError
+from pcore.sweep import storage_claim
+from pcore.sweep.storage_claim import CLAIM_FILE, claimed
+from pcore.sweep.sweep_storage import check_storage, opened
+
+
+@pytest.fixture(params=["memory", "file"])
+def url(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setattr(storage_claim, "BEAT", 0.1)
+    monkeypatch.setattr(storage_claim, "_MEETING", 0.05)
+    found = f"{request.param}://{tmp_path}/storage"
+    check_storage(found)
+    return found
+
+
+def claim_in(url: str) -> bool:
+    files, root = opened(url)
+    return bool(files.exists(f"{root}/{CLAIM_FILE}"))
+
+
+def test_a_second_sweep_is_refused_while_the_first_one_lives(url: str) -> None:
+    with claimed(url):
+        said = "expected no other sweep that writes there, got one of process"
+        with pytest.raises(InputError, match=said), claimed(url):
+            raise AssertionError("both have it")
+        assert claim_in(url)
+    assert not claim_in(url)
+    with claimed(url):
+        assert claim_in(url)
+
+
+@pytest.mark.parametrize("left", [b'{"host": "x", "process": 1, "sweep": "a", "beat": 7}', b"{"])
+def test_what_a_killed_sweep_has_left_holds_nobody_up_for_long(url: str, left: bytes) -> None:
+    files, root = opened(url)
+    files.pipe_file(f"{root}/{CLAIM_FILE}", left)
+    begun = time.monotonic()
+    with claimed(url):
+        assert time.monotonic() - begun < 5
+    assert not claim_in(url)
+
+
+def test_two_that_begin_at_once_see_each_other(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    files, root = opened(url)
+
+    def meets(seconds: float) -> None:
+        files.pipe_file(f"{root}/{CLAIM_FILE}", b'{"host": "other", "process": 5, "beat": 0}')
+
+    monkeypatch.setattr(storage_claim.time, "sleep", meets)
+    with pytest.raises(InputError, match="got one of process 5 on other"), claimed(url):
+        raise AssertionError("both have it")
