@@ -182,7 +182,7 @@ def map_of(asset: Asset, edit: Edit | None, *, time: float | None = None) -> Def
     Raises:
         EditError: the edit is not valid, does not fit the points or folds space.
     """
-    bound = bind_motion(edit, asset.points, lambda: asset.rig, time=time, check=True)
+    bound = bind_motion(edit, asset.points, lambda: asset.rig, time=time, aware=True)
     if bound.motion is None:
         return Identity()
     if isinstance(bound.motion, MovedPoints):
