@@ -126,7 +126,7 @@ _SHOWN = (
 def _tables(console: Console, lines: Sequence[Line], states: Sequence[str]) -> str:
     """Print the tables; return them for a document."""
     tables: list[tuple[str, tuple[str, ...], Any]] = [
-        (title, (*states,), quality_rows(lines, states, metric, digits, percent=percent))
+        (title, tuple(states), quality_rows(lines, states, metric, digits, percent=percent))
         for title, metric, digits, percent in _SHOWN
         if known(lines, metric)
     ]
