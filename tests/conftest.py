@@ -28,9 +28,12 @@ def _seed() -> None:
     torch.set_flush_denormal(False)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Chromium with software WebGL; tests that need it skip where it is absent."""
+    """Chromium with software WebGL; tests that need it skip where it is absent.
+
+    It ends with its module: its event loop stands in the way of tests that have their own.
+    """
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     program = shutil.which("chromium") or shutil.which("google-chrome")
     if program is None:

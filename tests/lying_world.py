@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from gaussian_asset import asset_of_gaussians
 
 from capture_files import shots, write_photos, write_transforms
 from pcore.asset.asset import Asset
+from pcore.asset.saving import asset_of
 from pcore.gaussians.gaussians import Gaussians
 
 LYING = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -33,5 +33,5 @@ def in_lying_world(folder: Path) -> Asset:
         opacities=torch.full((205,), 0.9),
         sh=torch.zeros(205, 1, 3),
     )
-    asset = asset_of_gaussians(gaussians)
+    asset = asset_of(gaussians)
     return replace(asset, record=replace(asset.record, scene=str(folder)))

@@ -15,7 +15,7 @@ from pcore.sweep.sweep_storage import check_storage, opened
 
 @pytest.fixture(params=["memory", "file"])
 def url(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setattr(storage_claim, "BEAT", 0.1)
+    monkeypatch.setattr(storage_claim, "BEAT", 0.5)
     monkeypatch.setattr(storage_claim, "_MEETING", 0.05)
     found = f"{request.param}://{tmp_path}/storage"
     check_storage(found)

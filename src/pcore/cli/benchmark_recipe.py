@@ -11,7 +11,8 @@ from pydantic import Field
 from pcore.cli.benchmark import BenchmarkMakeCommand
 from pcore.cli.sweep_verbs import option_words, parsed_words
 from pcore.errors import InputError
-from pcore.validation import Strict, check_folder_name, parse, read_yaml
+from pcore.user_yaml import read_yaml
+from pcore.validation import Strict, check_folder_name, parse
 
 _OURS = {"models", "output", "o", "recipe"}
 

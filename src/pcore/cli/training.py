@@ -23,10 +23,10 @@ from pcore.data.scene import Scene
 from pcore.errors import InputError
 from pcore.evaluation.findings import region_advice
 from pcore.files.run_place import check_place
+from pcore.training import presets
 from pcore.training.config import PretrainConfig
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.gaussian_start import chosen_start
-from pcore.training.presets import gaussian_preset, preset
 
 _NO_HULL = "images without alpha have no visual hull"
 _STARTS = {
@@ -123,11 +123,11 @@ def _config(command: TrainCommand) -> PretrainConfig | GaussianConfig:
     elif command.init is not None:
         changes["start"] = start_file(command.init, command.points)
     if command.model == "papr":
-        networks = preset(command.preset)
+        networks = presets.preset(command.preset)
         if command.patches is not None:
             changes["patch"] = replace(networks.patch, views=command.patches)
         return replace(networks, **changes)
-    gaussians = gaussian_preset(command.preset)
+    gaussians = presets.gaussian_preset(command.preset)
     if command.patches is not None:
         changes["views"] = command.patches
     if command.flat:

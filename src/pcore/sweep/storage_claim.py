@@ -83,11 +83,16 @@ def _write(url: str, sign: dict[str, Any], beat: int) -> None:
 
 
 def _read(url: str) -> dict[str, Any] | None:
-    """The sign that is there; None where there is none, or half of one."""
+    """The sign that is there; None where there is none."""
     with storage_errors(url):
         files, root = opened(url)
         try:
-            found = json.loads(files.cat_file(f"{root}/{CLAIM_FILE}"))
-        except (FileNotFoundError, ValueError):
+            content = files.cat_file(f"{root}/{CLAIM_FILE}")
+        except FileNotFoundError:
             return None
-    return found if isinstance(found, dict) else None
+    try:
+        found = json.loads(content)
+    except ValueError:
+        found = None
+    # Half a sign is one, too: somebody is writing it, or was killed meanwhile.
+    return found if isinstance(found, dict) else {"unreadable": content.hex()}

@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Field, ValidationError
 
 from pcore.errors import InputError
-from pcore.validation import Strict, check_folder_name, describe_problem, read_yaml
+from pcore.user_yaml import read_yaml
+from pcore.validation import Strict, check_folder_name, describe_problem
 
 ALL = "all"
 """Name of the mean over scenes; no scene may be called so."""
