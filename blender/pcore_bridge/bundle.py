@@ -69,11 +69,19 @@ def open_bundle(path: str | Path) -> Bundle:
         isinstance(files.get(part), str) and Path(files[part]).name == files[part]
         for part in _PARTS
     )
-    if not plain or not all(isinstance(x, (int, float)) and x > 0 for x in (size, fps)):
+    axes = about.get("axes", np.eye(3).tolist())
+    turned = isinstance(axes, list) and [
+        len(row) for row in axes if isinstance(row, list) and all(map(_is_number, row))
+    ] == [3, 3, 3]
+    if not (plain and turned) or not all(_is_number(x) and x > 0 for x in (size, fps)):
         raise BridgeError(f"{folder}: bundle.json is damaged; run `pcore blender export` again")
     bundle = Bundle(folder, about)
     check_points(bundle, bundle.mesh("points").vertices)
     return bundle
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float))
 
 
 def check_points(bundle: Bundle, vertices: np.ndarray) -> None:

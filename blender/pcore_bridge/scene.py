@@ -25,7 +25,7 @@ def add_bundle(context: bpy.types.Context, bundle: Bundle) -> bpy.types.Object:
     root[FOLDER] = str(bundle.folder.resolve())
     root.scale = [float(bundle.about.get("scale", 1.0))] * 3
     # Captures may lie in their world: what was up for the photographer is up here.
-    axes = Matrix(bundle.about.get("axes") or np.eye(3).tolist())
+    axes = Matrix(bundle.about.get("axes", np.eye(3).tolist()))
     root.rotation_mode = "QUATERNION"
     root.rotation_quaternion = axes.transposed().to_quaternion()
     root.empty_display_size = 0.1 * bundle.about["size"]

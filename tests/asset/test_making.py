@@ -190,6 +190,8 @@ def test_parts_of_another_kind_of_object(scene: Path, tmp_path: Path) -> None:
         pcore.asset_of(some_gaussians(5), like=points)
     with pytest.raises(InputError, match="got GaussianContent"):
         pcore.asset_of(papr, like=pcore.asset_of(some_gaussians(5)))
+    with pytest.raises(InputError, match="networks"):
+        pcore.asset_of(papr, cloud, like=pcore.asset_of(some_gaussians(5)))
     assert torch.equal(pcore.asset_of(papr, like=points).points, cloud.positions)
 
 

@@ -13,7 +13,7 @@ from PIL import ExifTags, Image, PngImagePlugin
 from capture_files import write_photos
 from pcore.capture import structure
 from pcore.capture.layouts import layout_of
-from pcore.capture.load import load_scene
+from pcore.capture.load import has_poses, load_scene
 from pcore.capture.structure import Patience, with_poses
 from pcore.capture.video_frames import choose_frames, scenes_of
 from pcore.errors import DependencyError, SceneError
@@ -70,6 +70,21 @@ def test_the_largest_model_is_taken_and_kept(photos: Path, monkeypatch: pytest.M
     write_photos(photos, ["IMG_11.jpg"])  # Other photos: the model is not theirs.
     with pytest.raises(SceneError, match="the model is kept"):
         load_scene(photos)
+
+
+def test_what_was_posed_before_worlds_stood_upright_keeps_its_world(
+    photos: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Runs that were trained on it record the folder of the photos alone."""
+    fake(monkeypatch)
+    assert not has_poses(photos)
+    load_scene(photos)
+    (place,) = structure.cache_folder().glob("*-upright")
+    older = place.rename(place.with_name(place.name.removesuffix("-upright")))
+    child(monkeypatch, "raise SystemExit('posed again')")
+    assert has_poses(photos)
+    assert load_scene(photos).layout == "COLMAP"
+    assert older.is_dir()
 
 
 @pytest.mark.parametrize(
@@ -383,3 +398,14 @@ def test_portraits_are_handed_to_colmap_upright(
         ["tall0.jpg", "tall1.jpg"],
         ["wide0.jpg", "wide1.jpg"],
     ]
+
+
+def test_a_portrait_with_damaged_exif_is_handed_on_without(tmp_path: Path) -> None:
+    image = Image.new("RGB", (20, 12), "red")
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    image.save(tmp_path / "IMG_0.webp", exif=exif.tobytes()[:6] + b"garbage")
+    copies, names = structure._readable(tmp_path, [tmp_path / "IMG_0.webp"], tmp_path / "copies")
+    (name,) = names.values()
+    with Image.open(copies / name) as copy:
+        assert copy.size == (20, 12)

@@ -432,3 +432,11 @@ def test_a_capture_stands_as_it_was_photographed_and_fills_the_page(
         page.editor.set(1, "angle_deg", 40.0)
         assert torch.equal(page.editor.state.points[200:], asset.points[200:])
         assert not torch.equal(page.editor.state.points[:200], asset.points[:200])
+        assert twist["region"]["falloff"] == pytest.approx(0.05 * page.editor.size)
+        # What was moved away is still what the next edit acts on; a part is a ball in it.
+        page.editor.add("rigid")
+        page.editor.set(2, "translation", [3.0, 0.0, 0.0])
+        page.editor.add("scale")
+        assert page.editor.raw(3)["region"]["lower"][0] > 1.5
+        page.editor.add("part")
+        assert page.editor.raw(4)["region"]["shape"] == "geodesic"

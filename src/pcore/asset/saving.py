@@ -109,7 +109,8 @@ def asset_of(
         content = _gaussian_content(learned, like)
         color = content.background
     else:
-        points = neural_points_of(like, "networks").cloud if cloud is None and like else cloud
+        own = None if like is None else neural_points_of(like, "asset of networks").cloud
+        points = own if cloud is None else cloud
         if points is None:
             raise InputError("asset of networks: expected the canonical points too, got none")
         content = NeuralPoints(

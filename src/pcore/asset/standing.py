@@ -9,13 +9,16 @@ from torch import Tensor
 
 from pcore.asset.asset import Asset
 from pcore.capture.layouts import RENDERED
+from pcore.capture.load import has_poses
 from pcore.data.scene import Scene
 from pcore.errors import PcoreError
 from pcore.geometry.camera import Camera
 from pcore.geometry.capture_axes import capture_axes
 from pcore.geometry.object_region import Region
+from pcore.training.locate import locate
 
-_LEAST = 2
+_LEAST = 0.01
+"""Share of the points; a region with fewer is not where the object is."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +41,7 @@ class Standing:
         if self.region is None:
             return whole
         inside = self.region.contains(points.detach().cpu())
-        return inside if int(inside.sum()) >= _LEAST else whole
+        return inside if int(inside.sum()) >= max(2.0, _LEAST * len(inside)) else whole
 
 
 def standing_of(asset: Asset) -> Standing:
@@ -47,6 +50,8 @@ def standing_of(asset: Asset) -> Standing:
     In rendered scenes z is up, whatever the cameras say.
     """
     try:
+        if not has_poses(asset.record.scene_or(None)):
+            return Standing(axes=torch.eye(3))  # To find them takes minutes, and another world.
         scene = asset.scene()
         cameras = tuple(view.camera for view in scene.split("train"))
         if scene.layout == RENDERED:
@@ -56,5 +61,10 @@ def standing_of(asset: Asset) -> Standing:
         return Standing(axes=torch.eye(3))
 
 
-def _region(scene: Scene) -> Region:
-    return scene.region or Region(center=scene.center, radius=scene.radius)
+def _region(scene: Scene) -> Region | None:
+    """Where the object is; None where masks leave no background."""
+    if scene.region is None and all(view.has_alpha for view in scene.split("train")):
+        return None
+    # Where nothing else tells, what all photos show whole is taken for it.
+    found = locate(scene).scene.region
+    return found or Region(center=scene.center, radius=scene.radius)

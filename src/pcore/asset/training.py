@@ -186,7 +186,8 @@ def settings_of(record: RunRecord) -> Settings:
     kinds = {"gaussians": GaussianConfig, "pretrain": PretrainConfig, "finetune": tuned}
     for stage, kind in kinds.items():
         if stage in config:
-            return from_dict(kind, config[stage], where=f"{record.path}: run.json: {stage}")
+            where = "settings" if record.path is None else f"{record.path}: run.json"
+            return from_dict(kind, config[stage], where=f"{where}: {stage}")
     raise InputError(
         "settings: expected an object that pcore trained, got one without settings on record, as "
         "after an import; give your own"

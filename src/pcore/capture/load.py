@@ -11,7 +11,7 @@ from pcore.capture.layouts import PHOTOS, RENDERED, VIDEO, layout_of, read_layou
 from pcore.capture.mask_folder import scene_with_masks
 from pcore.capture.photo_folders import with_masks
 from pcore.capture.state_folders import files_of, is_pair, state_files
-from pcore.capture.structure import Tell, with_poses
+from pcore.capture.structure import Tell, is_posed, with_poses
 from pcore.data.blender import load_splits
 from pcore.data.images import DEFAULT_MEMORY_BUDGET, ImageCache
 from pcore.data.scene import Scene
@@ -80,6 +80,19 @@ def _open(path: str | Path, factor: int, cache: ImageCache, bare: bool, tell: Te
     scene = scene_of(capture, root=layout.root, given=given, factor=factor, cache=cache)
     scene.split("train")  # So that its notes are known.
     return scene
+
+
+def has_poses(path: str | Path) -> bool:
+    """Whether `load_scene` opens a scene at once; else it has COLMAP find poses first.
+
+    Raises:
+        SceneError: there is no scene, or several.
+    """
+    given = _path(path)
+    if given.is_dir() and is_pair(given):
+        return True
+    layout = layout_of(given)
+    return layout.name not in (PHOTOS, VIDEO) or is_posed(layout)
 
 
 def _silent(line: str) -> None:

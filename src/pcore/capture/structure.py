@@ -33,8 +33,10 @@ _LEAST = 3
 _NOT_COLMAP = (".webp", ".avif", ".heic", ".heif")
 """Pictures that Pillow reads, with its plug-in, and COLMAP does not."""
 _WORLD = "-upright"
-"""Which world models are in: older ones stood as COLMAP left them."""
+"""Which world models are in; older ones stay as COLMAP left them, for what was trained on them."""
 _QUALITY = 95
+_DAMAGED = (SyntaxError, TypeError, ValueError, KeyError, struct.error)
+"""What Pillow raises for EXIF that is not."""
 _NOTE = "video.txt"
 """What was left out of a video, beside its frames."""
 
@@ -54,7 +56,7 @@ def with_poses(layout: Layout, tell: Tell, patience: Patience | None = None) -> 
     sources = [layout.path] if video else photos_below(layout.path)
     for path in sources:
         inside(layout.root, path)  # Before COLMAP reads what links lead to.
-    place = cache_folder() / f"{files_key(sources)}{_WORLD}"
+    place = _place(sources)
     if not place.is_dir():
         if importlib.util.find_spec("pycolmap") is None:
             raise DependencyError(
@@ -77,6 +79,18 @@ def with_poses(layout: Layout, tell: Tell, patience: Patience | None = None) -> 
         notes.append((place / _NOTE).read_text(encoding="utf-8"))
     note = "; ".join(note for note in notes if note)
     return Layout(name="COLMAP", root=root, path=found.folder, note=note)
+
+
+def is_posed(layout: Layout) -> bool:
+    """Whether `with_poses` has posed these photos or this video before."""
+    sources = [layout.path] if layout.name != PHOTOS else photos_below(layout.path)
+    return _place(sources).is_dir()
+
+
+def _place(sources: Sequence[Path]) -> Path:
+    """Where the model of these files is kept."""
+    older = cache_folder() / files_key(sources)
+    return older if older.is_dir() else older.with_name(f"{older.name}{_WORLD}")
 
 
 def cache_folder() -> Path:
@@ -142,13 +156,22 @@ def _is_turned(path: Path) -> bool:
     return header.orientation > 4 and header.width != header.height
 
 
+def _save_upright(image: Image.Image, copy: Path, *, turn: bool) -> None:
+    """Save a photo as COLMAP reads it; the focal length in EXIF is where that begins."""
+    try:
+        upright = ImageOps.exif_transpose(image) if turn else image
+        upright.convert("RGB").save(copy, quality=_QUALITY, exif=upright.getexif())
+    except _DAMAGED:  # Its EXIF: then without a focal length, and as it is stored.
+        image.convert("RGB").save(copy, quality=_QUALITY)
+
+
 def _device(image: Image.Image) -> tuple[str, ...] | None:
     """Maker, model and focal length as EXIF has them; None without, or where that is damaged."""
     try:
         # Not image.getexif(): that of a PNG file decodes all of it.
         exif = Image.Image.getexif(image)
         inner = exif.get_ifd(ExifTags.IFD.Exif)
-    except (OSError, SyntaxError, ValueError, KeyError, struct.error):
+    except (OSError, *_DAMAGED):
         return None
     said = exif.get(ExifTags.Base.Make), exif.get(ExifTags.Base.Model)
     found = (*said, inner.get(ExifTags.Base.FocalLength))
@@ -173,9 +196,7 @@ def _readable(images: Path, whole: Sequence[Path], converted: Path) -> tuple[Pat
             copy = copy.with_suffix(".png")
         if path in foreign | turned:
             with Image.open(path) as image:
-                upright = ImageOps.exif_transpose(image) if path in turned else image
-                # The focal length in EXIF is where COLMAP begins.
-                upright.convert("RGB").save(copy, quality=_QUALITY, exif=upright.getexif())
+                _save_upright(image, copy, turn=path in turned)
         else:
             shutil.copyfile(path, copy)
         names[path] = copy.relative_to(converted).as_posix()

@@ -196,8 +196,8 @@ class Editor(SelectionEditor):
             InputError: the file cannot be written.
         """
         points = self.session.state.points.detach().cpu()
-        region = self.region() if self.shown.chosen else None
-        held = points[self.mask] if region else points
+        held = points[self.mask] if self.shown.chosen else points[self.body]
+        region = self.region() if self.shown.chosen else self._bounds(held)
         vertices = write_cage(file, loose_box(held, cells))
         raw = {"type": "cage", "before": str(file.absolute()), "after": vertices}
         self.session.do(raw if region is None else {**raw, "region": region})
@@ -268,7 +268,7 @@ class Editor(SelectionEditor):
         """The plane across which handles move in pairs; None where they do not."""
         if self.shown.mirror == "off":
             return None
-        return Mirror.of(self.asset.points, AXES.index(self.shown.mirror))
+        return Mirror.of(self.asset.points[self.body], AXES.index(self.shown.mirror))
 
     @property
     def _beside(self) -> float:

@@ -78,7 +78,9 @@ class SelectionEditor(StackEditor):
             if not ids:
                 raise EditError("selection: expected points, got none; draw one with Shift held")
             seam = (raw.get("region") or {}).get("falloff")
-            raw["region"] = points_region(ids) | ({} if seam is None else {"falloff": seam})
+            raw["region"] = self._soft(
+                points_region(ids) | ({} if seam is None else {"falloff": seam})
+            )
         self.session.replace(index, raw)
 
 

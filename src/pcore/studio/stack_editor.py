@@ -7,8 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
+from torch import Tensor
+
 from pcore.asset.asset import Asset
 from pcore.asset.standing import standing_of
+from pcore.editing.regions import FALLOFF
 from pcore.editing.script import EditScript
 from pcore.editing.selection import Selector
 from pcore.editing.session import EditSession
@@ -17,7 +20,7 @@ from pcore.editing.state import EditState
 from pcore.editing.tracks import put_at, set_value
 from pcore.editing.widening import widened
 from pcore.errors import EditError, PcoreError
-from pcore.geometry.point_cloud import size_of
+from pcore.geometry.point_cloud import extent_of, size_of
 from pcore.geometry.surfels import spacing_of
 from pcore.studio.edit_forms import new_edit
 from pcore.studio.edit_handles import ONE, handles_or_error
@@ -84,12 +87,16 @@ class StackEditor:
     def add(self, kind: str) -> None:
         """Add an edit that changes nothing yet, in the selection if there is one.
 
-        Without one it acts on the object, not on what stands around it.
+        Without one it acts on the object, not on what stands around it, a part on a ball in it.
         """
-        region, points = self._bounds, self.session.state.points[self.body]
+        points = self.session.state.points[self.body]
+        region = None if kind == "part" else self._bounds(points)
         if self.shown.chosen:
             region, points = self.region(), self.session.state.points
-        self.session.do(new_edit(kind, points, region))
+        raw = new_edit(kind, points, region)
+        if "region" in raw:
+            raw["region"] = self._soft(raw["region"])
+        self.session.do(raw)
         self._select(len(self.session.stack.edits) - 1)
 
     def select(self, index: int | None) -> None:
@@ -228,15 +235,19 @@ class StackEditor:
         """
         if not self.shown.chosen:
             raise EditError("selection: expected points, got none; draw one with Shift held")
-        return {"shape": "points", "ids": sorted(self.shown.chosen)}
+        return self._soft({"shape": "points", "ids": sorted(self.shown.chosen)})
 
-    @property
-    def _bounds(self) -> dict[str, Any] | None:
-        """Where the object is, as a region of an edit file; None where all points are it."""
-        region = self.standing.region
-        if region is None or bool(self.body.all()):
+    def _soft(self, region: dict[str, Any]) -> dict[str, Any]:
+        """A region whose soft edges go by the object's size, where they have no width."""
+        if "falloff" in region or bool(self.body.all()):
+            return region
+        return {**region, "falloff": FALLOFF * self.size}
+
+    def _bounds(self, points: Tensor) -> dict[str, Any] | None:
+        """Where the object's points (N, 3) are now, as a region; None where it has all."""
+        if bool(self.body.all()):
             return None
-        lower, upper = (corner.tolist() for corner in region.bounds)
+        lower, upper = (corner.double().tolist() for corner in extent_of(points))
         return {"shape": "box", "lower": lower, "upper": upper}
 
     def _whole(self, index: int) -> dict[str, Any]:
