@@ -654,6 +654,59 @@ def test_a_recipe_goes_on_where_it_stopped(
     assert (out / "one" / "meshes.npz").stat().st_mtime_ns == before
 
 
+def test_a_recipe_of_one_model_goes_on_unless_its_rig_is_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("embreex", reason="benchmarks are ray cast with embreex")
+    save(figure(), tmp_path)
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(RECIPE.partition("  two:")[0])
+    words = ["benchmark", "make", "--recipe", str(recipe), "-o", str(tmp_path / "out")]
+    assert main(words) == 0
+    assert "made already" not in capsys.readouterr().out
+    assert main(words) == 0
+    assert "made already" in capsys.readouterr().out
+    assert make(tmp_path / "figure.glb", "-o", tmp_path / "out" / "one") == 2
+    assert "expected a new or empty folder" in capsys.readouterr().err
+    # Another share of the bones: at rest nothing is seen of it.
+    rig, place = figure(), bar()[0]
+    before = read_model(tmp_path / "figure.glb").vertices
+    shares = np.tile([0.5, 0.5, 0, 0], (len(place), 1))
+    rig.primitive["attributes"]["WEIGHTS_0"] = rig.array(shares)
+    assert np.array_equal(read_model(save(rig, tmp_path)).vertices, before)
+    assert main(words) == 2
+    assert "expected a new or empty folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "size: 16",
+            "edits: null",
+            "two: 'edits': expected an edit file or a list of them, got No",
+        ),
+        ("size: 16", "edits: true", "'edits': expected an edit file or a list of them, got True"),
+        ("size: 16", "edits: {a: 1}", "expected an edit file or a list of them, got {'a': 1}"),
+        ("size: 16", "edits: [1]", "expected an edit file or a list of them, got [1]"),
+        ("size: 16", "--edits: none.json", "{beside}/none.json"),
+        (
+            "  two:",
+            "  One:",
+            "'models': expected names that differ by more than case, got one, One",
+        ),
+    ],
+)
+def test_recipes_that_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, said: str
+) -> None:
+    save(figure(), tmp_path)
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(RECIPE.replace(old, new))
+    assert main(["benchmark", "make", "--recipe", str(recipe), "-o", str(tmp_path / "out")]) == 2
+    assert said.replace("{beside}", str(tmp_path)) in capsys.readouterr().err
+
+
 def test_a_vertex_of_no_triangle_widens_nothing(tmp_path: Path) -> None:
     place, _, faces = bar()
     found = []

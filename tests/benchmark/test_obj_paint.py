@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from pcore.benchmark.model import Model, read_model
+from pcore.cli.info_rows import rows_of
 from pcore.errors import InputError
 
 RED, GREEN, BLUE, WHITE = (220, 0, 0), (0, 220, 0), (0, 0, 220), (255, 255, 255)
@@ -103,9 +104,30 @@ def test_colours_behind_vertices_paint_faces_without_a_material(kit: Path) -> No
     assert color(model, 1, 0.5, 0.5) == [55, 0, 0]
 
 
+def test_comments_behind_names_and_colours(kit: Path) -> None:
+    (kit / "said.mtl").write_text(
+        "newmtl a # painted\nKd 1 0 0 # red\nnewmtl Material #25\nKd 0 1 0\n"
+        "newmtl Material #26\nKd 0 0 1\nnewmtl b\nKd 1 1 1\n"
+    )
+    names = ("a # body", "Material #25", "Material #26", "b #hand", "(null)")
+    model = read(kit, "mtllib said.mtl\n" + quads(*names))
+    expected = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255]]
+    assert [color(model, square, 0.5, 0.5) for square in range(4)] == expected
+
+
+def test_materials_that_no_face_uses_are_not_counted(kit: Path) -> None:
+    read(kit, "mtllib my paint.mtl\nusemtl halves\n" + quads("dark red"))
+    told = dict(rows_of(kit / "a model.obj", settings=False))
+    assert told["materials"] == "1, 0 with a texture"
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        (
+            "mtllib more.mtl\n" + quads("green", "skin", "Material #27"),
+            "expected materials of its libraries, got skin, Material #27; export it again with",
+        ),
         ("mtllib gone away.mtl\n" + quads("a"), "missing: gone away.mtl; bring them"),
         ("mtllib bad.mtl\n" + quads("a"), r"expected three numbers of a colour \(Kd\), got '1 x'"),
         ("mtllib torn.mtl\n" + quads("a"), "expected a texture in PNG, JPEG or WebP"),

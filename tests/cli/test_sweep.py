@@ -292,6 +292,45 @@ def test_tables_are_there_before_the_last_trial_has_ended(
     assert json.loads((out / "sweep.json").read_text())["status"] == "finished"
 
 
+def test_a_sweep_that_is_stopped_at_once_goes_on(
+    plan: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder, in which there is no more than a lock, is its own."""
+
+    def stopped(trial: Trial) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sweep_results, "fetch_records", stopped)
+    assert [sweep(plan), sweep(plan)] == [130, 130]
+    assert json.loads((plan.parent / "out" / "sweep.json").read_text())["status"] == "not finished"
+
+
+def test_tables_that_cannot_be_written_for_a_while_end_no_trial(
+    plan: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a network drive that hangs after the first of two trials."""
+    first, _, second = PLAN.partition("  papr:")
+    plan.write_text(first + second[second.index("  more:") :], encoding="utf-8")
+    write, calls = sweep_results.write_sweep, [0]
+
+    def hangs(folder: Path, results: Any, *words: Any, **more: Any) -> None:
+        calls[0] += 1
+        if len(results) == 1:
+            raise OSError(116, "Stale file handle")
+        write(folder, results, *words, **more)
+
+    monkeypatch.setattr(sweep_results, "write_sweep", hangs)
+    assert sweep(plan) == 0
+    assert calls == [5]
+    assert {row["seed"] for row in rows(plan.parent / "out" / "results.csv")} == {"0", "1"}
+
+
+def test_what_a_machine_lacks_is_told_once() -> None:
+    lacks = "no LPIPS with vgg: no weights; see there"
+    notes = [f"a/b/seed-0: {lacks}", "a/b/seed-0: nerf failed: x", f"a/b/seed-1: {lacks}"]
+    assert sweep_results._once(notes) == [lacks, "a/b/seed-0: nerf failed: x"]
+
+
 def test_every_scene_that_cannot_be_used_is_named(
     plan: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

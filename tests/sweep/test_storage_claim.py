@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,6 +47,38 @@ def test_what_a_killed_sweep_has_left_holds_nobody_up_for_long(url: str, left: b
     with claimed(url):
         assert time.monotonic() - begun < 5
     assert not claim_in(url)
+
+
+def test_a_slow_one_that_overwrites_a_sign_lets_the_first_one_be(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It saw no sign, and its own comes when the other one has passed its meeting."""
+    read, write, early = storage_claim._read, storage_claim._write, [None]
+
+    def late(url: str, sign: dict[str, Any], beat: int) -> None:
+        if beat == 0:
+            time.sleep(0.1)
+        write(url, sign, beat)
+
+    with claimed(url):
+        monkeypatch.setattr(storage_claim, "_read", lambda url: early.pop() if early else read(url))
+        monkeypatch.setattr(storage_claim, "_write", late)
+        with pytest.raises(InputError, match="got one of process"), claimed(url):
+            raise AssertionError("both have it")
+
+
+def test_half_a_sign_is_one_that_is_being_written(
+    url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files, root = opened(url)
+
+    def begin(seconds: float) -> None:
+        files.pipe_file(f"{root}/{CLAIM_FILE}", b"{")
+
+    monkeypatch.setattr(storage_claim.time, "sleep", begin)
+    said = "got one whose sign is just being written; wait for its end"
+    with pytest.raises(InputError, match=said), claimed(url):
+        raise AssertionError("both have it")
 
 
 def test_two_that_begin_at_once_see_each_other(url: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -134,6 +134,10 @@ def _made_of(model: Model, plan: BenchmarkPlan) -> str:
             arrays += [track.times, track.values]
     for array in arrays:
         digest.update(b"" if array is None else np.ascontiguousarray(array).tobytes())
+    if model.glb is not None:
+        # Skins, morph targets and poses of nodes, of which the shapes of its clips are made.
+        digest.update(json.dumps(model.glb.data, sort_keys=True).encode())
+        digest.update(model.glb.binary)
     edits = [(name, script.to_json()) for name, script in plan.edits]
     digest.update(repr((replace(plan, edits=()), edits)).encode())
     return digest.hexdigest()

@@ -26,6 +26,8 @@ from pcore.errors import InputError
 _BYTES = 1.0
 """Colours of vertices beyond it count to 255."""
 _WHITE = Material(color=(1.0, 1.0, 1.0, 1.0))
+_NONE = ("", "(null)")
+"""What exporters write where faces have no material."""
 _TAKES = {
     **dict.fromkeys(("-o", "-s", "-t"), 3),
     "-mm": 2,
@@ -68,7 +70,7 @@ def painted_obj(obj: ObjFile, path: Path) -> PaintedObj:
     for what, rows in (("texture coordinates", obj.uv), ("colours of vertices", obj.colors)):
         if rows is not None and not np.isfinite(rows).all():
             raise InputError(f"{path}: expected finite {what}, got NaN or infinity")
-    materials = _materials(obj, path)
+    materials = _by_use(obj, _materials(obj, path), path)
     plain = np.array([name not in materials for name in (*obj.materials, "")])
     bare = plain[obj.material_of_face]
     corners = [obj.faces, obj.uv_faces, obj.normal_faces, np.repeat(bare[:, None], 3, axis=1)]
@@ -91,6 +93,27 @@ def painted_obj(obj: ObjFile, path: Path) -> PaintedObj:
         smooth=smooth_patches(vertices, normals if known else None),
     )
     return PaintedObj(vertices=vertices, faces=vertex.reshape(-1, 3).astype(np.int64), look=look)
+
+
+def _by_use(obj: ObjFile, found: dict[str, Material], path: Path) -> dict[str, Material]:
+    """Materials by the names that the OBJ gives them; a comment may stand behind either name."""
+    # Names may have a # of their own, as in `Material #25`: whole ones come first.
+    known = {name.partition(" # ")[0].strip(): one for name, one in found.items()} | found
+    plain = {name: name if name in known else _name(name) for name in obj.materials}
+    used = {name: known[one] for name, one in plain.items() if one in known}
+    shown = [obj.materials[k] for k in np.unique(obj.material_of_face).tolist() if k >= 0]
+    unknown = [name for name in shown if name not in used and name not in _NONE]
+    if unknown and found and obj.colors is None:
+        raise InputError(
+            f"{path}: expected materials of its libraries, got {', '.join(unknown)[:80]}; export "
+            "it again with its .mtl"
+        )
+    return used
+
+
+def _name(text: str) -> str:
+    """A name without a comment behind it."""
+    return text.partition(" #")[0].strip()
 
 
 def _taken(rows: FloatArray, numbers: NDArray[np.int64]) -> FloatArray:
@@ -138,7 +161,8 @@ def _library(path: Path, missing: list[str]) -> dict[str, Material]:
             name = line.strip()[len(kind) :].strip()
             found[name] = Material()
         elif name is not None and kind == "kd" and found[name].texture is None:
-            found[name] = Material(color=_color(words[1:], path))
+            plain = takewhile(lambda word: not word.startswith("#"), words[1:])
+            found[name] = Material(color=_color([*plain], path))
         elif name is not None and kind == "map_kd":
             texture = _texture(words[1:], path, missing)
             found[name] = replace(_WHITE, texture=texture)

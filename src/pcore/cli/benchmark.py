@@ -117,11 +117,11 @@ class BenchmarkMakeCommand:
 
     @staticmethod
     def _checked(jobs: list[_Job], console: Console) -> list[_Job]:
-        """Those that are not made already, each of which can be; a single one checks itself."""
-        from pcore.benchmark.making import made_already, planned
+        """Those that are not made already, each of which can be; a new single one checks itself."""
+        from pcore.benchmark.making import MANIFEST, made_already, planned
         from pcore.benchmark.model import read_model
 
-        if len(jobs) == 1:
+        if len(jobs) == 1 and not (jobs[0].folder / MANIFEST).is_file():
             _check_free(jobs[0].folder)
             return jobs
         left: list[_Job] = []

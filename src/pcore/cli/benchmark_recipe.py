@@ -52,6 +52,12 @@ def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
     found = parse(_Recipe, data, where=where, error=InputError)
     for name in found.models:
         check_folder_name(f"{where}: 'models'", name)
+    # They become folders, and some disks do not tell case apart.
+    if len({name.lower() for name in found.models}) < len(found.models):
+        raise InputError(
+            f"{where}: 'models': expected names that differ by more than case, got "
+            f"{', '.join(found.models)}; rename one"
+        )
     missing = [
         f"{one.file} ({one.source})" if one.source else one.file
         for one in found.models.values()
@@ -66,17 +72,26 @@ def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
         _parsed(
             f"{where}: {name}",
             [str(recipe.parent / one.file), "--output", str(command.output / name)],
-            _placed({**found.options, **one.options}, recipe.parent),
+            _placed(f"{where}: {name}", {**found.options, **one.options}, recipe.parent),
         )
         for name, one in found.models.items()
     ]
 
 
-def _placed(options: dict[str, Any], beside: Path) -> dict[str, Any]:
+def _placed(where: str, options: dict[str, Any], beside: Path) -> dict[str, Any]:
     """Options whose edit files are seen from the recipe's own folder, as models are."""
-    edits = options.get("edits", [])
-    files = edits if isinstance(edits, list) else [edits]
-    return {**options, "edits": [str(beside / str(one)) for one in files]} if files else options
+    return {
+        key: _files(f"{where}: '{key}'", value, beside) if key.lstrip("-") == "edits" else value
+        for key, value in options.items()
+    }
+
+
+def _files(where: str, value: Any, beside: Path) -> list[str]:
+    files = cast("list[Any]", value if isinstance(value, list) else [value])
+    if not all(isinstance(one, str) for one in files):
+        # `true` would be the bare option, which edits nothing, and a number a file of its name.
+        raise InputError(f"{where}: expected an edit file or a list of them, got {value!r}")
+    return [str(beside / one) for one in files]
 
 
 def _parsed(where: str, own: list[str], options: dict[str, Any]) -> BenchmarkMakeCommand:

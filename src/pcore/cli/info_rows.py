@@ -179,13 +179,13 @@ def _mesh_rows(path: Path) -> Rows:
     """What a benchmark can be made of."""
     model = read_model(path)
     size = " x ".join(f"{side:.4g}" for side in np.ptp(model.vertices, axis=0))
-    painted = sum(one.texture is not None for one in model.look.materials)
-    used = len({*model.look.material_of_face.tolist()})
+    used = [model.look.materials[k] for k in np.unique(model.look.material_of_face).tolist()]
+    painted = sum(one.texture is not None for one in used)
     rows: Rows = [
         ("model", str(path)),
         ("mesh", f"{len(model.vertices):,} vertices, {len(model.faces):,} triangles"),
         ("size", f"{size} units of the file, z up"),
-        ("materials", f"{used}, {painted} with a texture"),
+        ("materials", f"{len(used)}, {painted} with a texture"),
     ]
     for clip in model.clips:
         first, last = clip.span

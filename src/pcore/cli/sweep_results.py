@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -64,6 +64,8 @@ _COLUMNS = (
 )
 """Metric, heading, digits, factor; the files have all metrics."""
 _SHOWN = "standard"
+_LACKED = "no LPIPS with "
+"""How the note of `missing_lpips` begins, which is the same for all trials."""
 
 
 def write_results(
@@ -89,8 +91,14 @@ def show_results(
         if sheet.rows:
             say(console, *sheet_lines(_filled(sheet), room(console)), "")
     finished = [one.trial for one in results if one.failed is None]
-    say(console, *[f"note: {note}" for note in notes_of(finished)])
+    say(console, *[f"note: {note}" for note in _once(notes_of(finished))])
     say(console, f"written to {folder}")
+
+
+def _once(notes: Sequence[str]) -> list[str]:
+    """Notes of trials, where what a machine lacks, not a trial, is told once and of no trial."""
+    parts = [(note, note.partition(": ")[2]) for note in notes]
+    return [*dict.fromkeys(said if said.startswith(_LACKED) else note for note, said in parts)]
 
 
 def show_failures(console: Console, failures: Sequence[TrialResult]) -> None:
@@ -174,6 +182,10 @@ def sweep(command: SweepCommand, console: Console) -> None:
         output_folder(command.output, SWEEP_FILE)
         lock = FolderLock.acquire(command.output)
         stack.callback(lock.release)
+        if not (command.output / SWEEP_FILE).is_file():
+            # The lock stays: without this, a stop while records come would leave a folder that
+            # the same command takes for somebody else's.
+            write_results(command.output, trials, [])
         for one in trials:
             fetch_records(one)
         results = _attempt(console, command.output, trials, execute)
@@ -263,7 +275,8 @@ def _attempt(
     for result in execute(left, run_trial):
         fetch_records(result.trial)
         results[result.trial.name] = result
-        write_results(folder, trials, so_far())
+        with suppress(InputError, OSError):  # At the end it is said.
+            write_results(folder, trials, so_far())
         took = "" if result.seconds is None else f" in {clock(result.seconds)}"
         said = f"finished{took}" if result.failed is None else f"failed: {result.failed}"
         say(console, f"{len(results)}/{len(trials)} {result.trial.name}: {said}")

@@ -176,8 +176,8 @@ def _corner(word: str, counts: tuple[int, int, int], where: str) -> _Corner:
         numbers = [0, 0, 0]
     if numbers[0] == 0:
         raise InputError(
-            f"{where}: expected vertex numbers from 1, or negative ones, in a face, got "
-            f"{word[:40]!r}"
+            f"{where}: expected corners V, V/VT, V//VN or V/VT/VN of numbers from 1, or negative "
+            f"ones, in a face, got {word[:40]!r}"
         )
     place, uv, normal = (
         min(number - 1, _MOST) if number >= 0 else max(count + number, -_MOST)

@@ -41,12 +41,17 @@ def claimed(url: str) -> Generator[None]:
     """
     sign = {"host": socket.gethostname(), "process": os.getpid(), "sweep": secrets.token_hex(8)}
     ended = threading.Event()
+    began = time.monotonic()
     before = _read(url)
     if before is not None:
         time.sleep(2 * BEAT)
+        began = time.monotonic()
         _refuse(url, before, _read(url))
     _write(url, sign, 0)
-    time.sleep(_MEETING)
+    # After a slow write another one may be past its meeting, whose sign is overwritten now: it is
+    # seen again only with its next sign of life.
+    slow = time.monotonic() - began > _MEETING / 2
+    time.sleep(2 * BEAT if slow else _MEETING)
     _refuse(url, {**sign, "beat": 0}, _read(url))
     thread = threading.Thread(target=_live, args=(url, sign, ended), daemon=True)
     thread.start()
@@ -62,9 +67,11 @@ def claimed(url: str) -> Generator[None]:
 
 def _refuse(url: str, before: dict[str, Any], now: dict[str, Any] | None) -> None:
     if now is not None and now != before:
+        whose = f"one of process {now.get('process')} on {now.get('host')}"
+        got = "one whose sign is just being written" if "unreadable" in now else whose
         raise InputError(
-            f"--storage {url}: expected no other sweep that writes there, got one of process "
-            f"{now.get('process')} on {now.get('host')}; wait for its end, or give another storage"
+            f"--storage {url}: expected no other sweep that writes there, got {got}; wait for its "
+            "end, or give another storage"
         )
 
 
