@@ -174,9 +174,9 @@ def _show(found: SceneCheck, console: Console) -> None:
         if one.action:
             say(console, f"   {one.action}", style="dim")
     for row in map(forecast_row, found.forecasts):
-        if row[1] != "-":
-            line = f"{row[0]}: {row[1]}, {row[2]}; quality {row[3]} ({row[4]})"
-            say(console, line)
+        begins = row[1] != "-"
+        told = f"{row[1]}, {row[2]}; quality {row[3]} ({row[4]})" if begins else row[4]
+        say(console, f"{row[0]}: {told}")
 
 
 def _write_masks(found: SceneCheck, command: CheckCommand, console: Console) -> None:
