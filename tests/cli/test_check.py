@@ -155,6 +155,20 @@ def test_a_scene_without_masks_is_told_to_have_none(
     assert "9 photos are few" in said
 
 
+def test_masks_that_hold_the_whole_picture_are_told_to_be_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room, masks = write_room(tmp_path / "room", 9), tmp_path / "masks"
+    assert main(["check", str(room), *BOX, "--masks-out", str(masks)]) == 0
+    for path in masks.iterdir():
+        with Image.open(path) as mask:
+            size = mask.size
+        Image.new("L", size, 255).save(path)
+    capsys.readouterr()
+    assert main(["check", str(room), *BOX, "--masks", str(masks)]) == 0
+    assert "holds the whole picture: it is no mask" in capsys.readouterr().out
+
+
 def test_a_wrong_mask_among_given_ones_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

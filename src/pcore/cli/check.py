@@ -136,6 +136,7 @@ def _check_places(command: CheckCommand) -> None:
 def _opened(command: CheckCommand, factor: int, console: Console) -> tuple[Scene, Scene]:
     """The scene with its masks and without any."""
     from pcore.capture.load import load_scene
+    from pcore.data.masks import check_masks
 
     if command.masks in ("none", "auto", "trained"):
         bare = load_scene(command.scene, factor=factor, masks="none", tell=partial(say, console))
@@ -145,7 +146,10 @@ def _opened(command: CheckCommand, factor: int, console: Console) -> tuple[Scene
     if all(view.image.mask is None for view in scene.split("train")):
         return scene, scene  # What alpha there is is the photos' own: they are decoded once.
     bare = load_scene(command.scene, factor=factor, masks="none")
-    return (scene, bare) if scene.split("train")[0].has_alpha else (bare, bare)
+    if scene.split("train")[0].has_alpha:
+        return scene, bare
+    say(console, *[f"note: {one}" for one in check_masks(scene.split("train"))])
+    return bare, bare
 
 
 def _looking_factor(path: Path, console: Console) -> int:
