@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -169,12 +169,19 @@ def describe_problem(problem: ValidationError) -> str:
     return f"'{field}': {message}, got {short}{more}"
 
 
-def check_folder_name(where: str, name: str) -> None:
-    """Raise InputError unless a name that somebody gave to a thing can be that of its folder."""
-    if not _FOLDER_NAME.fullmatch(name):
+def check_folder_names(where: str, names: Collection[str]) -> None:
+    """Raise InputError unless names that somebody gave to things can be those of their folders."""
+    for name in names:
+        if not _FOLDER_NAME.fullmatch(name):
+            raise InputError(
+                f"{where}: expected names that can be folders, of letters, digits, '.', '_' and "
+                f"'-', the first a letter or digit, 64 at most; got {name!r}"
+            )
+    # Some disks do not tell case apart.
+    if len({name.lower() for name in names}) < len(names):
         raise InputError(
-            f"{where}: expected names that can be folders, of letters, digits, '.', '_' and '-', "
-            f"the first a letter or digit, 64 at most; got {name!r}"
+            f"{where}: expected names that differ by more than case, got {', '.join(names)}; "
+            "rename one"
         )
 
 

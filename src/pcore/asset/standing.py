@@ -63,7 +63,9 @@ def standing_of(asset: Asset) -> Standing:
 
 def _region(scene: Scene) -> Region | None:
     """Where the object is; None where masks leave no background."""
-    if scene.region is None and all(view.has_alpha for view in scene.split("train")):
+    if scene.region is not None:
+        return scene.region
+    if all(view.has_alpha for view in scene.split("train")):
         return None
     # Where nothing else tells, what all photos show whole is taken for it.
     found = locate(scene).scene.region

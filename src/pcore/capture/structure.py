@@ -153,7 +153,7 @@ def _by_camera(photos: Sequence[Path]) -> list[list[Path]]:
 def _is_turned(path: Path) -> bool:
     """Whether a tag turns a photo by a quarter, which the shape of its camera can then tell."""
     header = read_header(path)
-    return header.orientation > 4 and header.width != header.height
+    return header.upright_size != (header.width, header.height)
 
 
 def _save_upright(image: Image.Image, copy: Path, *, turn: bool) -> None:

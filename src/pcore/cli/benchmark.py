@@ -93,6 +93,8 @@ class BenchmarkMakeCommand:
         Args:
             again: benchmarks that were made before may be there.
         """
+        from pcore.benchmark.making import MANIFEST
+
         if not self.models:
             raise InputError("benchmark make: expected at least one model or --recipe, got none")
         names = [path.stem for path in self.models]
@@ -104,7 +106,7 @@ class BenchmarkMakeCommand:
         folders = [self.output if one else self.output / name for name in names]
         check_place(self.output)
         for folder in folders:
-            if not (again and (folder / "scene.json").is_file()):
+            if not (again and (folder / MANIFEST).is_file()):
                 _check_free(folder)
         return folders
 

@@ -12,7 +12,7 @@ from pcore.cli.benchmark import BenchmarkMakeCommand
 from pcore.cli.sweep_verbs import option_words, parsed_words
 from pcore.errors import InputError
 from pcore.user_yaml import read_yaml
-from pcore.validation import Strict, check_folder_name, parse
+from pcore.validation import Strict, check_folder_names, parse
 
 _OURS = {"models", "output", "o", "recipe"}
 
@@ -50,14 +50,7 @@ def commands_of(command: BenchmarkMakeCommand) -> list[BenchmarkMakeCommand]:
     where = f"recipe {recipe}"
     data = read_yaml(recipe, where=where, error=InputError)
     found = parse(_Recipe, data, where=where, error=InputError)
-    for name in found.models:
-        check_folder_name(f"{where}: 'models'", name)
-    # They become folders, and some disks do not tell case apart.
-    if len({name.lower() for name in found.models}) < len(found.models):
-        raise InputError(
-            f"{where}: 'models': expected names that differ by more than case, got "
-            f"{', '.join(found.models)}; rename one"
-        )
+    check_folder_names(f"{where}: 'models'", found.models)
     missing = [
         f"{one.file} ({one.source})" if one.source else one.file
         for one in found.models.values()

@@ -89,10 +89,14 @@ def show_results(
         say(console, f"note: {line}")
 
 
+NO_LPIPS = "no LPIPS with "
+"""How the note of `missing_lpips` begins, which is of the machine and not of what it runs."""
+
+
 def missing_lpips(perceptual: Perceptual | None) -> list[str]:
     """Say why columns of LPIPS are empty; nothing where none is."""
     missing = ", ".join(perceptual.missing) if perceptual is not None else ""
-    why = f"no LPIPS with {missing}: no weights; `pcore doctor --weights` says what goes where"
+    why = f"{NO_LPIPS}{missing}: no weights; `pcore doctor --weights` says what goes where"
     return [why] if missing else []
 
 

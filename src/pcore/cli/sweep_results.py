@@ -12,6 +12,7 @@ import torch
 from rich.console import Console
 
 from pcore.cli.console import say
+from pcore.cli.eval_results import NO_LPIPS
 from pcore.cli.layout import Column, Sheet, room, sheet_lines
 from pcore.cli.sweep import SweepCommand
 from pcore.cli.sweep_forecast import show_plan
@@ -64,8 +65,6 @@ _COLUMNS = (
 )
 """Metric, heading, digits, factor; the files have all metrics."""
 _SHOWN = "standard"
-_LACKED = "no LPIPS with "
-"""How the note of `missing_lpips` begins, which is the same for all trials."""
 
 
 def write_results(
@@ -98,7 +97,7 @@ def show_results(
 def _once(notes: Sequence[str]) -> list[str]:
     """Notes of trials, where what a machine lacks, not a trial, is told once and of no trial."""
     parts = [(note, note.partition(": ")[2]) for note in notes]
-    return [*dict.fromkeys(said if said.startswith(_LACKED) else note for note, said in parts)]
+    return [*dict.fromkeys(said if said.startswith(NO_LPIPS) else note for note, said in parts)]
 
 
 def show_failures(console: Console, failures: Sequence[TrialResult]) -> None:

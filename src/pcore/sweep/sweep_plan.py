@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 
 from pcore.errors import InputError
 from pcore.user_yaml import read_yaml
-from pcore.validation import Strict, check_folder_name, describe_problem
+from pcore.validation import Strict, check_folder_names, describe_problem
 
 ALL = "all"
 """Name of the mean over scenes; no scene may be called so."""
@@ -113,11 +113,4 @@ def _check_names(plan: SweepPlan, where: str) -> None:
             "over scenes; rename the scene"
         )
     for kind, names in (("scenes", plan.scenes), ("settings", plan.settings)):
-        for name in names:
-            check_folder_name(f"{where}: '{kind}'", name)
-        # They become folders, and some disks do not tell case apart.
-        if len({name.lower() for name in names}) < len(names):
-            raise InputError(
-                f"{where}: '{kind}': expected names that differ by more than case, got "
-                f"{', '.join(names)}"
-            )
+        check_folder_names(f"{where}: '{kind}'", names)
