@@ -110,6 +110,12 @@ def test_every_edit_and_region_has_its_figure() -> None:
     assert [kind for kind in kinds if f'"{kind}"' not in figures] == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_merge_was_left_undecided(page: Path) -> None:
+    marks = re.compile(r"^(<{7}|={7}|>{7})( |$)", flags=re.MULTILINE)
+    assert not marks.search(page.read_text(encoding="utf-8"))
+
+
 @pytest.mark.parametrize("page", [p for p in pages_with(COMMAND) if commands(p.values[0])])
 def test_every_command_parses(page: Path) -> None:
     for command in commands(page):

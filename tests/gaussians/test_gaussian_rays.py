@@ -57,6 +57,12 @@ def test_one_gaussian_is_its_density_where_the_ray_passes_nearest() -> None:
     torch.testing.assert_close(found.rgb[1], expected)
 
 
+def test_rays_that_meet_nothing_see_what_is_behind() -> None:
+    found = lines(balls([3.0], [0.8], [[1.0, 0.0, 0.0]]), along_x([5.0, -4.0]))
+    assert torch.equal(found.rgb, torch.ones(2, 3))
+    assert torch.equal(found.alpha, torch.zeros(2))
+
+
 def test_blending_is_front_to_back_whatever_the_order_of_rows() -> None:
     gaussians = balls([5.0, 3.0], [0.5, 0.6], [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     for one in (gaussians, gaussians.each(lambda tensor: tensor.flip(0))):

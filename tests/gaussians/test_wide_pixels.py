@@ -70,7 +70,7 @@ def test_a_divided_picture_is_the_mean_of_the_finer_one(
     means = gaussians.means.clone().requires_grad_()
     posed = PosedGaussians(gaussians=replace(gaussians, means=means))
     fine = render(posed, [camera(24)], footprint=footprint, background=WHITE)
-    found = render_divided(posed, [camera(12)], footprint=footprint, background=WHITE)
+    found = render_divided(posed, camera(12), footprint=footprint, background=WHITE)
 
     def mean(values: torch.Tensor) -> torch.Tensor:
         return values.reshape(1, 12, 2, 12, 2, -1).mean(dim=(2, 4)).squeeze(-1)
@@ -88,7 +88,7 @@ def test_the_depth_of_a_divided_pixel_is_that_of_one_of_its_parts(
     """Where half of the opacity of its parts, from the nearest on, is reached; by counting."""
     posed = PosedGaussians(gaussians=gaussians)
     fine = render(posed, [camera(24)], footprint=footprint, background=WHITE)
-    found = render_divided(posed, [camera(12)], footprint=footprint, background=WHITE)
+    found = render_divided(posed, camera(12), footprint=footprint, background=WHITE)
     mixed = 0
     for row in range(12):
         for column in range(12):
@@ -108,7 +108,7 @@ def test_a_picture_as_fine_as_the_photos_is_drawn_as_before(
     gaussians: Gaussians, footprint: Footprint
 ) -> None:
     posed = PosedGaussians(gaussians=gaussians)
-    found = render_divided(posed, [camera()], footprint=footprint, background=WHITE)
+    found = render_divided(posed, camera(), footprint=footprint, background=WHITE)
     assert torch.equal(found.rgb, render(posed, [camera()], footprint=Footprint()).rgb)
 
 

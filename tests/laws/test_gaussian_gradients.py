@@ -19,6 +19,7 @@ from pcore.asset.saving import asset_of
 from pcore.errors import EditError
 from pcore.gaussians.carry import polar
 from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.render import Footprint
 from pcore.geometry.camera import Camera
 from pcore.render.image import Image
 
@@ -168,12 +169,18 @@ def test_turns_of_colours_have_a_gradient() -> None:
     assert torch.autograd.gradcheck(polar, maps.requires_grad_(True), eps=1e-6, atol=1e-6)
 
 
-def test_a_batch_is_its_pictures() -> None:
-    cameras = [camera(), camera(18.0)]
-    batch = ASSET.render(None, Camera.stack(cameras))
-    assert batch.rgb.shape == (2, 9, 12, 3)
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_batch_is_its_pictures(fast: bool) -> None:
+    """Far ones too, whose pixels are divided: they change nothing of those nearby."""
+    assert isinstance(ASSET.content, GaussianContent)
+    fine = replace(ASSET.content, footprint=Footprint(pixel=2.6 / 16))
+    asset = replace(ASSET, content=fine)
+    far = camera(place=torch.tensor([0.0, 0.0, 900.0], dtype=torch.float64))
+    cameras = [camera(), camera(18.0), far]
+    batch = asset.render(None, Camera.stack(cameras), fast=fast)
+    assert batch.rgb.shape == (3, 9, 12, 3)
     for index, one in enumerate(cameras):
-        alone = ASSET.render(None, one)
+        alone = asset.render(None, one, fast=fast)
         assert torch.equal(batch.rgb[index], alone.rgb)
         assert torch.equal(batch.depth[index].isnan(), alone.depth.isnan())
 

@@ -198,12 +198,19 @@ class GaussianContent(Lit):
 
     def render(self, posed: MovedGaussians, camera: Camera, sampling: Sampling) -> Image:
         """See `Content.render`; finer and averaged where pixels are wider than the photos' were."""
+        drawn, own = posed.drawn, self.footprint
         color = self.gaussians.means.new_tensor(self.background)
-        cameras = list(camera)
+
+        def picture(one: Camera) -> Image:
+            # Alone: how pixels are divided, and what is too near, must not depend on the others.
+            if sampling.fast:
+                found = render(drawn, [one], footprint=own, background=color)
+            else:
+                found = render_divided(drawn, one, footprint=own, background=color)
+            return _image(found, one)
+
         with torch.set_grad_enabled(posed.drawn.asks_gradient or camera.asks_gradient):
-            draw = render if sampling.fast else render_divided
-            found = draw(posed.drawn, cameras, footprint=self.footprint, background=color)
-            images = [_image(found, index, one) for index, one in enumerate(cameras)]
+            images = [picture(one) for one in camera]
         return images[0] if camera.count is None else Image.stack(images)
 
     def film_detail(self, posed: Sequence[MovedGaussians], cameras: Sequence[Camera]) -> None:
@@ -269,12 +276,12 @@ def read_gaussians(path: Path, device: str) -> tuple[GaussianContent, Provenance
     return content, saved.provenance
 
 
-def _image(found: GaussianPictures, index: int, camera: Camera) -> Image:
-    """One of the pictures, with places only where something is seen."""
-    alpha = found.alpha[index].cpu()
-    depth = torch.where(alpha > _TRACE, found.depth[index].cpu(), torch.nan)
+def _image(found: GaussianPictures, camera: Camera) -> Image:
+    """The picture of one camera, with places only where something is seen."""
+    alpha = found.alpha[0].cpu()
+    depth = torch.where(alpha > _TRACE, found.depth[0].cpu(), torch.nan)
     return Image(
-        rgb=found.rgb[index].cpu(),
+        rgb=found.rgb[0].cpu(),
         alpha=alpha,
         depth=depth,
         surface=surface_points(depth, camera),

@@ -203,7 +203,7 @@ def picture_loss(
     """
     errors, area = background.new_zeros(()), background.new_zeros(())
     for photo in photos:
-        seen = render_divided(posed, [photo.camera], footprint=footprint, background=background)
+        seen = render_divided(posed, photo.camera, footprint=footprint, background=background)
         one = seen.rgb[0], seen.alpha[0]
         errors = errors + difference(*one, photo, background, silhouettes=silhouettes)
         area = area + (photo.alpha * photo.known).sum()

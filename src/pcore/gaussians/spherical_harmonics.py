@@ -91,8 +91,9 @@ def colors(sh: Tensor, directions: Tensor) -> Tensor:
     """
     degree = math.isqrt(sh.shape[-2]) - 1
     if sh.device.type == "cpu" and sh.ndim == 3 and directions.shape[-2] == len(sh):
+        looks = math.prod(directions.shape[:-2])  # Not -1, which no rows at all leave open.
         found = cpu_harmonics.colors(
-            sh, directions.reshape(-1, *directions.shape[-2:]), _factors(degree)
+            sh, directions.reshape(looks, *directions.shape[-2:]), _factors(degree)
         )
         return found.view(directions.shape)
     values = basis(degree, directions)

@@ -8,7 +8,6 @@ at random. Drawn as finely as the photos were, and averaged, they show what they
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -53,14 +52,14 @@ def parts_of_pixels(posed: PosedGaussians, camera: Camera, footprint: Footprint)
 
 
 def render_divided(
-    posed: PosedGaussians, cameras: Sequence[Camera], *, footprint: Footprint, background: Tensor
+    posed: PosedGaussians, camera: Camera, *, footprint: Footprint, background: Tensor
 ) -> GaussianPictures:
-    """Draw as `render`, pixels divided where they are too wide; there it has no normals."""
-    parts = max(parts_of_pixels(posed, camera, footprint) for camera in cameras)
+    """Draw one picture as `render`, pixels divided where they are too wide, then without normals."""
+    parts = parts_of_pixels(posed, camera, footprint)
     if parts == 1:
-        return render(posed, cameras, footprint=footprint, background=background)
-    fine = [camera.resized(parts * camera.width, parts * camera.height) for camera in cameras]
-    found = render(posed, fine, footprint=footprint, background=background)
+        return render(posed, [camera], footprint=footprint, background=background)
+    fine = camera.resized(parts * camera.width, parts * camera.height)
+    found = render(posed, [fine], footprint=footprint, background=background)
 
     return GaussianPictures(
         rgb=avg_pool2d(found.rgb.movedim(-1, 1), parts).movedim(1, -1),
