@@ -1,9 +1,9 @@
 """The examples run as they stand there, one after the other, on a tiny scene."""
 
-import os
 import re
-import subprocess
+import runpy
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,17 +24,18 @@ EDIT = '{"version": 2, "edits": [{"type": "scale", "factor": 0.5}]}'
 SIZE = 32
 
 
-def run_example(name: str, *args: object) -> str:
-    """What an example prints."""
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / name), *map(str, args)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+@pytest.fixture
+def run_example(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., str]:
+    """Runs an example as a program, in this process; gives what it prints."""
+
+    def run(name: str, *args: object) -> str:
+        monkeypatch.setattr(sys, "argv", [name, *map(str, args)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_train_with_a_listener(tmp_path: Path) -> None:
+def test_train_with_a_listener(run_example: Callable[..., str], tmp_path: Path) -> None:
     scene = tiny_scene.write_scene(tmp_path / "box", meshes=False, states=False)
     out = run_example("01_train.py", scene, tmp_path / "run", "--steps", 10)
     assert "step 10 of 10: 6000 points, rgb" in out
@@ -62,7 +63,7 @@ def test_train_with_a_listener(tmp_path: Path) -> None:
     assert (provenance.scene, provenance.stage, provenance.step) == ("box", "pretrain", 10)
 
 
-def test_edit_and_render(model: Path, tmp_path: Path) -> None:
+def test_edit_and_render(run_example: Callable[..., str], model: Path, tmp_path: Path) -> None:
     edit = tmp_path / "small.json"
     edit.write_text(EDIT)
     out = run_example("02_edit.py", model, edit, tmp_path / "pictures", "--size", SIZE)
@@ -74,7 +75,7 @@ def test_edit_and_render(model: Path, tmp_path: Path) -> None:
     assert 0 < deformed < 0.5 * canonical < 50
 
 
-def test_own_deformation(model: Path, tmp_path: Path) -> None:
+def test_own_deformation(run_example: Callable[..., str], model: Path, tmp_path: Path) -> None:
     out = run_example("03_own_deformation.py", tmp_path / "wave.png", model, model, "--size", SIZE)
     # A shear changes no volume.
     assert out.count("det J from 1.000 to 1.000") == 2
@@ -85,7 +86,7 @@ def test_own_deformation(model: Path, tmp_path: Path) -> None:
     assert not np.array_equal(pixels[:, :SIZE], pixels[:, SIZE:])
 
 
-def test_session(model: Path, tmp_path: Path) -> None:
+def test_session(run_example: Callable[..., str], model: Path, tmp_path: Path) -> None:
     edit, picture = tmp_path / "edit.json", tmp_path / "strain.png"
     out = run_example("04_session.py", model, edit, picture, "--size", SIZE)
     kept, still = map(int, re.findall(r"kept (\d+) steps, (\d+) points", out)[0])
