@@ -225,6 +225,15 @@ def test_what_is_no_camera(asset: Asset, cameras: Any, message: str) -> None:
         next(asset.film([], cameras))
 
 
+@pytest.mark.parametrize(("frames", "cameras"), [(1, 2), (2, 1), (0, 1)])
+def test_every_frame_of_a_film_has_its_camera(
+    asset: Asset, camera: Camera, frames: int, cameras: int
+) -> None:
+    """Said before the first picture is taken."""
+    with pytest.raises(InputError, match=f"for each of {frames} frames, got {cameras}"):
+        next(asset.film([asset.pose()] * frames, [camera] * cameras))
+
+
 def test_what_the_interpreter_shows_is_one_line(asset: Asset, camera: Camera) -> None:
     content: Any = asset.content
     size = " x ".join(f"{float(side):.3g}" for side in asset.points.amax(0) - asset.points.amin(0))
@@ -233,5 +242,8 @@ def test_what_the_interpreter_shows_is_one_line(asset: Asset, camera: Camera) ->
     assert repr(asset) == f"Asset({told})"
     lit = replace(content, read_light=lambda: pytest.fail("it is not read for that"))
     assert repr(replace(asset, content=lit)) == f"Asset({told.replace('no light', 'a light')})"
+    twist = {"type": "twist", "axis": "z", "angle_deg": 30}
+    session = asset.session({"version": 2, "edits": [twist, twist]})
+    assert repr(session) == "EditSession(40 points, 2 edits)"
     assert repr(asset.render(None, camera)) == "Image(8 x 8 pixels)"
     assert repr(asset.render(None, Camera.stack([camera] * 3))) == "Image(3 x 8 x 8 pixels)"

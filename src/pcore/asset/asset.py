@@ -209,6 +209,9 @@ class Asset:
             frames: the object in every frame.
             cameras: one for every frame.
             samples: see `render`.
+
+        Raises:
+            InputError: as `render`, or not one camera for every frame.
         """
         detail = self.film_detail(frames, cameras)
         for posed, camera in zip(frames, cameras, strict=True):
@@ -217,7 +220,7 @@ class Asset:
     def film_detail(self, frames: Sequence[Posed], cameras: Sequence[Camera]) -> float | None:
         """Number that all frames of a film share, so that its look does not jump."""
         poses = [content_of(one, self.content) for one in frames]
-        return self.content.film_detail(poses, checked_cameras(cameras))
+        return self.content.film_detail(poses, checked_cameras(cameras, len(frames)))
 
     def trace(
         self, posed: Posed | None, rays: RayBundle, background: Tensor | Color | None = None

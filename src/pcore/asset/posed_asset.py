@@ -84,8 +84,8 @@ def content_of(posed: object, own: Content[Any]) -> Any:
     )
 
 
-def checked_cameras(cameras: object) -> Sequence[Camera]:
-    """Return several cameras; raises InputError where they are none, or something else."""
+def checked_cameras(cameras: object, frames: int | None = None) -> Sequence[Camera]:
+    """Return several cameras, one for each of so many frames, if any; else raises InputError."""
     if not isinstance(cameras, Sequence):
         raise InputError(f"pictures: expected cameras, got {type(cameras).__name__}")
     if not cameras:
@@ -93,6 +93,8 @@ def checked_cameras(cameras: object) -> Sequence[Camera]:
     for one in cameras:
         if not isinstance(one, Camera):
             raise InputError(f"pictures: expected cameras, got {one!r} among them")
+    if frames is not None and len(cameras) != frames:
+        raise InputError(f"film: expected a camera for each of {frames} frames, got {len(cameras)}")
     return cameras
 
 

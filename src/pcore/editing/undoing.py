@@ -60,6 +60,10 @@ class Undoable:
         _ = session.state
         return session
 
+    def __repr__(self) -> str:
+        edits = len(self.stack.edits)
+        return f"{type(self).__name__}({len(self._canonical)} points, {edits} edits)"
+
     @property
     def state(self) -> EditState:
         """The present state."""

@@ -54,7 +54,7 @@ def parts_of_pixels(posed: PosedGaussians, camera: Camera, footprint: Footprint)
 def render_divided(
     posed: PosedGaussians, camera: Camera, *, footprint: Footprint, background: Tensor
 ) -> GaussianPictures:
-    """Draw one picture as `render`, pixels divided where they are too wide, then without normals."""
+    """Draw one picture as `render`; pixels that are too wide are divided, then without normals."""
     parts = parts_of_pixels(posed, camera, footprint)
     if parts == 1:
         return render(posed, [camera], footprint=footprint, background=background)
