@@ -99,7 +99,7 @@ class GaussianContent(Lit):
         """See `Content.samples`; the footprint is what a pixel is, so that one is enough."""
         return 1
 
-    @cached_property
+    @property
     def surfels(self) -> Surfels | None:
         """The pieces of surface that they are at rest; None where nobody has estimated them."""
         if self.normals is None:
@@ -108,7 +108,8 @@ class GaussianContent(Lit):
 
     @cached_property
     def _lit_pieces(self) -> LitPieces | None:
-        return None if self.surfels is None else LitPieces.of(self.surfels)
+        surfels = self.surfels
+        return None if surfels is None else LitPieces.of(surfels)
 
     def splats(self) -> SplatsAtRest:
         """See `Content.splats`: the Gaussians themselves."""
