@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pcore.capture.auto_masks import doubtful, find_masks, overlap
+from pcore.capture.auto_masks import doubtful, overlap
 from pcore.capture.coverage import Coverage, coverage
 from pcore.capture.photo_quality import PhotoQuality, photo_quality
 from pcore.capture.pose_contradictions import Contradictions, find_contradictions
 from pcore.capture.reprojection import Reprojection, reprojection
-from pcore.capture.scene_masks import ordered_views, photos_of
+from pcore.capture.scene_masks import ordered_views, scene_masks
 from pcore.capture.triangulation import PoseAgreement
 from pcore.capture.voted_hull import hull_silhouettes
 from pcore.data.pictures import to_bytes
@@ -170,14 +170,20 @@ def _automatic(
 
     try:
         if how == "trained":
-            learned, found = trained_masks(located.scene, progress=tell)
-            known = {v.image.path: mask for v, mask in zip(learned, found.masks, strict=True)}
-            masks = tuple(known[view.image.path] for view in views)
-            return replace(_agreed(views, located.region, masks), automatic=True), ""
-        found = find_masks(photos_of(views), located.region, points=located.points, progress=tell)
+            made, found = trained_masks(located.scene, progress=tell)
+        else:  # As `pcore train` cuts them.
+            made, found = scene_masks(
+                located.scene, located.region, points=located.points, views=views, progress=tell
+            )
     except (DependencyError, InputError) as error:
         return None, str(error)
-    return CheckedMasks(masks=found.masks, agreement=found.agreement, automatic=True), ""
+    row = {view.image.path: number for number, view in enumerate(made)}
+    rows = [row[view.image.path] for view in views]
+    masks = tuple(found.masks[i] for i in rows)
+    if how == "trained":
+        return replace(_agreed(views, located.region, masks), automatic=True), ""
+    agreement = tuple(found.agreement[i] for i in rows)
+    return CheckedMasks(masks=masks, agreement=agreement, automatic=True), ""
 
 
 def _with_masks(
