@@ -56,7 +56,15 @@ def test_even_photos_do_not_stand_out(tmp_path: Path) -> None:
     found = photo_quality(views, find_contradictions(views, BALL).pairs)
     assert found.odd_exposure == ()
     assert found.blurred == ()
+    assert bool(found.compared.all())
     assert not found.drifts
+
+
+def test_photos_too_far_apart_tell_nothing_of_exposure(tmp_path: Path) -> None:
+    views = _views(write_room(tmp_path / "room", 20, dark=13))
+    found = photo_quality(views, find_contradictions(views, BALL).pairs)
+    assert found.odd_exposure == ()
+    assert not bool(found.compared.any())
 
 
 def test_a_blurred_photo_stands_out(tmp_path: Path) -> None:

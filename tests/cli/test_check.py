@@ -53,6 +53,8 @@ def test_it_says_what_was_found_and_leaves_the_folder_alone(
     assert "0003.png" in said
     assert "masks cut automatically agree with one hull" in said
     assert "by the box that was given" in said
+    assert "15 of 15 photos are too far from others to compare exposure" in said
+    assert "stands out by blur or exposure" not in said
     assert _tree(room) == before
     text = page.read_text()
     assert "<svg" in text
@@ -85,6 +87,17 @@ def test_masks_are_those_that_a_training_cuts(tmp_path: Path) -> None:
     here, there = _tree(tmp_path / "masks"), _tree(tmp_path / "trained")
     assert list(here.values()) == list(there.values())
     assert len(here) == 12
+
+
+def test_the_page_is_written_where_there_are_no_masks_to_write(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room, page = write_room(tmp_path / "room", 9), tmp_path / "report.html"
+    wide = ["--box", "-3", "-3", "-3", "3", "3", "3"]
+    out = ["--html", str(page), "--masks-out", str(tmp_path / "masks")]
+    assert main(["check", str(room), *wide, *out]) == 2
+    assert "there are no masks to write" in capsys.readouterr().err
+    assert "automatic masks: " in page.read_text()
 
 
 def test_a_corrected_copy_is_a_scene_with_masks_cut_to_the_object(tmp_path: Path) -> None:
