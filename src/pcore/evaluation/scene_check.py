@@ -19,6 +19,7 @@ from pcore.capture.reprojection import Reprojection, reprojection
 from pcore.capture.scene_masks import ordered_views, scene_masks
 from pcore.capture.triangulation import PoseAgreement
 from pcore.capture.voted_hull import hull_silhouettes
+from pcore.data.held_cameras import held_cameras
 from pcore.data.pictures import to_bytes
 from pcore.data.scene import Scene, View
 from pcore.errors import DependencyError, InputError
@@ -139,7 +140,7 @@ def check_scene(
         hull=_hull(located) if masks is not None and located.source == "axes" else None,
         contradictions=near,
         quality=photo_quality(whole, near.pairs),
-        coverage=coverage([view.camera for view in views], region.center),
+        coverage=coverage(held_cameras(views), region.center),
         reprojection=None
         if scene.sparse is None or agreement is not None
         else reprojection(scene.sparse, whole),

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-_AROUND, _SHAKE = 0.01, 4.0
+_AROUND, _SHAKE = 0.005, 4.0
 """Mean square of the cameras' rights in their second direction, from which on they span a plane:
-some 20 degrees of a circle, and as many times what hands shake out of it."""
+some 15 degrees of a circle, and as many times what hands shake out of it."""
 _CANCELLED = 1e-3
 """Shorter mean upward axes say nothing: the cameras look at the object any way up."""
 
