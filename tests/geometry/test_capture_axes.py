@@ -16,7 +16,7 @@ def orbit() -> list[Camera]:
 
 
 @pytest.mark.parametrize("degrees", [40, 90, 180, 270])
-def test_a_walk_on_one_side_that_looks_down_is_upright(degrees: float) -> None:
+def test_a_walk_on_one_side_that_looks_down_is_upright(degrees: int) -> None:
     """Its upward axes lean to the object, all to one side: by 10 to 45 degrees in the mean."""
     ring = orbit_cameras(torch.zeros(3), 4.0, 72, elevation=0.8, width=8, height=8, angle_x=0.7)
     walked = ring[: degrees // 5]
