@@ -1,21 +1,27 @@
 """What is measured of a capture: near poses, sharpness, exposure, coverage, reprojection."""
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from pcore.capture.coverage import coverage
 from pcore.capture.load import load_scene
 from pcore.capture.photo_quality import photo_quality
 from pcore.capture.pose_contradictions import find_contradictions
 from pcore.capture.reprojection import reprojection
+from pcore.cli.cameras import OrbitWish, orbit_of_scene
+from pcore.data.held_cameras import held_cameras
 from pcore.data.scene import View
 from pcore.data.sparse import Sightings, SparsePoints
+from pcore.geometry.capture_axes import capture_axes
 from pcore.geometry.object_region import Region
-from room_scene import cameras, write_room
+from room_scene import HEIGHT, WIDTH, cameras, picture, write_room
 
 BALL = Region(center=torch.zeros(3), radius=0.7)
 
@@ -56,7 +62,15 @@ def test_even_photos_do_not_stand_out(tmp_path: Path) -> None:
     found = photo_quality(views, find_contradictions(views, BALL).pairs)
     assert found.odd_exposure == ()
     assert found.blurred == ()
+    assert bool(found.compared.all())
     assert not found.drifts
+
+
+def test_photos_too_far_apart_tell_nothing_of_exposure(tmp_path: Path) -> None:
+    views = _views(write_room(tmp_path / "room", 20, dark=13))
+    found = photo_quality(views, find_contradictions(views, BALL).pairs)
+    assert found.odd_exposure == ()
+    assert not bool(found.compared.any())
 
 
 def test_a_blurred_photo_stands_out(tmp_path: Path) -> None:
@@ -78,6 +92,36 @@ def test_a_ring_has_no_gap_and_half_of_it_one_of_half() -> None:
     half = coverage(ring[:12], torch.zeros(3))
     assert half.gap == pytest.approx(195, abs=30)
     assert half.sphere < whole.sphere
+
+
+@pytest.mark.parametrize(("tag", "turns"), [(1, 0), (6, 1), (3, 2), (8, 3)])
+def test_portraits_that_are_stored_lying_are_upright(tag: int, turns: int, tmp_path: Path) -> None:
+    """Poses are of the stored pixels, as COLMAP writes them: a quarter to the left of the seen."""
+    room = write_room(tmp_path / "room", 12)
+    written = json.loads((room / "transforms.json").read_text())
+    if turns % 2:
+        written |= {"w": HEIGHT, "h": WIDTH, "cx": HEIGHT / 2, "cy": WIDTH / 2}
+    quarter = torch.tensor([[0.0, 1.0], [-1.0, 0.0]])  # Right becomes the stored picture's down.
+    for frame in written["frames"]:
+        with Image.open(room / frame["file_path"]) as seen:
+            stored = Image.fromarray(np.rot90(np.asarray(seen), turns))
+            exif = Image.Exif()
+            exif[0x112] = tag
+        stored.save(room / frame["file_path"], exif=exif)
+        pose = torch.tensor(frame["transform_matrix"])
+        pose[:3, :2] = pose[:3, :2] @ torch.linalg.matrix_power(quarter, turns)
+        frame["transform_matrix"] = pose.tolist()
+    (room / "transforms.json").write_text(json.dumps(written))
+    scene = load_scene(room)
+    views = scene.split("train")
+    seen, _ = picture(cameras(12)[1])
+    torch.testing.assert_close(views[0].rgb(torch.ones(3)).rot90(-turns), seen, atol=0.003, rtol=0)
+    axes = capture_axes(held_cameras(views))
+    torch.testing.assert_close(axes[:, 2], torch.tensor([0.0, 0.0, 1.0]), atol=1e-5, rtol=0)
+
+    for _, camera in orbit_of_scene(scene, OrbitWish(count=4)):
+        assert float(camera.world_from_camera[2, 1]) > 0.8
+        assert float(camera.world_from_camera[2, 0]) == pytest.approx(0, abs=1e-5)
 
 
 def test_reprojection_is_in_pixels_of_the_files(tmp_path: Path) -> None:

@@ -337,6 +337,27 @@ class TestColmap:
         assert len(views_of(scene)) == 10
         assert any("sparse/1 is the largest model, with 10 images" in note for note in scene.notes)
 
+    def test_points_of_photos_that_are_gone_are_as_good_as_before(self, tmp_path: Path) -> None:
+        """They were found in ten photos, however many of these were copied along."""
+        for shot in write_colmap(tmp_path)[2:]:
+            (tmp_path / "images" / shot.name).unlink()
+        sparse = load_scene(tmp_path).sparse
+        assert sparse is not None
+        assert sparse.seen_by is not None
+        assert sparse.sightings is not None
+        assert len(sparse.sightings.names) == 2
+        assert sparse.seen_by.tolist() == [10] * 20
+
+    def test_the_folder_of_models_chooses_the_largest_of_them(self, tmp_path: Path) -> None:
+        photos = shots()
+        write_photos(tmp_path / "images", [shot.name for shot in photos])
+        write_model(tmp_path / "sparse" / "0", photos[:2])
+        write_model(tmp_path / "sparse" / "1", photos)
+        scene = load_scene(tmp_path / "sparse")
+        assert (scene.layout, scene.root) == ("COLMAP", tmp_path)
+        assert len(views_of(scene)) == 10
+        assert any("1 is the largest model, with 10 images" in note for note in scene.notes)
+
     @pytest.mark.parametrize("place", ["sparse", "colmap_sparse/0", "colmap/sparse/0", "."])
     def test_places(self, place: str, tmp_path: Path) -> None:
         photos = shots()

@@ -13,6 +13,8 @@ from rich.console import Console
 
 from pcore.capture import triangulation
 from pcore.capture.load import load_scene
+from pcore.capture.mask_folder import write_masks
+from pcore.capture.scene_masks import scene_masks
 from pcore.capture.triangulation import PoseAgreement, Triangulated
 from pcore.cli.check import CheckCommand, _looking_factor, commands_of
 from pcore.cli.main import main
@@ -20,7 +22,8 @@ from pcore.data.pictures import write_mask
 from pcore.data.points import save_points
 from pcore.evaluation.check_page import check_page
 from pcore.evaluation.scene_check import SceneCheck, check_scene
-from room_scene import RADIUS, cameras, photos, picture, sparse_points, write_room
+from pcore.training.locate import locate
+from room_scene import HEIGHT, RADIUS, WIDTH, cameras, photos, picture, sparse_points, write_room
 
 pytest.importorskip("cv2", reason="automatic masks need OpenCV")
 BOX = ["--box", "-0.9", "-0.9", "-0.9", "0.9", "0.9", "0.9"]
@@ -50,6 +53,8 @@ def test_it_says_what_was_found_and_leaves_the_folder_alone(
     assert "0003.png" in said
     assert "masks cut automatically agree with one hull" in said
     assert "by the box that was given" in said
+    assert "15 of 15 photos are too far from others to compare exposure" in said
+    assert "stands out by blur or exposure" not in said
     assert _tree(room) == before
     text = page.read_text()
     assert "<svg" in text
@@ -64,6 +69,35 @@ def test_masks_go_out_and_come_back(tmp_path: Path) -> None:
     assert sorted(p.name for p in masks.iterdir()) == [f"{i:04d}.png" for i in range(12)]
     scene = load_scene(room, masks=masks)
     assert 350 < float(scene.split("train")[0].alpha().sum()) < 550
+
+
+def test_masks_are_those_that_a_training_cuts(tmp_path: Path) -> None:
+    """Photos for tests have no vote, here and there: half of them would outvote the others."""
+    room = write_room(tmp_path / "room", 12)
+    written = json.loads((room / "transforms.json").read_text())
+    names = [frame["file_path"] for frame in written["frames"]]
+    written |= {"train_filenames": names[:6], "test_filenames": names[6:]}
+    (room / "transforms.json").write_text(json.dumps(written))
+    for name in names[6:]:
+        Image.new("RGB", (WIDTH, HEIGHT), (20, 90, 110)).save(room / name)
+    assert main(["check", str(room), *BOX, "--masks-out", str(tmp_path / "masks")]) == 0
+    bare = locate(load_scene(room, masks="none"), torch.tensor([[-0.9] * 3, [0.9] * 3]))
+    views, found = scene_masks(bare.scene, bare.region)
+    write_masks(views, found.masks, tmp_path / "trained")
+    here, there = _tree(tmp_path / "masks"), _tree(tmp_path / "trained")
+    assert list(here.values()) == list(there.values())
+    assert len(here) == 12
+
+
+def test_the_page_is_written_where_there_are_no_masks_to_write(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    room, page = write_room(tmp_path / "room", 9), tmp_path / "report.html"
+    wide = ["--box", "-3", "-3", "-3", "3", "3", "3"]
+    out = ["--html", str(page), "--masks-out", str(tmp_path / "masks")]
+    assert main(["check", str(room), *wide, *out]) == 2
+    assert "there are no masks to write" in capsys.readouterr().err
+    assert "automatic masks: " in page.read_text()
 
 
 def test_a_corrected_copy_is_a_scene_with_masks_cut_to_the_object(tmp_path: Path) -> None:

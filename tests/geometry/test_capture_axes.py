@@ -1,7 +1,11 @@
 """Axes that turn along with a capture."""
 
+import math
+
+import pytest
 import torch
 
+from pcore.capture.coverage import coverage
 from pcore.geometry.camera import Camera
 from pcore.geometry.capture_axes import capture_axes
 from pcore.geometry.orbit import orbit_cameras
@@ -9,6 +13,17 @@ from pcore.geometry.orbit import orbit_cameras
 
 def orbit() -> list[Camera]:
     return orbit_cameras(torch.zeros(3), 4.0, 8, elevation=0.5, width=8, height=8, angle_x=0.7)
+
+
+@pytest.mark.parametrize("degrees", [40, 90, 180, 270])
+def test_a_walk_on_one_side_that_looks_down_is_upright(degrees: int) -> None:
+    """Its upward axes lean to the object, all to one side: by 10 to 45 degrees in the mean."""
+    ring = orbit_cameras(torch.zeros(3), 4.0, 72, elevation=0.8, width=8, height=8, angle_x=0.7)
+    walked = ring[: degrees // 5]
+    assert float(capture_axes(walked)[2, 2]) > 0.9999
+    found = coverage(walked, torch.zeros(3))
+    assert found.gap == pytest.approx(365 - degrees, abs=0.1)
+    torch.testing.assert_close(found.elevation, torch.full((len(walked),), math.degrees(0.8)))
 
 
 def turned(camera: Camera, turn: torch.Tensor) -> Camera:

@@ -10,6 +10,7 @@ from torch import Tensor
 from pcore.asset.asset import Asset
 from pcore.capture.layouts import RENDERED
 from pcore.capture.load import has_poses
+from pcore.data.held_cameras import held_cameras
 from pcore.data.scene import Scene
 from pcore.errors import PcoreError
 from pcore.geometry.camera import Camera
@@ -53,10 +54,12 @@ def standing_of(asset: Asset) -> Standing:
         if not has_poses(asset.record.scene_or(None)):
             return Standing(axes=torch.eye(3))  # To find them takes minutes, and another world.
         scene = asset.scene()
-        cameras = tuple(view.camera for view in scene.split("train"))
+        views = scene.split("train")
+        cameras = tuple(view.camera for view in views)
         if scene.layout == RENDERED:
             return Standing(axes=torch.eye(3), cameras=cameras)
-        return Standing(axes=capture_axes(cameras), cameras=cameras, region=_region(scene))
+        axes = capture_axes(held_cameras(views))
+        return Standing(axes=axes, cameras=cameras, region=_region(scene))
     except PcoreError:
         return Standing(axes=torch.eye(3))
 

@@ -162,6 +162,7 @@ def _sparse(raw: RawPoints, taken: Sequence[Opened]) -> SparsePoints:
         positions=raw.positions.float(),
         colors=raw.colors,
         errors=raw.errors,
+        seen_by=raw.seen_by,
         sightings=sightings,
     )
 

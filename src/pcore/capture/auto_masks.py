@@ -187,7 +187,7 @@ def _voted(
     if not any(one.any() for one in seeds):
         raise InputError(
             "automatic masks: the cuts of the photos have no common object inside of the region; "
-            "give a tighter --box, or masks of your own (--masks FOLDER)"
+            "give a tighter --box, --masks trained, or masks of your own (--masks FOLDER)"
         )
     return seeds, more[0] if more else None
 

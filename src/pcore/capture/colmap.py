@@ -18,7 +18,7 @@ from pcore.data.cut_off import why_unreadable
 from pcore.data.scene import Skipped
 from pcore.errors import SceneError
 
-_PLACES = ("sparse", "colmap_sparse", "colmap/sparse", "distorted/sparse", ".")
+_PLACES = ("sparse", "colmap_sparse", "colmap/sparse", "distorted/sparse")
 """Where models lie, the first that has one is taken; of several in one place the largest."""
 _LISTS = {"train": "train_list.txt", "val": "validation_list.txt", "test": "test_list.txt"}
 _NO_POSE = "no pose in the model"
@@ -47,26 +47,30 @@ def find_model(root: Path) -> FoundModel | None:
     COLMAP writes several when photos fall apart, and the first is not always the largest.
     """
     for place in _PLACES:
-        at = root / place
-        children = sorted(at.iterdir()) if at.is_dir() and place != "." else []
-        candidates = [folder for folder in (at, *children) if kind_of(folder) is not None]
-        if not candidates:
-            continue
-        if len(candidates) == 1:
-            return FoundModel(folder=candidates[0])
-        counts = [image_count(folder) for folder in candidates]
-        best = int(np.argmax(counts))
-        others = ", ".join(
-            f"{folder.name} ({count})"
-            for folder, count in zip(candidates, counts, strict=True)
-            if folder != candidates[best]
-        )
-        note = (
-            f"{candidates[best].relative_to(root).as_posix()} is the largest model, with "
-            f"{counts[best]} images; left out: {others}"
-        )
-        return FoundModel(folder=candidates[best], note=note)
-    return None
+        found = largest_model(root / place, root)
+        if found is not None:
+            return found
+    return FoundModel(folder=root) if kind_of(root) is not None else None
+
+
+def largest_model(at: Path, root: Path) -> FoundModel | None:
+    """The largest model in a folder or right below it, told of from `root` on; None: none."""
+    children = sorted(at.iterdir()) if at.is_dir() else []
+    candidates = [folder for folder in (at, *children) if kind_of(folder) is not None]
+    if len(candidates) < 2:
+        return FoundModel(folder=candidates[0]) if candidates else None
+    counts = [image_count(folder) for folder in candidates]
+    best = int(np.argmax(counts))
+    others = ", ".join(
+        f"{folder.name} ({count})"
+        for folder, count in zip(candidates, counts, strict=True)
+        if folder != candidates[best]
+    )
+    note = (
+        f"{candidates[best].relative_to(root).as_posix()} is the largest model, with "
+        f"{counts[best]} images; left out: {others}"
+    )
+    return FoundModel(folder=candidates[best], note=note)
 
 
 def read_colmap(root: Path, found: FoundModel, factor: int) -> Capture:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from pcore.geometry.camera import Camera
+from pcore.geometry.capture_axes import capture_axes
 
 _NEAR = 30.0
 """A direction is covered when a camera stands within so many degrees of it."""
@@ -23,7 +24,7 @@ class Coverage:
     """Where cameras stand around the middle of a region.
 
     Attributes:
-        up: (3,) mean upward axis of the cameras, unit length.
+        up: (3,) what was up for the photographer, unit length.
         azimuth: (N,) degrees around `up`, -180 to 180, from an arbitrary direction.
         elevation: (N,) degrees above the plane across `up`.
         distance: (N,) world units.
@@ -49,8 +50,7 @@ def coverage(cameras: Sequence[Camera], center: Tensor) -> Coverage:
         center: (3,) world units.
     """
     poses = torch.stack([camera.world_from_camera for camera in cameras]).double()
-    up = poses[:, :3, 1].sum(dim=0)
-    up = up / up.norm().clamp_min(1e-9) if float(up.norm()) > 1e-6 else torch.eye(3).double()[2]
+    up = capture_axes(cameras)[:, 2].double()
     offsets = poses[:, :3, 3] - center.double()
     distance = offsets.norm(dim=-1).clamp_min(1e-12)
     directions = offsets / distance[:, None]

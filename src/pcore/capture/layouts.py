@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pcore.capture.archives import IDR_FILES, read_idr, read_llff
-from pcore.capture.colmap import FoundModel, find_model, read_colmap
+from pcore.capture.colmap import FoundModel, find_model, largest_model, read_colmap
 from pcore.capture.colmap_model import kind_of
 from pcore.capture.phone_folders import (
     METADATA,
@@ -93,6 +93,10 @@ def layout_of(path: Path) -> Layout:
     if photos_above and not any(pictures_in(path / name) for name in _PHOTO_FOLDERS):
         return Layout(name="COLMAP", root=_root_of_model(path), path=path)
     found = layouts_of(path)
+    models = None if found else largest_model(path, path.parent)  # It is the folder of models.
+    if models is not None:
+        root = _root_of_model(models.folder)
+        return Layout(name="COLMAP", root=root, path=models.folder, note=models.note)
     if not found:
         raise SceneError(_unknown(path))
     if len(found) > 1:

@@ -40,12 +40,14 @@ class PhotoQuality:
         blurred: numbers of photos that are less sharp than those around them.
         stops: (N, 3) exposure steps (factors of two) of red, green and blue above the median photo,
             as near poses tell; 0 where no other is near.
+        compared: (N,) bool, whether a near pose tells.
         odd_exposure: numbers of photos that are much brighter or darker than those beside them.
     """
 
     sharpness: Tensor
     blurred: tuple[int, ...]
     stops: Tensor
+    compared: Tensor
     odd_exposure: tuple[int, ...]
 
     @property
@@ -66,12 +68,16 @@ def photo_quality(views: Sequence[View], near: Sequence[NearPair]) -> PhotoQuali
         near: pairs of views from nearly one place.
     """
     sharpness = torch.tensor([_sharpness(view) for view in views])
-    stops = _balanced(len(views), [pair for pair in near if pair.alike > _ALIKE])
+    telling = [pair for pair in near if pair.alike > _ALIKE]
+    stops = _balanced(len(views), telling)
+    compared = torch.zeros(len(views), dtype=torch.bool)
+    compared[[number for pair in telling for number in (pair.first, pair.second)]] = True
     bright = stops.mean(dim=1)
     return PhotoQuality(
         sharpness=sharpness,
         blurred=tuple(i for i in range(len(views)) if _is_blurred(sharpness, i)),
         stops=stops,
+        compared=compared,
         odd_exposure=tuple((bright.abs() > _STOPS).nonzero().flatten().tolist()),
     )
 

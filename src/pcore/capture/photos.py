@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
 from pcore.data.image_paths import ENDINGS, resolved_link
@@ -62,6 +63,14 @@ class RawPoints:
     points: Tensor | None = None
     photos: Tensor | None = None
     places: Tensor | None = None
+
+    @property
+    def seen_by(self) -> Tensor | None:
+        """(N,) int64 number of photos that each is found in; None without sightings."""
+        if self.points is None or self.photos is None:
+            return None
+        pairs = torch.stack([self.points, self.photos], dim=1).unique(dim=0)
+        return torch.bincount(pairs[:, 0], minlength=len(self.positions))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

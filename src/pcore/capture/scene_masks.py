@@ -18,6 +18,7 @@ def scene_masks(
     region: Region,
     *,
     points: Tensor | None = None,
+    views: Sequence[View] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[tuple[View, ...], FoundMasks]:
     """Cut the object out of all photos of a scene.
@@ -28,6 +29,7 @@ def scene_masks(
         scene: of photos.
         region: where the object is, world units.
         points: (N, 3) sparse points of the object where some are known.
+        views: of the scene, those of other splits than training that get masks; default: all.
         progress: told (photos cut, cuts in all).
 
     Returns:
@@ -38,7 +40,10 @@ def scene_masks(
         DependencyError: OpenCV is not installed.
     """
     train = scene.split("train")
-    others = [v for name in scene.splits if name != "train" for v in scene.split(name)]
+    if views is None:
+        views = [view for name in scene.splits for view in scene.split(name)]
+    known = {id(view) for view in train}
+    others = [view for view in views if id(view) not in known]
     found = find_masks(
         photos_of(train), region, points=points, judged=photos_of(others), progress=progress
     )

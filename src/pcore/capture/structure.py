@@ -135,7 +135,9 @@ def _reconstruct(layout: Layout, place: Path, tell: Tell, patience: Patience) ->
         if model is None:
             raise SceneError(
                 f"scene {layout.path}: COLMAP found no common structure in {len(names)} photos; "
-                "take them closer together, sharp, with texture around the object"
+                "take them closer together, sharp, with texture around the object. Behind a "
+                "turntable the room stands still: walk around the object instead, or hang plain "
+                "cloth behind"
             )
         shutil.copytree(work, place)
 

@@ -220,6 +220,7 @@ def _read(place: Path, views: Sequence[View]) -> SparsePoints | None:
         positions=raw.positions.float(),
         colors=raw.colors,
         errors=raw.errors,
+        seen_by=raw.seen_by,
         sightings=Sightings(
             names=tuple(view.name for view in views),
             points=raw.points,

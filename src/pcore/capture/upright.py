@@ -10,14 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from pcore.geometry.upward import Floats, upward
 
 DISTANCE = 4.0
 """Median distance of the cameras from the object, as in rendered scenes."""
-_AROUND = 0.05
-"""Share of the cameras' right axes in their second direction, from which on they span a plane."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,7 @@ def upright(world_from_camera: Floats) -> Similarity:
     """
     places = world_from_camera[:, :3, 3]
     right, top, back = (world_from_camera[:, :3, k] for k in range(3))
-    up = _up(right, top)
+    up = upward(right, top)
     # Least squares; of parallel axes the solution nearest to the mean of the cameras.
     across = np.eye(3) - back[:, :, None] * back[:, None]
     middle = places.mean(axis=0)
@@ -55,16 +52,3 @@ def upright(world_from_camera: Floats) -> Similarity:
     away = float(np.median(np.linalg.norm(places - center, axis=1)))
     scale = DISTANCE / away if away > 0 else 1.0
     return Similarity(scale, rotation, -scale * rotation @ center)
-
-
-def _up(right: Floats, top: Floats) -> Floats:
-    """(3,) up of cameras with right and upward axes (N, 3): across what is right in all of them.
-
-    A camera that looks down has an upward axis that leans; its right stays level. Where all look
-    the same way round, their rights span no plane, and the mean of the upward axes has to do.
-    """
-    mean = top.mean(axis=0)
-    shares, axes = np.linalg.eigh(right.T @ right / len(right))
-    if shares[1] < _AROUND or abs(mean @ axes[:, 0]) < 1e-3:
-        return mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 1e-3 else top[0]
-    return axes[:, 0] * np.sign(mean @ axes[:, 0])

@@ -14,6 +14,7 @@ from pcore.asset.picture_set import frame_names
 from pcore.capture.coverage import ONE_SIDE, coverage
 from pcore.capture.load import load_cameras
 from pcore.cli.console import say
+from pcore.data.held_cameras import held_cameras
 from pcore.data.scene import Scene
 from pcore.errors import InputError, SceneError
 from pcore.geometry.camera import Camera
@@ -88,11 +89,12 @@ def orbit_of_scene(
 ) -> Named:
     """Orbit that resembles the training cameras of a scene, `scale` times as far away.
 
-    Captures are upright as their cameras are. Where all stand on one side the orbit swings before
-    the object, and that is said: what no photo shows is a guess.
+    Captures are upright as their photos are seen. Where all stand on one side the orbit swings
+    before the object, and that is said: what no photo shows is a guess.
     """
     taken = [camera for _, camera in training_cameras(scene)]
-    cover = coverage(taken, scene.center)
+    views = scene.split("train" if "train" in scene.splits else scene.splits[0])
+    cover = coverage(held_cameras(views), scene.center)
     up, arc = None, None
     if scene.layout != "NeRF-Synthetic":
         up = cover.up

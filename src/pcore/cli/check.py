@@ -107,15 +107,15 @@ def check(command: CheckCommand, console: Console) -> None:
             progress=lambda what, done, total: tell(done, total),
         )
     _show(found, console)
-    if command.masks_out is not None:
-        _write_masks(found, command, console)
-    if command.fix is not None:
-        _write_fixed(found, command, console)
     following = commands_of(found, command, factor)
     if command.html is not None:
         _write_page(found, command, following, console)
     else:
         say(console, "with pictures: add --html report.html")
+    if command.masks_out is not None:
+        _write_masks(found, command, console)
+    if command.fix is not None:
+        _write_fixed(found, command, console)
     say(console, f"next: {following[0]}")
 
 

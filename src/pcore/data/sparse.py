@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 
@@ -41,21 +40,16 @@ class SparsePoints:
         colors: (N, 3) float32 in [0, 1]; None where the format has none.
         errors: (N,) float32 mean reprojection error in pixels of the photos; None where the format
             has none.
+        seen_by: (N,) int64 number of photos that each was found in, also of such that are not in
+            the scene; None where the format does not say.
         sightings: which views see them; None where the format does not say.
     """
 
     positions: Tensor
     colors: Tensor | None = None
     errors: Tensor | None = None
+    seen_by: Tensor | None = None
     sightings: Sightings | None = None
 
     def __len__(self) -> int:
         return len(self.positions)
-
-    @property
-    def seen_by(self) -> Tensor | None:
-        """(N,) int64 number of views that see each point; None where the format does not say."""
-        if self.sightings is None:
-            return None
-        pairs = torch.stack([self.sightings.points, self.sightings.views], dim=1).unique(dim=0)
-        return torch.bincount(pairs[:, 0], minlength=len(self))

@@ -173,6 +173,12 @@ def _of_photos(check: SceneCheck) -> list[Finding]:
         text = f"exposure or white balance drifts by {float((edges[1] - edges[0]).max()):.2f} steps"
         action = "Learn a colour per view (--exposure per-view)."
         found.append(Finding(level="note", topic="exposure", text=text, action=action))
+    alone = len(check.views) - int(quality.compared.sum())
+    if 2 * alone > len(check.views):
+        text = f"{alone} of {len(check.views)} photos are too far from others to compare exposure"
+        action = "If the camera measured light anew for each, learn a colour per view (--exposure "
+        action += "per-view)."
+        found.append(Finding(level="note", topic="exposure", text=text, action=action))
     if not found:
         text = "no photo stands out by blur or exposure"
         found.append(Finding(level="good", topic="photos", text=text))

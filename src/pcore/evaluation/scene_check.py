@@ -11,14 +11,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pcore.capture.auto_masks import doubtful, find_masks, overlap
+from pcore.capture.auto_masks import doubtful, overlap
 from pcore.capture.coverage import Coverage, coverage
 from pcore.capture.photo_quality import PhotoQuality, photo_quality
 from pcore.capture.pose_contradictions import Contradictions, find_contradictions
 from pcore.capture.reprojection import Reprojection, reprojection
-from pcore.capture.scene_masks import ordered_views, photos_of
+from pcore.capture.scene_masks import ordered_views, scene_masks
 from pcore.capture.triangulation import PoseAgreement
 from pcore.capture.voted_hull import hull_silhouettes
+from pcore.data.held_cameras import held_cameras
 from pcore.data.pictures import to_bytes
 from pcore.data.scene import Scene, View
 from pcore.errors import DependencyError, InputError
@@ -139,7 +140,7 @@ def check_scene(
         hull=_hull(located) if masks is not None and located.source == "axes" else None,
         contradictions=near,
         quality=photo_quality(whole, near.pairs),
-        coverage=coverage([view.camera for view in views], region.center),
+        coverage=coverage(held_cameras(views), region.center),
         reprojection=None
         if scene.sparse is None or agreement is not None
         else reprojection(scene.sparse, whole),
@@ -170,14 +171,20 @@ def _automatic(
 
     try:
         if how == "trained":
-            learned, found = trained_masks(located.scene, progress=tell)
-            known = {v.image.path: mask for v, mask in zip(learned, found.masks, strict=True)}
-            masks = tuple(known[view.image.path] for view in views)
-            return replace(_agreed(views, located.region, masks), automatic=True), ""
-        found = find_masks(photos_of(views), located.region, points=located.points, progress=tell)
+            made, found = trained_masks(located.scene, progress=tell)
+        else:  # As `pcore train` cuts them.
+            made, found = scene_masks(
+                located.scene, located.region, points=located.points, views=views, progress=tell
+            )
     except (DependencyError, InputError) as error:
         return None, str(error)
-    return CheckedMasks(masks=found.masks, agreement=found.agreement, automatic=True), ""
+    row = {view.image.path: number for number, view in enumerate(made)}
+    rows = [row[view.image.path] for view in views]
+    masks = tuple(found.masks[i] for i in rows)
+    if how == "trained":
+        return replace(_agreed(views, located.region, masks), automatic=True), ""
+    agreement = tuple(found.agreement[i] for i in rows)
+    return CheckedMasks(masks=masks, agreement=agreement, automatic=True), ""
 
 
 def _with_masks(

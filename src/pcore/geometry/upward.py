@@ -1,0 +1,36 @@
+"""What was up for a photographer. Numpy alone, since the child that runs COLMAP uses it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_AROUND, _SHAKE = 0.005, 4.0
+"""Mean square of the cameras' rights in their second direction, from which on they span a plane:
+some 15 degrees of a circle, and as many times what hands shake out of it."""
+_CANCELLED = 1e-3
+"""Shorter mean upward axes say nothing: the cameras look at the object any way up."""
+
+
+def upward(right: Floats, top: Floats) -> Floats:
+    """(3,) up, of unit length: across what is right in all pictures, on the side of their tops.
+
+    A camera that looks down has an upward axis that leans; its right stays level. Where all look
+    the same way round, their rights span no plane, and the mean of the upward axes has to do.
+
+    Args:
+        right: (N, 3) right axes of the cameras, N at least 1, of unit length.
+        top: (N, 3) their upward axes.
+    """
+    mean: Floats = top.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    if length < _CANCELLED:
+        return top[0]
+    shares, axes = np.linalg.eigh(right.T @ right / len(right))
+    across: Floats = axes[:, 0]
+    along = float(mean @ across)
+    if shares[1] < max(_AROUND, _SHAKE * shares[0]) or abs(along) < _CANCELLED:
+        return mean / length
+    return across * np.sign(along)
