@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 
 import numba
@@ -27,7 +27,7 @@ def use_torch_threads() -> int:
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def one_thread() -> Generator[None]:
     """Compute in one thread for a while: for what takes milliseconds while something moves.
 
     Threads that wait for the next loop spin, which takes more of the processor than they save, and
