@@ -33,6 +33,7 @@ from pcore.gaussians.render import render as draw
 from pcore.gaussians.splats import SplatsAtRest
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
+from pcore.geometry.torch_threads import one_thread
 from pcore.render.picture import FAST_THRESHOLD, render
 from pcore.studio.page_frame import PageFrame
 from pcore.training.presets import preset
@@ -78,8 +79,10 @@ def _drags(count: int, folder: Path, plan: Plan) -> Iterator[tuple[str, Metric]]
             moved = splats.moved(state.points, state.bound.linear, _EYE)
             frame.buffer(moved)
 
-        event(-1)
-        times = [seconds(lambda step=step, event=event: event(step)) for step in range(plan.turns)]
+        with one_thread():  # As the page's server.
+            event(-1)
+            steps = range(plan.turns)
+            times = [seconds(lambda step=step, event=event: event(step)) for step in steps]
         yield f"studio/drag/{kind}/{count}/seconds", _time(times, _EVENT.get(count), plan)
         last = make(0.01 + 0.01 * plan.turns)
         commit = seconds(lambda s=session, edit=last: s.replace(1, edit, merge="drag"))

@@ -76,6 +76,18 @@ def test_the_token_gives_the_cookie_and_the_cookie_the_page(guard: Guard) -> Non
     assert headers["x-frame-options"] == "DENY"
 
 
+@pytest.mark.parametrize("packing", ["identity", "gzip, br"])
+def test_until_it_is_connected_the_page_shows_no_tools_of_viser(guard: Guard, packing: str) -> None:
+    known = {"Cookie": cookie(guard), "Accept-Encoding": packing}
+    status, headers, body = get(guard, "/", **known)
+    assert status == 200
+    assert int(headers["content-length"]) == len(body)
+    head = body.partition(b"</head>")[0]
+    assert b"<title>Viser</title>" not in head
+    assert b"<title>pcore studio</title>" in head
+    assert b"html:not(.connected)" in head
+
+
 def test_without_a_token_there_is_no_page(guard: Guard) -> None:
     for path in ("/", "/?token=wrong", "/index.html"):
         assert get(guard, path)[0] == 403

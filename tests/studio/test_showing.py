@@ -22,7 +22,7 @@ class FakeViewport:
 
     def __init__(self, camera: Camera) -> None:
         self.eye, self._camera, self.shown = camera.center, camera, list[str]()
-        self.dots = 0
+        self.dots, self.threads = 0, set[int]()
 
     def camera(self, *, most: int = 0) -> Camera:
         return self._camera
@@ -31,9 +31,11 @@ class FakeViewport:
 
     def show_splats(self, splats: Any) -> None:
         self.shown.append("splats")
+        self.threads.add(torch.get_num_threads())
 
     def show_picture(self, pixels: Any, depth: Any) -> None:
         self.shown.append("picture")
+        self.threads.add(torch.get_num_threads())
 
     def show_dots(self, points: torch.Tensor, colors: torch.Tensor, folds: torch.Tensor) -> None:
         self.dots = len(points)
@@ -104,3 +106,17 @@ def test_small_exact_pictures_while_things_move(scene: Any, lit: Asset) -> None:
     camera = viewport.camera()
     quick = drawer.quick_picture(editor.state, camera, still=True)
     assert torch.equal(quick.rgb, lit.render(posed, camera, fast=True).rgb)
+
+
+@pytest.mark.parametrize(("moving", "threads"), [("splats", 1), ("pictures, 100 pixels", 2)])
+def test_splats_leave_the_other_cores_to_the_browser(scene: Any, moving: str, threads: int) -> None:
+    editor, _, viewport, showing = scene
+    editor.shown = replace(editor.shown, moving=moving)
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        showing.move([viewport])
+        assert viewport.threads == {threads}
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)

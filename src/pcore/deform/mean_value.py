@@ -31,14 +31,14 @@ def weights_at(
     opposite: IntArray,
     sense: IntArray,
 ) -> NDArray[np.float32]:
-    """Coordinates (N, V) float32 of points (N, 3) in a cage; each row sums to 1."""
+    """Coordinates (V, N) float32 of points (N, 3) in a cage; each column sums to 1."""
     count, size = vertices.shape[0], _size(vertices)
-    result = np.empty((points.shape[0], count), dtype=np.float32)
+    result = np.empty((count, points.shape[0]), dtype=np.float32)
     weight, slope = np.empty(count), np.empty((0, 3))
     scratch, mesh = np.empty((edges.shape[0], 8)), (faces, opposite, sense)
     for n in range(points.shape[0]):
         sum_faces(points[n], vertices, mesh, edges, size, weight, slope, scratch)
-        result[n] = (weight / weight.sum()).astype(np.float32)
+        result[:, n] = (weight / weight.sum()).astype(np.float32)
     return result
 
 
@@ -81,9 +81,9 @@ def slopes_at(
     opposite: IntArray,
     sense: IntArray,
 ) -> NDArray[np.float32]:
-    """Derivatives (N, 3, V) float32 of the coordinates of points (N, 3) by position."""
+    """Derivatives (V, N, 3) float32 of the coordinates of points (N, 3) by position."""
     total, count, size = points.shape[0], vertices.shape[0], _size(vertices)
-    found = np.empty((total, 3, count), dtype=np.float32)
+    found = np.empty((count, total, 3), dtype=np.float32)
     weight, slope = np.empty(count), np.empty((count, 3))
     scratch, mesh = np.empty((edges.shape[0], 8)), (faces, opposite, sense)
     for n in range(total):
@@ -94,7 +94,7 @@ def slopes_at(
         for j in range(3):
             common = slope[:, j].sum() / whole
             for v in range(count):
-                found[n, j, v] = (slope[v, j] - common * weight[v]) / whole
+                found[v, n, j] = (slope[v, j] - common * weight[v]) / whole
     return found
 
 

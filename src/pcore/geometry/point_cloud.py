@@ -56,10 +56,11 @@ def extent_of(positions: Tensor) -> tuple[Tensor, Tensor]:
     """Lower and upper corner (3,) of the bounding box of points (N, 3)."""
     if len(positions) == 0:
         raise InputError("point cloud: expected at least one point, got none")
-    positions = positions.detach()
-    return torch.amin(positions, dim=0), torch.amax(positions, dim=0)
+    low, high = torch.aminmax(positions.detach(), dim=0)
+    return low, high
 
 
 def size_of(points: Tensor) -> float:
     """Diagonal of the bounding box of points (N, 3), in their unit."""
-    return float((points.amax(dim=0) - points.amin(dim=0)).norm())
+    low, high = torch.aminmax(points.detach(), dim=0)
+    return float((high - low).norm())

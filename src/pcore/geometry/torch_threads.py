@@ -1,6 +1,9 @@
-"""As many threads in numba's loops as torch has, and no more in torch."""
+"""As many threads in numba's loops as torch has, and no more in torch; or one for a while."""
 
 from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
 
 import numba
 import torch
@@ -21,3 +24,18 @@ def use_torch_threads() -> int:
     if torch.get_num_threads() != wanted:
         torch.set_num_threads(wanted)
     return threads
+
+
+@contextmanager
+def one_thread() -> Generator[None]:
+    """Compute in one thread for a while: for what takes milliseconds while something moves.
+
+    Threads that wait for the next loop spin, which takes more of the processor than they save, and
+    takes it from the browser that is to draw.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -31,6 +31,8 @@ _UNWANTED = (
     "FileTransferPart",
 )
 """Messages that open a tunnel to the internet, or put files here; nobody answers them."""
+_TITLE = b"<title>Viser</title>"
+"""Of viser's page; ours takes its place, with what is seen until the page is connected."""
 _START = threading.Lock()
 
 
@@ -123,6 +125,8 @@ def _serve_behind(guard: Guard, serve: Any) -> Any:
     from websockets.datastructures import Headers
     from websockets.http11 import Response
 
+    head = files("pcore.studio").joinpath("page", "head.html").read_bytes()
+
     def answer(status: HTTPStatus, body: bytes, *more: tuple[str, str]) -> Any:
         headers = Headers([*HEADERS, *more, ("Content-Length", str(len(body)))])
         return Response(status.value, status.phrase, headers, body)
@@ -138,8 +142,13 @@ def _serve_behind(guard: Guard, serve: Any) -> Any:
             if not socket and guard.brings_token(request.path):
                 kind = ("Content-Type", "text/html; charset=utf-8")
                 return answer(HTTPStatus.OK, WELCOME, kind, ("Set-Cookie", guard.set_cookie))
+            if "Accept-Encoding" in request.headers:  # Packed as it is, it could not be changed.
+                del request.headers["Accept-Encoding"]
             found = proceed(connection, request)
             if found is not None:
+                found.body = found.body.replace(_TITLE, head, 1)
+                found.headers.pop("Content-Length", None)
+                found.headers["Content-Length"] = str(len(found.body))
                 for name, value in HEADERS:
                     found.headers[name] = value
             return found

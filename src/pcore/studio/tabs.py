@@ -6,10 +6,12 @@ import re
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 from pcore.errors import EditError, PcoreError
+from pcore.geometry.torch_threads import one_thread
 from pcore.studio.guard import plain
 from pcore.studio.viewport import Viewport
 from pcore.studio.worker import Worker
@@ -113,7 +115,8 @@ class Tabs(ABC):
                 self._soon(done)
             try:
                 self._said = ""
-                do()
+                with one_thread() if light else nullcontext():
+                    do()
             except PcoreError as error:
                 self._complain(error)
             except OSError as error:  # A full disk, a folder that nobody may write to.

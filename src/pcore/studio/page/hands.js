@@ -6,6 +6,8 @@ const press = (key, code) =>
     new KeyboardEvent("keydown", { key, code, bubbles: true }),
   );
 
+document.documentElement.classList.add("connected"); // See head.html.
+
 // Commands are there once the page has shown them. D is taken: viser moves its camera with it.
 if (window.matchMedia("(prefers-color-scheme: dark)").matches) {
   setTimeout(() => press("t", "KeyT"), 500);
