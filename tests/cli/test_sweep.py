@@ -192,6 +192,8 @@ def test_failures_are_listed_and_cost_nobody_else(
             "eval: 'edit': expected a file or folder, seen from",
         ),
         (("steps: 3", "steps: 0"), "train: 'steps': expected a whole number of at least 1, got 0"),
+        (("steps: 3", "steps: 3, minutes: 2"), "train: --minutes 2 chooses steps and points"),
+        (("steps: 3", "steps: 3, flat: true"), "train: --flat: expected options of PAPR"),
         (
             ("  more:", "    compare: {methods: [nerf]}\n  more:"),
             "all or none, got nerf",
@@ -212,6 +214,18 @@ def test_mistakes_are_said_before_anything_starts(
     assert sweep(plan) == 2
     assert said in capsys.readouterr().err
     assert not (plan.parent / "out").exists()
+
+
+def test_a_plan_whose_training_fails_is_not_forecast(
+    plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where a photo is damaged, which is seen when it is opened."""
+    for picture in (plan.parent / "ball" / "train").glob("*.png"):
+        picture.write_bytes(picture.read_bytes()[:-40])
+    assert sweep(plan, "--dry-run") == 2
+    told = capsys.readouterr().err
+    assert "plan: setting 'papr', train fails at once: " in told
+    assert "r_0.png" in told
 
 
 @pytest.mark.slow
