@@ -25,8 +25,7 @@ def s3_server() -> Generator[str]:
 @pytest.fixture
 def s3_bucket(s3_server: str, monkeypatch: pytest.MonkeyPatch) -> str:
     """URL of an empty bucket."""
-    import s3fs
-
+    s3fs = pytest.importorskip("s3fs")
     settings = {"ENDPOINT_URL": s3_server, "ACCESS_KEY_ID": "x", "SECRET_ACCESS_KEY": "y"}
     for name, value in {**settings, "DEFAULT_REGION": "us-east-1"}.items():
         monkeypatch.setenv(f"AWS_{name}", value)
