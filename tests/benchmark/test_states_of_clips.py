@@ -59,7 +59,7 @@ def states_of(path: Path, **words: Any) -> tuple[dict[str, State], list[str]]:
 
 
 def test_parents_that_scale_unevenly_shear_what_turns_below_them(tmp_path: Path) -> None:
-    """Global matrices are products, as the standard says (and Blender does, to 3e-7 of the size)."""
+    """Global matrices are products, as the standard says and Blender does (to 3e-7 of the size)."""
     made, place = figure(), bar()[0]
     made.tree["nodes"] += [{"children": [1], "scale": [2.0, 1.0, 0.5]}]
     made.tree["scenes"] = [{"nodes": [0, 3]}]
