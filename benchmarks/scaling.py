@@ -1,7 +1,7 @@
 """`python -m benchmarks scaling`: processor seconds and memory against the size of everything.
 
-One size grows at a time, the others stay; printed are seconds, peak of memory, and the exponent of
-the growth between the two largest sizes and over all of them (least squares of the logarithms).
+One size grows at a time, the others stay; printed are seconds, peak of memory, and of both the
+exponent p of the growth between the two largest sizes and over all (least squares of logarithms).
 Models are made, not trained: `scenes.py` for PAPR, Gaussians that cover the same surface.
 """
 
@@ -60,8 +60,8 @@ def run(wanted: argparse.Namespace) -> int:
     """Measure and print a table in Markdown; return the exit status."""
     torch.set_num_threads(1)
     print(machine(_CPU, 1))
-    print("| what grows | sizes | seconds | GB | exponent: last two | all |")
-    print("|---|---|---|---|---|---|")
+    print("| what grows | sizes | seconds | GB | p, last two | p, all | p of GB, last two | all |")
+    print("|---|---|---|---|---|---|---|---|")
     for one in series():
         if not wanted.only or any(word in one.name for word in wanted.only):
             sizes = tuple(one.sizes[:2]) if wanted.quick else one.sizes
@@ -83,8 +83,7 @@ def row(one: Series, sizes: Sequence[int], turns: int) -> str:
         ", ".join(f"{size:,}" for size in sizes),
         ", ".join(f"{value:.3g}" for value in times),
         ", ".join(f"{value:.2g}" for value in peaks),
-        f"{exponent(sizes[-2:], times[-2:]):.2f}",
-        f"{exponent(sizes, times):.2f}",
+        *(f"{exponent(sizes[k:], values[k:]):.2f}" for values in (times, peaks) for k in (-2, 0)),
     ]
     return f"| {' | '.join(cells)} |"
 

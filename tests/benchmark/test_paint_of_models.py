@@ -130,3 +130,20 @@ def test_textures_of_every_depth(tmp_path: Path, kind: str) -> None:
     expected = 255 * (grey > 100) if kind == "one bit" else grey
     assert np.array_equal(texture.pixels[..., :3], np.stack([expected] * 3, -1))
     assert (texture.pixels[..., 3] == 255).all()
+
+
+def test_what_pictures_leave_out_is_said(tmp_path: Path) -> None:
+    """A window whose alpha is below the half is no longer there, and a lamp is dark."""
+    window, painted = figure(), figure()
+    glass = {"baseColorFactor": [1, 1, 1, 0.4]}
+    window.tree["materials"] = [
+        {"pbrMetallicRoughness": glass, "alphaMode": "BLEND", "emissiveFactor": [0, 1, 0]},
+        {"pbrMetallicRoughness": glass, "alphaMode": "BLEND"},  # Of no triangle.
+    ]
+    said = read_model(save(window, tmp_path)).look.left_out()
+    assert [one.split(":")[0] for one in said] == [
+        "what has the material 0 is not to be seen",
+        "the material 0 shines by itself, which is left out",
+    ]
+    assert "its alpha 0.4 is below 0.5" in said[0]
+    assert read_model(save(painted, tmp_path)).look.left_out() == []

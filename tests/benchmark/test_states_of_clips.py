@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from figure_model import figure
+from figure_model import TURN, bar, bowed, figure
 from gltf_files import Builder
 
 from pcore.asset.posing import script_of
@@ -56,6 +56,17 @@ def test_times_of_one_clip_and_clips_of_one_name_are_states_of_their_own(tmp_pat
 def states_of(path: Path, **words: Any) -> tuple[dict[str, State], list[str]]:
     model, plan = read_model(path), BenchmarkPlan(**words)
     return plan_states(model, plan, *canonical_shape(model, plan))
+
+
+def test_parents_that_scale_unevenly_shear_what_turns_below_them(tmp_path: Path) -> None:
+    """Global matrices are products, as the standard says and Blender does (to 3e-7 of the size)."""
+    made, place = figure(), bar()[0]
+    made.tree["nodes"] += [{"children": [1], "scale": [2.0, 1.0, 0.5]}]
+    made.tree["scenes"] = [{"nodes": [0, 3]}]
+    model = read_model(save(made, tmp_path))
+    moved = bowed(place, TURN) * (2.0, 1.0, 0.5)
+    expected = np.stack([moved[:, 0], -moved[:, 2], moved[:, 1]], axis=1)
+    np.testing.assert_allclose(model.at(model.clip("Bow"), 2.0), expected, atol=2e-7)
 
 
 @pytest.mark.parametrize("name", ["Canonical", "Faces", "train geometry", "Sample face", "test"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from benchmarks import scaling
@@ -18,4 +20,9 @@ def test_a_row_of_each_kind(name: str) -> None:
     cells = scaling.row(chosen, (200, 400), 1).split("|")
     assert cells[1].strip() == chosen.name
     assert "200, 400" in cells[2]
-    assert len(cells) == 8
+    seconds, memory = ([float(one) for one in cells[k].split(",")] for k in (3, 4))
+    told = [float(one) for one in cells[5:9]]
+    for values, both in ((seconds, told[:2]), (memory, told[2:])):
+        expected = math.log2(values[1] / values[0])  # Of two sizes both are the same.
+        assert both == pytest.approx([expected, expected], abs=0.15)  # Digits are rounded.
+    assert len(cells) == 10

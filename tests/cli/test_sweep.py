@@ -192,6 +192,8 @@ def test_failures_are_listed_and_cost_nobody_else(
             "eval: 'edit': expected a file or folder, seen from",
         ),
         (("steps: 3", "steps: 0"), "train: 'steps': expected a whole number of at least 1, got 0"),
+        (("steps: 3", "steps: 3, minutes: 2"), "train: --minutes 2 chooses steps and points"),
+        (("steps: 3", "steps: 3, flat: true"), "train: --flat: expected options of PAPR"),
         (
             ("  more:", "    compare: {methods: [nerf]}\n  more:"),
             "all or none, got nerf",
@@ -212,6 +214,18 @@ def test_mistakes_are_said_before_anything_starts(
     assert sweep(plan) == 2
     assert said in capsys.readouterr().err
     assert not (plan.parent / "out").exists()
+
+
+def test_a_plan_whose_training_fails_is_not_forecast(
+    plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where a photo is damaged, which is seen when it is opened."""
+    for picture in (plan.parent / "ball" / "train").glob("*.png"):
+        picture.write_bytes(picture.read_bytes()[:-40])
+    assert sweep(plan, "--dry-run") == 2
+    told = capsys.readouterr().err
+    assert "plan: setting 'papr', train fails at once: " in told
+    assert "r_0.png" in told
 
 
 @pytest.mark.slow
@@ -345,6 +359,39 @@ def test_every_scene_that_cannot_be_used_is_named(
     assert "torn/transforms_train.json" in told
     assert "not here" in told
     assert not (plan.parent / "out").exists()
+
+
+def test_files_that_change_between_two_commands_are_named(
+    plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Tables of one name hold figures of one scene and of one edit, also in a storage."""
+    first, _, second = PLAN.partition("  papr:")
+    more = second[second.index("  more:") :].replace("state: [", "edit: [bend.json], state: [")
+    plan.write_text(first + more, encoding="utf-8")
+    edit, ball = plan.parent / "bend.json", plan.parent / "ball"
+    twist = '{"version": 2, "edits": [{"type": "twist", "axis": "z", "angle_deg": 5}]}'
+    edit.write_text(twist, encoding="utf-8")
+    url = f"memory://{plan.parent}/sweep"
+    assert sweep(plan, "--storage", url) == 0
+    (ball / ".DS_Store").write_text("of a file browser")
+    shutil.copytree(plan.parent / "out/trials/ball/more/seed-0/run", ball / "runs")
+    assert sweep(plan, "--storage", url) == 0  # What pcore writes there is no part of the scene.
+
+    edit.write_text(twist.replace("5", "6"), encoding="utf-8")
+    for words in (("--storage", url), ("--storage", url, "--dry-run"), ()):
+        assert sweep(plan, *words) == 2
+        told = " ".join(capsys.readouterr().err.split())
+        assert "trial ball/more/seed-0: expected the files that it began with, got" in told
+        assert f"{edit}; give what has changed another name" in told
+    edit.write_text(twist, encoding="utf-8")
+    (ball / "train" / "r_3.png").write_bytes((ball / "train" / "r_2.png").read_bytes())
+    (ball / "train" / "r_99.png").write_bytes(b"")
+    assert sweep(plan) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "got others: scene/train/r_3.png and 1 more;" in told
+    (ball / "train" / "r_99.png").unlink()
+    plan.write_text(plan.read_text().replace("{ball: ball}", "{other: ball}"), encoding="utf-8")
+    assert sweep(plan) == 0
 
 
 def test_a_folder_of_somebody_else_is_left_alone(

@@ -34,6 +34,14 @@ def folder(scene: Path, tmp_path: Path) -> Path:
     return tmp_path / "theirs"
 
 
+def write_depth(path: Path, depth: np.ndarray) -> None:
+    """As an array, or among others, as `pcore render --raw` writes it."""
+    if path.suffix == ".npy":
+        np.save(path, depth)
+    else:
+        np.savez(path, rgb=np.zeros(3), depth=depth)
+
+
 def test_true_pictures_are_perfect(folder: Path, states: SceneStates) -> None:
     method = open_pictures("theirs", folder)
     assert method.tells == "opacity"
@@ -61,13 +69,15 @@ def test_pictures_without_alpha_tell_colours_alone(folder: Path, states: SceneSt
     assert row.scores["spill"] is None
 
 
-def test_depth_beside_pictures_is_scored(folder: Path, states: SceneStates) -> None:
+@pytest.mark.parametrize("ending", ["npy", "npz"])
+def test_depth_beside_pictures_is_scored(folder: Path, states: SceneStates, ending: str) -> None:
     canonical, grown = states.select(["grown"])
     for state in (canonical, grown):
         for shot in state.shots:
             assert shot.depth is not None
-            place = folder / state.name / f"{shot.view.name}.npy"
-            np.save(place, np.nan_to_num(shot.depth().numpy(), posinf=np.nan))
+            place = folder / state.name / f"{shot.view.name}.{ending}"
+            depth = np.nan_to_num(shot.depth().numpy(), posinf=np.nan)
+            write_depth(place, depth)
     shutil.rmtree(folder / "scale_2")
     method = open_pictures("theirs", folder)
     assert method.tells == "depth"
@@ -75,8 +85,12 @@ def test_depth_beside_pictures_is_scored(folder: Path, states: SceneStates) -> N
     assert row.scores["hole_rate"] == 0
     assert row.scores["depth_error"] is not None
     assert row.scores["depth_error"] < 1e-5
-    np.save(folder / "grown" / "r_0.npy", np.zeros((3, 3)))
-    with pytest.raises(InputError, match=r"r_0.npy: expected camera z \(24, 24\) in floats"):
+    place = folder / "grown" / f"r_0.{ending}"
+    write_depth(place, np.zeros((3, 3)))
+    with pytest.raises(InputError, match=rf"r_0.{ending}: expected camera z \(24, 24\) in floats"):
+        evaluate([method], [grown])
+    place.write_bytes(b"no array")
+    with pytest.raises(InputError, match=rf"r_0.{ending}: expected an array of camera z, got"):
         evaluate([method], [grown])
 
 

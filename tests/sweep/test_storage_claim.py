@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,16 +10,13 @@ import pytest
 from pcore.errors import InputError
 from pcore.sweep import storage_claim
 from pcore.sweep.storage_claim import CLAIM_FILE, claimed
-from pcore.sweep.sweep_storage import check_storage, opened
+from pcore.sweep.sweep_storage import opened
 
 
-@pytest.fixture(params=["memory", "file"])
-def url(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(storage_claim, "BEAT", 0.5)
     monkeypatch.setattr(storage_claim, "_MEETING", 0.05)
-    found = f"{request.param}://{tmp_path}/storage"
-    check_storage(found)
-    return found
 
 
 def claim_in(url: str) -> bool:

@@ -7,16 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from pcore.errors import InputError
 from pcore.sweep import sweep_storage
-from pcore.sweep.sweep_storage import check_storage, fetch, mirrored
+from pcore.sweep.sweep_storage import check_storage, fetch, mirrored, opened
 from pcore.sweep.sweep_trial import Trial, attempt
-
-
-@pytest.fixture(params=["memory", "file"])
-def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    found = f"{request.param}://{tmp_path}/storage"
-    check_storage(found)
-    return found
 
 
 def trial_in(folder: Path, url: str) -> Trial:
@@ -66,9 +60,9 @@ def test_a_trial_goes_on_where_another_machine_was_killed(url: str, tmp_path: Pa
     fetch(url, tmp_path / "three")
     found = files(tmp_path / "three")
     assert found == files(two.folder)
-    assert {*found} == {"output.txt", "run/model", "trial.json"}
+    assert {*found} == {"inputs.json", "output.txt", "run/model", "trial.json"}
     fetch(url, tmp_path / "four", records=True)
-    assert {*files(tmp_path / "four")} == {"output.txt", "trial.json"}
+    assert {*files(tmp_path / "four")} == {"inputs.json", "output.txt", "trial.json"}
 
 
 def test_what_changes_is_sent_meanwhile(
@@ -96,3 +90,10 @@ def test_a_storage_that_fails_is_a_trial_that_failed(tmp_path: Path) -> None:
     failed = attempt(trial, run).failed
     assert failed is not None
     assert failed.startswith("storage file://")
+
+
+def test_a_bucket_that_is_not_there_is_not_made(s3_bucket: str) -> None:
+    """A name that is mistyped would else be a new place of the lab's account."""
+    with pytest.raises(InputError, match="there is no bucket 'labb'"):
+        check_storage(f"{s3_bucket}b/sweep")
+    assert not opened(s3_bucket)[0].exists("labb")

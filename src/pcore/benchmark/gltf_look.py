@@ -68,6 +68,7 @@ class _Material(_Part):
     extensions: _MaterialExtensions = _MaterialExtensions()
     alphaMode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"  # noqa: N815
     alphaCutoff: Number = 0.5  # noqa: N815
+    emissiveFactor: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)  # noqa: N815
 
 
 class _Webp(_Part):
@@ -182,6 +183,7 @@ def _material(glb: Glb, paint: _Paint, material: _Material) -> Material:
         color=color,
         texture=None if info is None else _texture(glb, paint, info),
         cutoff=cutoffs[material.alphaMode],
+        emits=any(material.emissiveFactor),
     )
 
 

@@ -70,11 +70,13 @@ class Material:
         color: linear RGBA factor.
         texture: multiplied with it; None for none.
         cutoff: alpha under which a ray passes; 0 for opaque surfaces, whose alpha is ignored.
+        emits: it shines by itself, which is left out.
     """
 
     color: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
     texture: Texture | None = None
     cutoff: float = 0.0
+    emits: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,6 +102,20 @@ class Look:
     def has_holes(self) -> bool:
         """Whether any material lets rays pass."""
         return any(one.cutoff > 0 for one in self.materials)
+
+    def left_out(self) -> list[str]:
+        """What of the paint pictures do not show, in sentences."""
+        said: list[str] = []
+        for number in np.unique(self.material_of_face):
+            one = self.materials[number]
+            if one.texture is None and one.color[3] < one.cutoff:
+                said.append(
+                    f"what has the material {number} is not to be seen: its alpha "
+                    f"{one.color[3]:g} is below {one.cutoff:g}, where it is cut out; make it opaque"
+                )
+            if one.emits:
+                said.append(f"the material {number} shines by itself, which is left out")
+        return said
 
     def rgba(
         self, faces: NDArray[np.int64], face: NDArray[np.int64], weights: FloatArray

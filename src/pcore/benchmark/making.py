@@ -99,7 +99,7 @@ def planned(
             f"{model.name}: expected at least one state, got none: the file has no clip that "
             "moves; leave out --no-analytic, or give --edits"
         )
-    return canonical, states, notes
+    return canonical, states, [*notes, *model.look.left_out()]
 
 
 def made_already(folder: Path, model: Model, plan: BenchmarkPlan) -> bool:

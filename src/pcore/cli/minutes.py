@@ -62,7 +62,6 @@ def promised(
     command: TrainCommand, scene: Scene, base: Config, device: str, promise: Promise
 ) -> tuple[Scene, Config, str]:
     """Photos and settings for a promise, and the plan in words; of the run itself to go on."""
-    _check(command)
     if command.resume:
         going = _recorded(command, base)
         if going is not None:
@@ -191,9 +190,12 @@ def say_duration(
     say(console, f"about {clock(seconds)} on this machine, as busy as it is now")
 
 
-def _check(command: TrainCommand) -> None:
+def check_promise(command: TrainCommand) -> None:
+    """Raise InputError for a promise that cannot be meant, or options that it chooses itself."""
     minutes = command.minutes
-    if minutes is None or not 0 < minutes < 10_000:
+    if minutes is None:
+        return
+    if not 0 < minutes < 10_000:
         raise InputError(f"--minutes {minutes}: expected a number above 0 and below 10,000")
     given = [name for name in ("steps", "points") if getattr(command, name) is not None]
     if given:

@@ -19,6 +19,7 @@ from pcore.cli.console import say
 from pcore.cli.layout import Sheet, room, sheet_lines
 from pcore.cli.sweep_verbs import RUN, process_words, words_of
 from pcore.demo.machine import clock
+from pcore.errors import TrainingError
 from pcore.files.run_folder import LOG_FILE
 from pcore.sweep.sweep_trial import Trial, TrialResult
 
@@ -84,12 +85,17 @@ def _forecast(setting: str, left: Sequence[Trial], done: Sequence[TrialResult]) 
 
 
 def _watched(trial: Trial) -> float | None:
-    """Begin a training in a process of its own, and ask its log what is left; then end it."""
+    """Begin a training in a process of its own, and ask its log what is left; then end it.
+
+    Raises:
+        TrainingError: it failed.
+    """
     begun, first = time.monotonic(), None
-    quiet = subprocess.DEVNULL
-    process = subprocess.Popen(
-        process_words(trial, "train"), stdin=quiet, stdout=quiet, stderr=quiet
-    )
+    told = trial.folder.with_name("told.txt")
+    with told.open("wb") as file:
+        process = subprocess.Popen(
+            process_words(trial, "train"), stdin=subprocess.DEVNULL, stdout=file, stderr=file
+        )
     try:
         while process.poll() is None:
             step = _last_step(trial.folder / RUN / LOG_FILE)
@@ -100,7 +106,11 @@ def _watched(trial: Trial) -> float | None:
             if step is None and now - begun > _PATIENCE:
                 return None
             time.sleep(0.2)
-        return time.monotonic() - begun if process.returncode == 0 else None
+        if process.returncode != 0:
+            text = " ".join(told.read_text(encoding="utf-8", errors="replace").split())
+            why = text.rpartition("Error: ")[2]
+            raise TrainingError(f"plan: setting {trial.setting!r}, train fails at once: {why}")
+        return time.monotonic() - begun
     finally:
         process.terminate()
         process.wait()

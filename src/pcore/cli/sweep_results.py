@@ -16,7 +16,7 @@ from pcore.cli.eval_results import NO_LPIPS
 from pcore.cli.layout import Column, Sheet, room, sheet_lines
 from pcore.cli.sweep import SweepCommand
 from pcore.cli.sweep_forecast import show_plan
-from pcore.cli.sweep_places import placed
+from pcore.cli.sweep_places import placed, with_contents
 from pcore.cli.sweep_verbs import check_trials, output_folder, run_trial
 from pcore.demo.machine import clock, usable_cores
 from pcore.errors import InputError, TrainingError
@@ -49,6 +49,7 @@ from pcore.sweep.sweep_trial import (
     OUTPUT_FILE,
     Trial,
     TrialResult,
+    check_inputs,
     fetch_records,
     finished_trial,
     trials_of,
@@ -168,6 +169,7 @@ def sweep(command: SweepCommand, console: Console) -> None:
     trials = trials_of(plan, beside=beside, folder=command.output, storage=command.storage)
     trials = placed(trials, beside)
     check_trials(trials)
+    trials = with_contents(trials)
     if command.storage is not None:
         check_storage(command.storage)
     with ExitStack() as stack:
@@ -187,6 +189,7 @@ def sweep(command: SweepCommand, console: Console) -> None:
             write_results(command.output, trials, [])
         for one in trials:
             fetch_records(one)
+            check_inputs(one)
         results = _attempt(console, command.output, trials, execute)
         failures = [one for one in results if one.failed is not None]
         show_results(console, command.output, trials, results)
@@ -208,6 +211,7 @@ def _known(trials: Sequence[Trial]) -> list[TrialResult]:
         for number, one in enumerate(trials):
             place = one.folder if one.storage is None else Path(folder) / str(number)
             fetch_records(one, place)
+            check_inputs(one, place)
             found.append(finished_trial(one, place) or finished_trial(one, one.folder))
     return [one for one in found if one is not None]
 

@@ -16,6 +16,8 @@ from pcore.cli.compare_results import wanted_methods
 from pcore.cli.main import VERBS, Command, command_of
 from pcore.cli.output import pictures_folder
 from pcore.cli.sweep_processes import TORCHRUN, run_together
+from pcore.cli.train import TrainCommand
+from pcore.cli.training import train_config
 from pcore.errors import InputError, SceneError
 from pcore.evaluation.states import open_states
 from pcore.files.run_place import bytes_needed, check_space
@@ -129,6 +131,11 @@ def _check_values(command: Any, where: str, processes: int) -> None:
             f"{where}: expected at least one patch or photo of a step for each of {processes} "
             f"processes, got {command.patches or 1}; give patches: {processes} or a multiple"
         )
+    if isinstance(command, TrainCommand):
+        try:
+            train_config(command)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
     if isinstance(command, CompareCommand):
         wanted_methods(command.methods)
 

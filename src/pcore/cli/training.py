@@ -12,7 +12,7 @@ from pcore.asset.asset import Asset
 from pcore.asset.training import train as make
 from pcore.cli.console import say
 from pcore.cli.losses import check_weights
-from pcore.cli.minutes import Promise, promised, say_duration
+from pcore.cli.minutes import Promise, check_promise, promised, say_duration
 from pcore.cli.runtime import pick_device, prepare_torch
 from pcore.cli.scenes import opened
 from pcore.cli.sessions import show_result, trained_together
@@ -41,7 +41,7 @@ def train(command: TrainCommand, console: Console) -> None:
     Only the first of them has the folder and says anything.
     """
     began = time.monotonic()
-    config = _config(command)
+    config = train_config(command)
     prepare_torch(command.threads)
     device = pick_device(command.device)
     if is_first():
@@ -111,9 +111,14 @@ def _trained(
     )
 
 
-def _config(command: TrainCommand) -> PretrainConfig | GaussianConfig:
-    """Return the preset with what the command changes."""
+def train_config(command: TrainCommand) -> PretrainConfig | GaussianConfig:
+    """Return the preset with what the command changes.
+
+    Raises:
+        InputError: options that do not go together, or wrong values.
+    """
     _refuse_foreign(command)
+    check_promise(command)
     changes: dict[str, Any] = {"seed": command.seed, **command.losses.changes()}
     for name in ("steps", "points", "background", "origin", "exposure"):
         if getattr(command, name) is not None:

@@ -1,7 +1,7 @@
 """A folder of pictures as a method: DIR/STATE/VIEW.png, taken by any code.
 
 Pictures with an alpha channel also tell opacity. A file VIEW.npy beside each, camera z (H, W) in
-world units, tells depth.
+world units, tells depth; so does VIEW.npz with an array `depth`, as `pcore render --raw` writes it.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -24,6 +25,8 @@ from pcore.render.image import Image
 from pcore.validation import first_names
 
 _ENDINGS = (".png", ".jpg", ".jpeg")
+_DEPTHS = (".npy", ".npz")
+_DEPTH_OF_NPZ = "depth"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,7 +72,7 @@ class PictureMethod:
         ]
         _refuse_some(place, "an alpha channel in every picture or none", no_alpha)
         no_depth = [one for one in wanted if self.tells == "depth" and not _tells_depth(there[one])]
-        _refuse_some(place, "depth beside every picture (VIEW.npy) or none", no_depth)
+        _refuse_some(place, "depth beside every picture (VIEW.npy or .npz) or none", no_depth)
         return {id(shot.camera): there[shot.view.name] for shot in state.shots}
 
     def draw(self, posed: Mapping[int, Path], camera: Camera) -> Image:
@@ -91,7 +94,7 @@ class PictureMethod:
             raise InputError(str(error)) from error
         depth = torch.full(rgba.shape[:2], torch.nan)
         if self.tells == "depth":
-            depth = _depth(path.with_suffix(".npy"), depth)
+            depth = _depth(_depth_files(path)[0], depth)
         return Image(
             rgb=composite(rgba, torch.ones(3)),
             alpha=rgba[..., 3],
@@ -138,7 +141,11 @@ def _refuse_some(place: Path, expected: str, lacking: Sequence[str]) -> None:
 
 
 def _tells_depth(picture: Path) -> bool:
-    return picture.with_suffix(".npy").is_file()
+    return bool(_depth_files(picture))
+
+
+def _depth_files(picture: Path) -> list[Path]:
+    return [one for one in map(picture.with_suffix, _DEPTHS) if one.is_file()]
 
 
 def _is_picture(path: Path) -> bool:
@@ -165,7 +172,10 @@ def _alphas(pictures: Sequence[Path]) -> list[bool]:
 def _depth(path: Path, like: Tensor) -> Tensor:
     try:
         found = np.load(path, allow_pickle=False)
-    except (OSError, ValueError) as error:
+        if path.suffix == ".npz":
+            with found as arrays:
+                found = arrays[_DEPTH_OF_NPZ]
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise InputError(f"{path}: expected an array of camera z, got {error}") from error
     if found.shape != tuple(like.shape) or found.dtype.kind != "f":
         raise InputError(

@@ -34,6 +34,9 @@ def check_storage(url: str) -> None:
     """
     try:
         files, root = opened(url)
+        bucket = root.partition("/")[0]  # Empty where paths begin with /, as on disks.
+        if bucket and not files.exists(bucket):
+            raise FileNotFoundError(f"there is no bucket {bucket!r}")  # Nor is one made.
         files.makedirs(root, exist_ok=True)
         files.pipe_file(f"{root}/{_PROBE}", b"pcore")
         files.rm_file(f"{root}/{_PROBE}")

@@ -7,18 +7,20 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pcore.errors import PcoreError
+from pcore.errors import InputError, PcoreError
 from pcore.evaluation.tables import jsonable, write_json
 from pcore.files.run_record import relative
 from pcore.sweep.sweep_plan import SweepPlan, VerbName
 from pcore.sweep.sweep_storage import fetch, mirrored
 
 TRIALS = "trials"
-RECORD_FILE, OUTPUT_FILE = "trial.json", "output.txt"
+RECORD_FILE, OUTPUT_FILE, INPUTS_FILE = "trial.json", "output.txt", "inputs.json"
+SCENE = "scene"
+"""How names of a trial's inputs begin that are of its scene."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +38,7 @@ class Trial:
         device: to compute on.
         processes: that share its work.
         storage: URL that the folder is mirrored to, for machines that share no disk; None: none.
+        inputs: hashes of the files that it reads, by name.
     """
 
     scene: str
@@ -48,6 +51,7 @@ class Trial:
     device: str
     processes: int = 1
     storage: str | None = None
+    inputs: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def name(self) -> str:
@@ -130,6 +134,37 @@ def finished_trial(trial: Trial, place: Path | None = None) -> TrialResult | Non
         return None
 
 
+def check_inputs(trial: Trial, place: Path | None = None) -> None:
+    """Refuse to go on with a trial that began with other files: half of it would be of old ones.
+
+    Args:
+        trial: which; its records are there.
+        place: folder of its records; default: its own.
+
+    Raises:
+        InputError: a file has changed, come or gone.
+    """
+    try:
+        before: Any = json.loads(((place or trial.folder) / INPUTS_FILE).read_bytes())
+    except (OSError, ValueError):
+        return  # Not begun, or stopped at once.
+    now = trial.inputs
+    # Another name of an option's file is another setting, which is run again.
+    differ = sorted(
+        name
+        for name in {*before, *now}
+        if before.get(name) != now.get(name)
+        and (name.startswith(SCENE) or (name in before and name in now))
+    )
+    if differ:
+        more = f" and {len(differ) - 1} more" if len(differ) > 1 else ""
+        raise InputError(
+            f"plan: trial {trial.name}: expected the files that it began with, got others: "
+            f"{differ[0]}{more}; give what has changed another name in the plan, or the sweep "
+            "another folder (and storage)"
+        )
+
+
 def fetch_records(trial: Trial, place: Path | None = None) -> None:
     """Bring tables and records of a trial from its storage, where it has one.
 
@@ -163,6 +198,7 @@ def attempt(trial: Trial, run: Runner) -> TrialResult:
 def _attempt(trial: Trial, run: Runner) -> TrialResult:
     begun, fresh = time.monotonic(), not trial.folder.exists()
     trial.folder.mkdir(parents=True, exist_ok=True)
+    write_json(trial.folder / INPUTS_FILE, dict(trial.inputs))
     path = trial.folder / OUTPUT_FILE
     with path.open("a", encoding="utf-8", buffering=1) as file:
         failed = _failure(trial, run, file)
