@@ -27,6 +27,9 @@ from pcore.deform.jacobian import fitted_maps
 from pcore.deform.pose import pose
 from pcore.editing.session import EditSession
 from pcore.gaussians.gaussians import Gaussians
+from pcore.gaussians.render import Footprint
+from pcore.gaussians.render import pose as carry
+from pcore.gaussians.render import render as draw
 from pcore.gaussians.splats import SplatsAtRest
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_cameras
@@ -56,6 +59,7 @@ def measure_studio(plan: Plan) -> Iterator[tuple[str, Metric]]:
             yield from _drags(count, Path(folder), plan)
     yield from _stack(300 if plan.quick else 4_000, plan)
     yield from _pictures(plan)
+    yield from _pictures_of_gaussians(plan)
     yield from _server(plan)
 
 
@@ -201,6 +205,28 @@ def _pictures(plan: Plan) -> Iterator[tuple[str, Metric]]:
     view = _camera(points, size)
     exact = seconds(lambda: render(papr, posed, view, samples=4))
     yield f"studio/picture/refined/{size}/seconds", _time([exact], _REFINED, plan)
+
+
+@torch.no_grad()
+def _pictures_of_gaussians(plan: Plan) -> Iterator[tuple[str, Metric]]:
+    """Exact pictures while something moves: how space moves, Gaussians, a picture."""
+    count = 300 if plan.quick else 10_000
+    points = scenes.cloud(count)
+    gaussians, session = _gaussians(points), EditSession(points)
+    session.do({"type": "twist", "axis": "z", "angle_deg": 40})
+    for size in (16,) if plan.quick else tuple(_PICTURE):
+        view = _camera(points, size)
+
+        def picture(step: int, view: Camera = view) -> None:
+            edit = {"type": "twist", "axis": "z", "angle_deg": 40 + step}
+            state = session.preview(edit, at=0, frames="quick")
+            drawn = carry(gaussians, state.points.float(), state.bound.linear)
+            draw(drawn, [view], footprint=Footprint())
+
+        picture(-1)
+        times = [seconds(lambda step=step, one=picture: one(step)) for step in range(plan.turns)]
+        bar = _PICTURE.get(size)
+        yield f"studio/picture/moving/gaussians/{size}/seconds", _time(times, bar, plan)
 
 
 def _plain(cloud: Any) -> Any:

@@ -7,9 +7,10 @@ import torch
 from torch.nn import functional as F
 
 from pcore.errors import InputError
+from pcore.gaussians.carry import polar
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import pose
-from pcore.gaussians.spherical_harmonics import colors
+from pcore.gaussians.spherical_harmonics import colors, rotated
 from pcore.gaussians.splats import SplatsAtRest
 
 EYE = torch.tensor([0.3, -2.0, 1.0])
@@ -39,9 +40,11 @@ def maps(count: int = 50) -> torch.Tensor:
 def test_splats_are_what_is_drawn(degree: int):
     gaussians, local, gains = some(degree), maps(), torch.linspace(0.5, 1.5, 50)
     positions = gaussians.means + 0.1
-    drawn = pose(gaussians, positions, local.float())
+    drawn = pose(gaussians, positions, local.float(), gains.unsqueeze(1))
     seen = F.normalize(positions - EYE, dim=1)
-    expected = colors(drawn.gaussians.sh, seen) * gains.unsqueeze(1)
+    turned = rotated(gaussians.sh, polar(local)) if degree else gaussians.sh
+    expected = colors(turned, seen) * gains.unsqueeze(1)
+    torch.testing.assert_close(drawn.colors(seen), expected, rtol=0, atol=1e-5)
     found = SplatsAtRest.of(gaussians).moved(positions, local, EYE, gains)
     assert all(
         part.dtype == "float32"

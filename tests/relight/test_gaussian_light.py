@@ -12,7 +12,7 @@ from torch import Tensor
 from pcore.errors import InputError
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.surfels import Surfels
-from pcore.relight.gaussian_light import fit_gaussian_light, gaussian_gains, lit_of
+from pcore.relight.gaussian_light import LitPieces, fit_gaussian_light, gaussian_gains, lit_of
 from pcore.relight.lamps import Light, sphere
 from pcore.relight.relighting import Relighting
 from pcore.render.surfel_fit import Observed
@@ -52,7 +52,9 @@ class Ball:
         """Factors when a linear map (3, 3) moves all of it."""
         positions = self.surfels.places @ linear.T
         maps = LocalMaps(to_rest=torch.linalg.inv(linear).repeat(len(positions), 1, 1))
-        return gaussian_gains(self.relighting, self.surfels, positions, maps, world=world)
+        return gaussian_gains(
+            self.relighting, LitPieces.of(self.surfels), positions, maps, world=world
+        )
 
 
 def ball(unknown: int = 0, light: Light | None = None) -> Ball:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import torch
@@ -47,7 +48,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.surfels import Surfels
-from pcore.relight.gaussian_light import fit_gaussian_light, gaussian_gains, lit_of
+from pcore.relight.gaussian_light import LitPieces, fit_gaussian_light, gaussian_gains, lit_of
 from pcore.relight.light_file import LIGHT_FILE, save_light
 from pcore.relight.relighting import Relighting
 from pcore.render.gaussian_surfels import observe_gaussians
@@ -98,12 +99,16 @@ class GaussianContent(Lit):
         """See `Content.samples`; the footprint is what a pixel is, so that one is enough."""
         return 1
 
-    @property
+    @cached_property
     def surfels(self) -> Surfels | None:
         """The pieces of surface that they are at rest; None where nobody has estimated them."""
         if self.normals is None:
             return None
         return Surfels.at_rest(self.points.float(), self.normals, torch.zeros(len(self.normals)))
+
+    @cached_property
+    def _lit_pieces(self) -> LitPieces | None:
+        return None if self.surfels is None else LitPieces.of(self.surfels)
 
     def splats(self) -> SplatsAtRest:
         """See `Content.splats`: the Gaussians themselves."""
@@ -148,10 +153,11 @@ class GaussianContent(Lit):
         self, posed: MovedGaussians, relighting: Relighting, world: float = 1.0
     ) -> MovedGaussians:
         """The same under a light that stands still."""
-        if posed.maps is None or self.surfels is None:
+        pieces = self._lit_pieces
+        if posed.maps is None or pieces is None:
             return posed
         means = posed.drawn.gaussians.means
-        gains = gaussian_gains(relighting, self.surfels, means, posed.maps, world=world)
+        gains = gaussian_gains(relighting, pieces, means, posed.maps, world=world)
         return self.lit(posed, gains)
 
     def lit(self, posed: MovedGaussians, gains: Tensor | None) -> MovedGaussians:

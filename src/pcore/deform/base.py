@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -248,7 +249,8 @@ def matrix_product(left: Tensor, right: Tensor) -> Tensor:
     both = left, right
     plain = all(one.dtype == torch.float64 and one.device.type == "cpu" for one in both)
     if plain and not (torch.is_grad_enabled() and any(one.requires_grad for one in both)):
-        shape = torch.broadcast_shapes(left.shape, right.shape)
+        # torch's own imports sympy at its first call, which takes half a second.
+        shape = np.broadcast_shapes(left.shape, right.shape)
         rows = (one.detach().expand(shape).reshape(-1, 3, 3).contiguous().numpy() for one in both)
         return torch.from_numpy(products(*rows)).reshape(shape)
     return (

@@ -73,7 +73,7 @@ class Fitter:
         """Gaussians with gradients to where they are; colours and light as they were last."""
         shape = replace(self._gaussians, means=moved.positions, sh=look.gaussians.sh)
         axes = carried_axes(self._gaussians, moved.linear)
-        return PosedGaussians(gaussians=shape, axes=axes, gains=look.gains)
+        return PosedGaussians(gaussians=shape, axes=axes, turns=look.turns, gains=look.gains)
 
     def at(self, indices: Tensor, numbers: Tensor) -> AnchorPose:
         """How points (K,) by their indices move under numbers (M, 6)."""

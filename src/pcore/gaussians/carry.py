@@ -19,10 +19,13 @@ from pcore.errors import EditError
 from pcore.gaussians.covariance import quaternions
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.spherical_harmonics import rotated
+from pcore.geometry.matrix_tuples import polar_factors
 from pcore.geometry.rotation import rotations
 
 _SWEEPS = 12
 _ORTHOGONAL = 1e-15
+_CONVERGED, _SINGULAR = 1e-16, 1e-9
+"""Of polar factors: squared change in the last round, and the volume from which on there is one."""
 _FLATTEST = 1e-9
 """Share of the longest standard deviation that is kept where a map flattens a Gaussian."""
 
@@ -92,7 +95,7 @@ class _Polar(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, matrices: Tensor) -> Tensor:
-        found = _orthogonal(matrices.detach().double())
+        found = _factors(matrices.detach().double())
         ctx.save_for_backward(matrices, found)
         return found.to(matrices)
 
@@ -116,6 +119,19 @@ def _skew(axis: Tensor) -> Tensor:
     x, y, z = axis.unbind(dim=-1)
     zero = torch.zeros_like(x)
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
+
+
+def _factors(wide: Tensor) -> Tensor:
+    """Newton's iteration where it is compiled and converges, in a tenth of the time."""
+    if wide.device.type != "cpu":
+        return _orthogonal(wide)
+    flat = wide.reshape(-1, 9)
+    found = torch.from_numpy(polar_factors(flat.numpy(), _CONVERGED)).view(wide.shape)
+    volume = torch.linalg.cross(wide[..., 0], wide[..., 1]).mul(wide[..., 2]).sum(dim=-1)
+    flattened = volume.abs() <= _SINGULAR * wide.square().sum(dim=(-2, -1)).pow(1.5)
+    if bool(flattened.any()):
+        found[flattened] = _orthogonal(wide[flattened])
+    return found
 
 
 def _orthogonal(wide: Tensor) -> Tensor:

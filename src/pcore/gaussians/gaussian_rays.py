@@ -16,7 +16,6 @@ from torch import Tensor
 
 from pcore.gaussians.covariance import covariances
 from pcore.gaussians.render import Footprint, PosedGaussians
-from pcore.gaussians.spherical_harmonics import colors
 from pcore.geometry.rays import RayBundle, perpendicular
 
 _FAINT = 1 / 255
@@ -127,9 +126,7 @@ def _blend(
     """Colour (R, 3), opacity and depth (R,), centroid (R, 3), spread (R,)."""
     ray, which = met
     opacity, distance, directions = _opacities(posed, rays, met, filters, footprint)
-    rgb = colors(posed.gaussians.sh.index_select(0, which), directions)
-    if posed.gains is not None:
-        rgb = rgb * posed.gains.index_select(0, which)
+    rgb = posed.colors(directions, which)
     weights = opacity * _clearness(opacity, ray)
     count = rays.shape[0]
 

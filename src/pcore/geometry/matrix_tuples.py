@@ -18,8 +18,6 @@ UNIT: Nine = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 _TINY = 1e-300
 _FLATTEST = 1e-12
 _ROUNDS = 12
-_CONVERGED = 1e-5
-"""Squared change in the last round of `polar_factors`; the next one would change half of that."""
 _BLOCK = 64
 
 
@@ -72,10 +70,11 @@ def times_transposed(m: Nine, o: Nine) -> Nine:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def polar_factors(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+def polar_factors(matrices: NDArray[np.float64], converged: float = 1e-5) -> NDArray[np.float64]:
     """Orthogonal factors (N, 9) of matrices, row by row; the identity of those that are singular.
 
-    By Newton's iteration X <- (X + X^-T) / 2 (Higham 1986).
+    By Newton's iteration X <- (X + X^-T) / 2 (Higham 1986), until the sum of the squared changes of
+    64 matrices is below `converged`; the next round would change half of that.
     """
     found, block = np.empty((len(matrices), 9)), np.empty(9 * _BLOCK)
     for start in range(0, len(matrices), _BLOCK):
@@ -84,7 +83,7 @@ def polar_factors(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
             for k in range(9):
                 block[_BLOCK * k + p] = matrices[start + p, k] if p < count else UNIT[k]
         for _ in range(_ROUNDS):
-            if _newton_step(block) < _CONVERGED:
+            if _newton_step(block) < converged:
                 break
         for p in range(count):
             for k in range(9):

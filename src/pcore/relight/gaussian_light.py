@@ -6,6 +6,8 @@ of the logarithm over neighbours that face the same way.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -58,9 +60,46 @@ def fit_gaussian_light(observed: Observed, means: Tensor) -> Relighting:
     return fit_light(part, means.detach().cpu().float()[lit])
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LitPieces:
+    """Pieces of surface at rest, and who hands light on to whom: the same for every pose.
+
+    Attributes:
+        lit: (K,) indices of those that light is computed for.
+        surfels: of these K, where they are.
+        others: (M,) indices of the rest.
+        beside: (M, 16) rows of `lit` that lie nearest to each of them; fewer columns of few.
+        alike: (M, 16) whether these hand their light on.
+    """
+
+    lit: Tensor
+    surfels: Surfels
+    others: Tensor
+    beside: Tensor
+    alike: Tensor
+
+    @classmethod
+    def of(cls, surfels: Surfels) -> LitPieces:
+        """Divide N pieces of surface at rest."""
+        lit, places, normals = lit_of(surfels.normals), surfels.places, surfels.normals
+        unlit = torch.ones(len(surfels), dtype=torch.bool)
+        unlit[lit] = False
+        others = unlit.nonzero()[:, 0] if len(lit) else lit
+        beside = lit.new_zeros(0, min(_BESIDE, len(lit)))
+        if len(others):
+            beside, _ = nearest(places[lit], places[others], min(_BESIDE, len(lit)))
+        facing = normals[others].unsqueeze(1)
+        alike = (normals[lit][beside] * facing).sum(dim=-1) > _LIKE
+        alike |= ~known_normals(normals[others]).unsqueeze(1)
+        # Where no neighbour faces the same way, all of them count.
+        alike |= ~alike.any(dim=1, keepdim=True)
+        own = Surfels.at_rest(places[lit], normals[lit], torch.zeros(len(lit)))
+        return cls(lit=lit, surfels=own, others=others, beside=beside, alike=alike)
+
+
 def gaussian_gains(
     relighting: Relighting,
-    surfels: Surfels,
+    pieces: LitPieces,
     positions: Tensor,
     local_maps: LocalMaps,
     *,
@@ -70,7 +109,7 @@ def gaussian_gains(
 
     Args:
         relighting: from `fit_gaussian_light`.
-        surfels: pieces of surface at rest of all N.
+        pieces: of all N.
         positions: (N, 3) where the means are now, finite, world units.
         local_maps: how space moved around them.
         world: factor by which the lamps are scaled about the origin meanwhile.
@@ -85,45 +124,28 @@ def gaussian_gains(
     if torch.is_grad_enabled() and followed:
         raise InputError(NO_GRADIENT)
     with torch.no_grad():
-        return _gains(relighting, surfels, positions, local_maps, world)
+        return _gains(relighting, pieces, positions, local_maps, world)
 
 
 def _gains(
     relighting: Relighting,
-    surfels: Surfels,
+    pieces: LitPieces,
     positions: Tensor,
     local_maps: LocalMaps,
     world: float,
 ) -> Tensor:
-    lit = lit_of(surfels.normals)
-    rest, moved = surfels.places[lit], positions.detach().cpu().float()[lit]
-    over = Surfels.at_rest(rest, surfels.normals[lit], surfels.heights[lit])
+    lit, rest = pieces.lit, pieces.surfels.places
+    moved = positions.detach().cpu().float()[lit]
     maps = LocalMaps(to_rest=local_maps.to_rest.detach().cpu().float()[lit])
     cloud = PointCloud(
         positions=rest, features=rest.new_zeros(len(lit), 0), influence=rest.new_zeros(len(lit))
     )
     posed = PosedCloud(
-        cloud=cloud, positions=moved, local_maps=maps, surfels=over.moved(moved, maps)
+        cloud=cloud, positions=moved, local_maps=maps, surfels=pieces.surfels.moved(moved, maps)
     )
-    found = relighting.gains(posed, world=world)
-    return _handed_on(found, lit, surfels)
-
-
-def _handed_on(found: Tensor, lit: Tensor, surfels: Surfels) -> Tensor:
-    """Factors (N,) of all, given those (K,) of the lit ones."""
-    gains = torch.ones(len(surfels))
-    gains[lit] = found
-    others = torch.ones(len(surfels), dtype=torch.bool)
-    others[lit] = False
-    rows = others.nonzero()[:, 0]
-    if len(rows) == 0 or len(lit) == 0:
-        return gains
-    places, normals = surfels.places, surfels.normals
-    beside, _ = nearest(places[lit], places[rows], min(_BESIDE, len(lit)))
-    alike = (normals[lit][beside] * normals[rows].unsqueeze(1)).sum(dim=-1) > _LIKE
-    alike |= ~known_normals(normals[rows]).unsqueeze(1)
-    # Where no neighbour faces the same way, all of them count.
-    alike |= ~alike.any(dim=1, keepdim=True)
-    logs = found.log()[beside] * alike
-    gains[rows] = (logs.sum(dim=1) / alike.sum(dim=1)).exp()
+    gains = torch.ones(len(positions))
+    gains[lit] = relighting.gains(posed, world=world)
+    if len(pieces.others):
+        logs = gains[lit].log()[pieces.beside] * pieces.alike
+        gains[pieces.others] = (logs.sum(dim=1) / pieces.alike.sum(dim=1)).exp()
     return gains

@@ -115,53 +115,65 @@ def _hide(
         cells, height, width, count = _cells(points, axes[look], step)
         shade = height - _thickness(facing[:, look], unknown, thick)
         start, order, top = _sorted_by_cell(cells, shade, count)
-        for point in range(len(points)):
-            if facing[point, look] > 0 or unknown[point]:
-                covered, found = 0, (point, point)
+        # Cell by cell, so that what is looked at together lies together.
+        there = np.empty((len(points), 6), dtype=np.float32)
+        for place in range(len(points)):
+            point = order[place]
+            for axis in range(3):
+                there[place, axis] = points[point, axis]
+            there[place, 3], there[place, 4] = height[point], shade[point]
+            there[place, 5] = facing[point, look]
+        for place in range(len(points)):
+            point = order[place]
+            if there[place, 5] > 0 or unknown[point]:
+                covered, lowest, down = 0, place, place
+                normal = (normals[point, 0], normals[point, 1], normals[point, 2])
                 for near in range(len(_COVERED)):
-                    across, along = near // 5 - _REACH, near % 5 - _REACH
-                    cell = cells[point] + across * width + along
-                    if top[cell] > height[point]:
-                        inside = order[start[cell] : start[cell + 1]]
-                        hides, found = _hiders(
-                            point, inside, points, normals, height, shade, facing[:, look], found
-                        )
+                    cell = cells[point] + (near // 5 - _REACH) * width + near % 5 - _REACH
+                    if top[cell] > there[place, 3]:
+                        inside = (int(start[cell]), int(start[cell + 1]))
+                        hides, lowest, down = _hiders(place, inside, there, normal, lowest, down)
                         if hides:
                             covered |= _COVERED[near]
                 share[point, look] = (9 - _bits(covered)) / 9
-                hider[point, look] = found[0] if found[1] == point else found[1]
+                hider[point, look] = order[lowest if down == place else down]
 
 
 @numba.njit(cache=True)
 def _hiders(
-    point: int,
-    inside: np.ndarray,
-    points: np.ndarray,
-    normals: np.ndarray,
-    height: np.ndarray,
-    shade: np.ndarray,
-    facing: np.ndarray,
-    found: tuple[int, int],
-) -> tuple[bool, tuple[int, int]]:
+    here: int,
+    inside: tuple[int, int],
+    there: np.ndarray,
+    normal: tuple[float, float, float],
+    lowest: int,
+    down: int,
+) -> tuple[bool, int, int]:
     """Whether any of some points hides the light from one.
 
     Also the lowest of those that do and of those among them that face away from the light, the
     ones found so far included; the point itself where there is none.
+
+    Args:
+        here: row of the point.
+        inside: the first row of the others, and the one after the last.
+        there: (N, 6) place, height, height below which it hides, and how it faces the light.
+        normal: of the point.
+        lowest: row of the lowest so far.
+        down: row of the lowest so far that faces away.
     """
-    hides, (lowest, down) = False, found
-    here, normal = points[point], normals[point]
-    for other in inside:
-        if shade[other] > height[point]:
-            there = points[other]
-            ahead = normal[0] * (there[0] - here[0])
-            ahead += normal[1] * (there[1] - here[1]) + normal[2] * (there[2] - here[2])
+    hides = False
+    for other in range(inside[0], inside[1]):
+        if there[other, 4] > there[here, 3]:
+            ahead = normal[0] * (there[other, 0] - there[here, 0])
+            side = normal[1] * (there[other, 1] - there[here, 1])
+            ahead += side + normal[2] * (there[other, 2] - there[here, 2])
             if ahead >= 0:
                 hides = True
-                if lowest == point or height[other] < height[lowest]:
+                if lowest == here or there[other, 3] < there[lowest, 3]:
                     lowest = other
-                if facing[other] < 0 and (down == point or height[other] < height[down]):
+                if there[other, 5] < 0 and (down == here or there[other, 3] < there[down, 3]):
                     down = other
-    return hides, (lowest, down)
+    return hides, lowest, down
 
 
 @numba.njit(cache=True)
