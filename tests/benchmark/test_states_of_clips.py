@@ -27,6 +27,7 @@ from pcore.errors import InputError
 from pcore.evaluation.deformation_record import DeformationRecord
 from pcore.evaluation.states import open_states
 from pcore.sample.sample_render import camera_poses
+from pcore.sample.sample_states import ANGLE_X
 
 
 def save(made: Builder, folder: Path) -> Path:
@@ -154,3 +155,19 @@ def test_info_lists_what_clips_there_are(
     assert "117 vertices, 192 triangles" in told
     assert "Bow: 0 to 2 seconds" in told
     assert "1, 1 with a texture" in told
+
+
+def test_triangles_too_long_for_a_map_are_told(tmp_path: Path) -> None:
+    # One ring of a bar: between its ends nothing can turn. An edge across a face turns by 30
+    # degrees at rest and by 60 more in the state: its middle goes to r cos 15, the edge's is at
+    # r cos 45.
+    _, notes = states_of(save(figure(rings=1), tmp_path), resolution=100)
+    off = 0.2 / np.hypot(1, 0.2) * (np.cos(np.radians(15)) - np.cos(np.radians(45)))
+    pixels = off / (8 * np.tan(0.5 * ANGLE_X) / 100)
+    (said,) = (note for note in notes if "subdivide" in note)
+    assert f"twist60 {pixels:.1f} pixels, 100 % of the surface" in said
+    assert "bend60" in said
+    assert "scale2x" not in said
+    assert "bow" not in said  # What a file shows of its clips is the truth.
+    _, notes = states_of(save(figure(rings=48), tmp_path), resolution=100)
+    assert not any("subdivide" in note for note in notes)

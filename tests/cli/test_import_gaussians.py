@@ -16,10 +16,12 @@ from tests.gaussians.some import some_gaussians
 import tiny_scene
 from pcore.asset.importing import save_imported
 from pcore.asset.saving import load
+from pcore.capture.load import load_scene
 from pcore.cli.deform import DeformCommand
 from pcore.cli.deform_gaussians import deform
 from pcore.cli.export import ExportCommand, export
 from pcore.cli.import_gaussians import ImportGaussiansCommand, import_gaussians
+from pcore.data.pictures import write_rgba
 from pcore.data.splat_file import splats_of
 from pcore.data.splat_formats import read_splats, save_splats
 from pcore.errors import CheckpointError, InputError
@@ -154,6 +156,28 @@ def test_a_run_remembers_the_scene_that_it_was_shown(tmp_path: Path):
         gaussians.to(dtype=torch.float32), Footprint(), tmp_path / "b", file=tmp_path / "gs.ply"
     )
     assert bare.record.scene_folder is None
+
+
+def test_the_screen_filter_of_a_file_that_tells_none_is_that_of_the_photos(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+):
+    scene = tiny_scene.write_scene(folder / "scene", states=False, meshes=False)
+    one = some_gaussians(300).to(dtype=torch.float32)
+    # Colours that a picture can hold.
+    shown = replace(one, opacities=torch.full((300,), 0.9), scales=one.scales / 2, sh=one.sh / 9)
+    asset = load(save_imported(shown, Footprint(), folder / "ours", file=folder / "gs.ply").path)
+    for view in load_scene(scene).split("train"):
+        seen = asset.over((0.0, 0.0, 0.0)).render(None, view.camera)
+        write_rgba(scene / "train" / f"{view.name}.png", seen.rgb, seen.alpha)
+    # Other programs keep no comments.
+    save_splats(folder / "gs.ply", splats_of(shown, "gs.ply"))
+    command = ImportGaussiansCommand(file=folder / "gs.ply", output=folder / "run", scene=scene)
+    import_gaussians(command, Console())
+    saved = load_gaussians(folder / "run").footprint
+    assert (saved.variance, saved.antialiased) == (pytest.approx(1 / 12), True)
+    assert "than --variance 0.3: --variance 0.0833 --antialiased" in capsys.readouterr().out
+    with pytest.raises(InputError, match="another screen filter"):
+        imported(folder, scene=scene, variance=20.0)
 
 
 @pytest.mark.parametrize("flat", [False, True])

@@ -8,7 +8,7 @@ from pcore.errors import InputError
 from pcore.gaussians.gaussians import Gaussians
 from pcore.gaussians.render import Footprint, PosedGaussians, render
 from pcore.geometry.camera import Camera
-from pcore.training.splat_check import agreement_with, check_agreement
+from pcore.training.splat_check import agreement_with, best_agreement, check_agreement
 
 FOOTPRINT = Footprint(variance=0.3, antialiased=False)
 
@@ -38,14 +38,16 @@ def solid() -> Gaussians:
     return replace(some_gaussians(300), opacities=torch.full((300,), 0.9))
 
 
-def photos_of(gaussians: Gaussians, far: float = 0.0) -> list[Photo]:
+def photos_of(
+    gaussians: Gaussians, far: float = 0.0, footprint: Footprint = FOOTPRINT
+) -> list[Photo]:
     """On black, as a trainer composites them."""
     result = []
     for distance in (far + 3.0, far + 3.5, far + 4.0):
         seen = render(
             PosedGaussians(gaussians=gaussians),
             [camera(distance)],
-            footprint=FOOTPRINT,
+            footprint=footprint,
             background=torch.zeros(3),
         )
         alpha = seen.alpha[0][..., None]
@@ -99,3 +101,25 @@ def test_photos_without_masks_are_judged_by_their_colours():
     check_agreement(found, where="a.ply", scene="s")
     with pytest.raises(InputError, match=r"14\.0 dB: they are"):
         check_agreement(replace(found, psnr=14.0), where="a.ply", scene="s")
+
+
+def test_the_screen_filter_that_the_photos_were_made_by_is_found():
+    small = replace(solid(), scales=solid().scales / 4)
+    ours = Footprint()
+    assert best_agreement(small, [ours, FOOTPRINT], photos_of(small))[1] == FOOTPRINT
+    found, filter_ = best_agreement(small, [FOOTPRINT, ours], photos_of(small, footprint=ours))
+    assert filter_ == ours
+    assert found == agreement_with(small, ours, photos_of(small, footprint=ours))
+    assert found.psnr > agreement_with(small, FOOTPRINT, photos_of(small, footprint=ours)).psnr + 3
+
+
+def test_a_filter_that_is_hardly_better_is_not_taken():
+    gaussians, near = solid(), replace(FOOTPRINT, variance=0.35)
+    photos = photos_of(gaussians, footprint=near)
+    noise = torch.rand(24, 32, 1, generator=torch.Generator().manual_seed(0)) / 5
+    seen = [replace(one, image=one.image * (1 - noise)) for one in photos]
+    better = (
+        agreement_with(gaussians, near, seen).psnr - agreement_with(gaussians, FOOTPRINT, seen).psnr
+    )
+    assert 0 < better < 0.5
+    assert best_agreement(gaussians, [FOOTPRINT, near], seen)[1] == FOOTPRINT

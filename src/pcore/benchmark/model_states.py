@@ -12,9 +12,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
+from pcore.benchmark.long_triangles import long_triangles
 from pcore.benchmark.look import FloatArray
 from pcore.benchmark.model import Model
 from pcore.benchmark.renderers import RendererName
+from pcore.deform.base import Deformation
 from pcore.editing.script import EditScript
 from pcore.errors import InputError
 from pcore.sample.sample_states import (
@@ -137,20 +139,25 @@ def plan_states(
     """
     states: dict[str, State] = {}
     notes: list[str] = []
+    maps: dict[str, Deformation] = {}
     if plan.analytic:
         for name, one in formulas(vertices, plan.bend_axis).items():
             moved = one.deformation(torch.from_numpy(vertices)).numpy()
+            maps[name] = one.deformation
             description = describe_state(one, vertices, moved)
             states[name] = State(vertices=moved, angle_x=one.angle_x, description=description)
     for given, script in plan.edits:
         name = _free(_UNFIT.sub("_", given).lstrip(".-"), states)
         if name != given:
             notes.append(_renamed(f"edit {given!r}", name))
-        moved = script.bound(torch.from_numpy(vertices)).setting.points.numpy()
+        bound = script.bound(torch.from_numpy(vertices))
+        moved, maps[name] = bound.setting.points.numpy(), bound.deformation
         _in_sight(name, moved)
         notes += _small(name, vertices, moved)
         text = json.loads(script.to_json())
         _add(states, name, vertices, moved, {"type": "edit", "edit": text})
+    pixel = 2 * CAMERA_RADIUS * math.tan(0.5 * ANGLE_X) / plan.resolution
+    notes += long_triangles(vertices, model.faces, maps, pixel)
     chosen = list(plan.clips)
     if plan.every_clip:
         chosen += [(one.name, None) for one in model.clips if one.name not in dict(chosen)]

@@ -19,8 +19,11 @@ if TYPE_CHECKING:
     from pcore.gaussians.render import Footprint
     from pcore.training.splat_check import Agreement
 
-_OTHERS, _DISCS = 0.3, 0.5
-"""Screen filters of the published trainers, pixels squared."""
+_PIXEL = 1 / 12
+_FILTERS = ((0.3, False), (0.3, True), (_PIXEL, True))
+"""Screen filters of trainers, the usual one first: pixels squared, whether antialiased. The last is
+ours, whose comment other programs lose."""
+_OF_DISCS = ((0.5, False), (_PIXEL, True))
 _FAR = 1e4
 """Single precision has seven digits: so many times its size from the origin an object has three."""
 
@@ -47,7 +50,8 @@ class ImportGaussiansCommand:
 
     variance: Annotated[float | None, optional("X")] = None
     """Variance of the screen filter of its trainer, pixels squared; default: what a file of pcore
-    says, else 0.3, or 0.5 where the file has two scales (2DGS)."""
+    says, else that of the usual ones which meets the photos of --scene best, else 0.3, or 0.5
+    where the file has two scales (2DGS)."""
 
     antialiased: bool = False
     """It was trained with opacities that make up for the filter (gsplat's "antialiased")."""
@@ -65,19 +69,12 @@ def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
     from pcore.asset.importing import save_imported
     from pcore.data.splat_file import filter_words
     from pcore.data.splat_formats import read_splats
-    from pcore.gaussians.render import Footprint
 
     prepare_torch(command.threads)
     file = read_splats(command.file)
-    told = file.footprint if command.variance is None and not command.antialiased else None
-    usual = _DISCS if file.flat else _OTHERS
-    footprint = told or Footprint(
-        variance=usual if command.variance is None else command.variance,
-        antialiased=command.antialiased,
-        flat=file.flat,
-    )
+    footprints = _footprints(file, command)
     gaussians = _single(_in_world(file.gaussians, command.transform))
-    agreement, doubt = _compared(gaussians, footprint, command)
+    agreement, footprint, doubt = _compared(gaussians, footprints, command)
     save_imported(
         gaussians,
         footprint,
@@ -90,11 +87,27 @@ def import_gaussians(command: ImportGaussiansCommand, console: Console) -> None:
     lines = [f"{command.output}: {len(gaussians):,} Gaussians of degree {gaussians.degree}"]
     if agreement is not None:
         lines.append(f"  {agreement.views} photos are met by {agreement.psnr:.1f} dB")
-    if told is not None:
-        lines.append(f"  screen filter of the file's own comment: {filter_words(told)}")
+    if footprint == file.footprint:
+        lines.append(f"  screen filter of the file's own comment: {filter_words(footprint)}")
+    elif footprint != footprints[0]:
+        usual, found = filter_words(footprints[0]), filter_words(footprint)
+        lines.append(f"  screen filter that meets the photos better than {usual}: {found}")
     lines += [f"  note: {line}" for line in [*file.notes, *doubt, *_notes(file, gaussians)]]
     for line in lines:
         say(console, line)
+
+
+def _footprints(file: SplatFile, command: ImportGaussiansCommand) -> list[Footprint]:
+    """Screen filters that the file may have been trained by, the likeliest first."""
+    from pcore.gaussians.render import Footprint
+
+    usual = _OF_DISCS if file.flat else _FILTERS
+    if command.variance is not None or command.antialiased:
+        variance = usual[0][0] if command.variance is None else command.variance
+        usual = ((variance, command.antialiased),)
+    elif file.footprint is not None:
+        return [file.footprint]
+    return [Footprint(variance=one, antialiased=two, flat=file.flat) for one, two in usual]
 
 
 def _in_world(gaussians: Gaussians, transform: Path | None) -> Gaussians:
@@ -114,18 +127,18 @@ def _single(gaussians: Gaussians) -> Gaussians:
 
 
 def _compared(
-    gaussians: Gaussians, footprint: Footprint, command: ImportGaussiansCommand
-) -> tuple[Agreement | None, list[str]]:
-    """How like the photos they are, and what is doubtful about that."""
+    gaussians: Gaussians, footprints: list[Footprint], command: ImportGaussiansCommand
+) -> tuple[Agreement | None, Footprint, list[str]]:
+    """How like the photos they are, by which screen filter, and what is doubtful about that."""
     from pcore.capture.load import load_scene
-    from pcore.training.splat_check import agreement_with, check_agreement
+    from pcore.training.splat_check import best_agreement, check_agreement
 
     if command.scene is None:
-        return None, []
+        return None, footprints[0], []
     views = load_scene(command.scene, factor=command.factor).split("train")
-    found = agreement_with(gaussians, footprint, views)
+    found, footprint = best_agreement(gaussians, footprints, views)
     doubt = check_agreement(found, where=str(command.file), scene=str(command.scene))
-    return found, [] if doubt is None else [doubt]
+    return found, footprint, [] if doubt is None else [doubt]
 
 
 def _notes(file: SplatFile, gaussians: Gaussians) -> list[str]:

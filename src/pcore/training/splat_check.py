@@ -22,6 +22,8 @@ _LEAST_WHOLE, _ENOUGH_WHOLE = 15.0, 20.0
 """Of whole pictures, where no masks tell what the object is: pictures of one place by another
 camera have less than the first, trained Gaussians more than the second."""
 _OVERLAP = 0.5
+_CLEARER = 0.5
+"""dB by which another screen filter has to be better than the first."""
 _MOVED = (
     "their trainer moved the world; undo that with --transform dataparser_transforms.json "
     "(nerfstudio writes it beside its splats), train gsplat with normalize_world_space off"
@@ -80,6 +82,20 @@ def agreement_with(gaussians: Gaussians, footprint: Footprint, views: Sequence[V
     )
 
 
+def best_agreement(
+    gaussians: Gaussians, footprints: Sequence[Footprint], views: Sequence[View]
+) -> tuple[Agreement, Footprint]:
+    """Compare by several screen filters; found is the first, unless another is clearly better."""
+    first, *others = footprints
+    found = agreement_with(gaussians, first, views), first
+    least = found[0].psnr + _CLEARER
+    for footprint in others:
+        agreement = agreement_with(gaussians, footprint, views)
+        if agreement.psnr > max(least, found[0].psnr):
+            found = agreement, footprint
+    return found
+
+
 def check_agreement(agreement: Agreement, *, where: str, scene: str) -> str | None:
     """Raise InputError where Gaussians and photos do not show the same; return a doubt, if any.
 
@@ -97,7 +113,8 @@ def check_agreement(agreement: Agreement, *, where: str, scene: str) -> str | No
         raise InputError(
             f"{where}: expected Gaussians that show what the photos of {scene} show, got "
             f"{agreement.psnr:.1f} dB{silhouettes}: they are of another scene, or {_MOVED}, or "
-            "leave out --scene"
+            "their trainer had another screen filter (--variance, --antialiased), or leave out "
+            "--scene"
         )
     if agreement.psnr >= enough:
         return None
