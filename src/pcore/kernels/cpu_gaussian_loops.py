@@ -1,29 +1,83 @@
 """Blending of depth-ordered Gaussians, forward and backward, band by band of rows, by numba.
 
 A pixel that is full is marked by a negative transmittance. The functions compute in the type of
-their arrays, float32 or float64.
+their arrays, float32 or float64. What happens in a row of pixels is in `cpu_gaussian_rows`, and in
+`cpu_disc_rows` for flat ones; numba chooses by the type.
 """
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any
 
 import numba
 import numpy as np
 from numba import prange
+from numba.extending import overload
 
+from pcore.kernels import cpu_disc_rows, cpu_gaussian_rows
 from pcore.kernels.cpu_gaussian_lists import ROWS, Lists, interval, outline_of
-from pcore.kernels.cpu_gaussian_meets import Discs, Splats, added, like, met, shape_of, sums
+from pcore.kernels.cpu_splats import Discs, Splats
 
-MOST_OPAQUE = 0.999
-"""Greatest opacity of a Gaussian in a pixel."""
-FULL = 1e-4
-"""A pixel is full before its transmittance falls to this."""
-HALF = 0.5
-"""Transmittance up to which what a pixel shows lies in front of its median."""
+_FAST = {"reassoc", "contract", "nsz"}
+"""Sums over pixels may be formed eight at a time; NaN and infinity stay what they are."""
 
 
-@numba.njit(cache=True, parallel=True)
+def draw_row(*given: Any) -> Any:
+    """Of the module of what is drawn."""
+    raise NotImplementedError
+
+
+def row_backward(*given: Any) -> Any:
+    """Of the module of what is drawn."""
+    raise NotImplementedError
+
+
+@overload(draw_row, inline="always")
+def _draw_row(
+    splats: Any,
+    g: int,
+    level: float,
+    row: int,
+    columns: tuple[int, int],
+    left: np.ndarray,
+    at: int,
+    planes: np.ndarray,
+    middle: np.ndarray,
+    falloffs: np.ndarray,
+    weights: np.ndarray,
+    befores: np.ndarray,
+) -> Any:
+    # numba wants the very names and annotations of what is returned.
+    return _rows_of(splats).draw_row
+
+
+@overload(row_backward, inline="always")
+def _row_backward(
+    splats: Any,
+    g: int,
+    level: float,
+    row: int,
+    columns: tuple[int, int],
+    left: np.ndarray,
+    at: int,
+    gradient: np.ndarray,
+    behind: np.ndarray,
+    found: np.ndarray,
+    slot: int,
+    falloffs: np.ndarray,
+    weights: np.ndarray,
+    befores: np.ndarray,
+    shown: np.ndarray,
+) -> Any:
+    return _rows_of(splats).row_backward
+
+
+def _rows_of(splats: Any) -> ModuleType:
+    return cpu_disc_rows if splats.instance_class is Discs else cpu_gaussian_rows
+
+
+@numba.njit(cache=True, parallel=True, fastmath=_FAST, error_model="numpy")
 def blend(
     splats: Splats | Discs,
     lists: Lists,
@@ -36,12 +90,12 @@ def blend(
     Args:
         splats: what is drawn.
         lists: in which order where.
-        image: (C, H, W, D) zeros; receives the sums of weight times colour.
+        image: (C, H, W, D) receives the sums of weight times colour.
         through: (C, H, W) ones; receives what is left of the light from behind.
         middle: (C, H, W) receives the index in all C N of the last that meets over half of it.
     """
     bands = (len(lists.starts) - 1) // len(image)
-    height = image.shape[1]
+    height, width, numbers = image.shape[1:]
     for unit in prange(len(lists.starts) - 1):
         picture, left, halves = (
             image[unit // bands],
@@ -50,64 +104,38 @@ def blend(
         )
         top = (unit % bands) * ROWS
         bottom = min(top + ROWS, height)
-        open_pixels = (bottom - top) * image.shape[2]
+        open_pixels = (bottom - top) * width
+        planes = np.zeros((bottom - top, numbers, width), dtype=image.dtype)
+        falloffs, weights, befores, _ = _memory(planes)
         for pair in range(lists.starts[unit], lists.starts[unit + 1]):
             g = lists.gaussians[pair]
-            where = outline_of(lists, g), lists.reaches[g], lists.levels[g]
             for row in range(max(lists.first[g], top), min(lists.last[g] + 1, bottom)):
-                open_pixels -= _blend_row(
-                    splats, g, where, row, left[row], picture[row], halves[row]
-                )
+                columns = _columns(splats, lists, g, row, width)
+                if columns[0] < columns[1]:
+                    open_pixels -= draw_row(
+                        splats,
+                        g,
+                        lists.levels[g],
+                        row,
+                        columns,
+                        left,
+                        row - top,
+                        planes,
+                        halves,
+                        falloffs,
+                        weights,
+                        befores,
+                    )
             if open_pixels == 0:
                 break
         for row in range(top, bottom):
-            for column in range(image.shape[2]):
+            for column in range(width):
                 left[row, column] = abs(left[row, column])
+                for d in range(numbers):
+                    picture[row, column, d] = planes[row - top, d, column]
 
 
-@numba.njit(cache=True)
-def _blend_row(
-    splats: Splats | Discs,
-    g: int,
-    where: Any,
-    row: int,
-    left: np.ndarray,
-    colors: np.ndarray,
-    middle: np.ndarray,
-) -> int:
-    """Draw one Gaussian into one row; return how many pixels it filled."""
-    opacity, color = splats.opacities[g], splats.colors[g]
-    x, y = splats.means[g, 0], splats.means[g, 1]
-    shape, deep = shape_of(splats, g)
-    outline, reach, level = where
-    begin, end = interval(outline, reach, x, y, row, len(left))
-    one, most, full = like(1.0, opacity), like(MOST_OPAQUE, opacity), like(FULL, opacity)
-    half = like(HALF, opacity)
-    dy = like(row + 0.5, opacity) - y
-    filled = 0
-    for column in range(begin, end):
-        before = left[column]
-        if before < 0:
-            continue
-        falloff, _, _, nearer = met(shape, level, like(column + 0.5, opacity) - x, dy)
-        alpha = min(opacity * falloff, most)
-        after = before * (one - alpha)
-        if after <= full:
-            left[column] = -before
-            filled += 1
-            continue
-        weight = alpha * before
-        for d in range(len(color)):
-            colors[column, d] += weight * color[d]
-        if deep:
-            colors[column, -1] += weight * color[-1] * (nearer - one)
-        if weight > 0 and before > half:
-            middle[column] = g
-        left[column] = after
-    return filled
-
-
-@numba.njit(cache=True, parallel=True)
+@numba.njit(cache=True, parallel=True, fastmath=_FAST, error_model="numpy")
 def blend_backward(
     splats: Splats | Discs,
     lists: Lists,
@@ -128,76 +156,56 @@ def blend_backward(
         of_pairs: (P, 2 + S + 1 + D) receives the gradients of mean, shape, opacity and colour.
     """
     bands = (len(lists.starts) - 1) // len(to_image)
-    height, width = to_image.shape[1], to_image.shape[2]
+    height, width, numbers = to_image.shape[1:]
     for unit in prange(len(lists.starts) - 1):
         gradient, behind = to_image[unit // bands], rest[unit // bands]
         band = unit % bands
         top = band * ROWS
         bottom = min(top + ROWS, height)
         left = np.ones((bottom - top, width), dtype=to_image.dtype)
+        planes = np.empty((bottom - top, numbers, width), dtype=to_image.dtype)
+        falloffs, weights, befores, shown = _memory(planes)
+        for row in range(top, bottom):
+            for column in range(width):
+                for d in range(numbers):
+                    planes[row - top, d, column] = gradient[row, column, d]
         for pair in range(lists.starts[unit], lists.starts[unit + 1]):
             g = lists.gaussians[pair]
-            where = outline_of(lists, g), lists.reaches[g], lists.levels[g]
-            found = of_pairs[lists.slots[g] + band - lists.first[g] // ROWS]
-            found[:] = 0
+            slot = lists.slots[g] + band - lists.first[g] // ROWS
+            of_pairs[slot] = 0
             for row in range(max(lists.first[g], top), min(lists.last[g] + 1, bottom)):
-                _row_backward(
-                    splats, g, where, row, left[row - top], gradient[row], behind[row], found
-                )
+                columns = _columns(splats, lists, g, row, width)
+                if columns[0] < columns[1]:
+                    row_backward(
+                        splats,
+                        g,
+                        lists.levels[g],
+                        row,
+                        columns,
+                        left,
+                        row - top,
+                        planes,
+                        behind,
+                        of_pairs,
+                        slot,
+                        falloffs,
+                        weights,
+                        befores,
+                        shown,
+                    )
 
 
 @numba.njit(cache=True)
-def _row_backward(
-    splats: Splats | Discs,
-    g: int,
-    where: Any,
-    row: int,
-    left: np.ndarray,
-    gradient: np.ndarray,
-    behind: np.ndarray,
-    found: np.ndarray,
-) -> None:
-    """Add the gradient of one Gaussian in one row of pixels to `found` (2 + S + 1 + D)."""
-    opacity, color = splats.opacities[g], splats.colors[g]
+def _columns(splats: Splats | Discs, lists: Lists, g: int, row: int, width: int) -> Any:
     x, y = splats.means[g, 0], splats.means[g, 1]
-    shape, deep = shape_of(splats, g)
-    outline, reach, level = where
-    begin, end = interval(outline, reach, x, y, row, len(left))
-    one, most, full = like(1.0, opacity), like(MOST_OPAQUE, opacity), like(FULL, opacity)
-    to_opacity = to_nearer = none = like(0.0, opacity)
-    total, dy = sums(shape), like(row + 0.5, opacity) - y
-    start = len(found) - len(color)
-    for column in range(begin, end):
-        before = left[column]
-        if before < 0:
-            continue
-        dx = like(column + 0.5, opacity) - x
-        place = met(shape, level, dx, dy)
-        falloff, nearer = place[0], place[3]
-        alpha = min(opacity * falloff, most)
-        after = before * (one - alpha)
-        if after <= full:
-            left[column] = -before
-            continue
-        weight, shown = alpha * before, none
-        for d in range(len(color)):
-            found[start + d] += weight * gradient[column, d]
-            shown += gradient[column, d] * color[d]
-        if deep:
-            to_nearer = gradient[column, -1] * color[-1]
-            shown += to_nearer * (nearer - one)
-            found[-1] += weight * gradient[column, -1] * (nearer - one)
-            to_nearer *= weight
-        behind[column] -= weight * shown
-        left[column] = after
-        to_alpha = before * shown - behind[column] / (one - alpha)
-        if opacity * falloff >= most:
-            to_alpha = none
-        to_opacity += to_alpha * falloff
-        total = added(shape, total, (dx, dy), place, -alpha * to_alpha, to_nearer)
-    for k in range(len(total)):
-        found[k] += total[k]
-    found[start - 1] += to_opacity
+    return interval(outline_of(lists, g), lists.reaches[g], x, y, row, width)
+
+
+@numba.njit(cache=True)
+def _memory(planes: np.ndarray) -> Any:
+    """Four times a row of pixels, of the type of planes (..., W)."""
+    one = np.empty((4, planes.shape[-1]), dtype=planes.dtype)
+    return one[0], one[1], one[2], one[3]
 
 
 @numba.njit(cache=True, parallel=True)

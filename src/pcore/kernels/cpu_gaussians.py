@@ -12,7 +12,7 @@ from torch.autograd.function import once_differentiable
 from pcore.geometry.torch_threads import use_torch_threads
 from pcore.kernels.cpu_gaussian_lists import Lists, listed
 from pcore.kernels.cpu_gaussian_loops import blend, blend_backward, sum_pairs
-from pcore.kernels.cpu_gaussian_meets import Discs, Splats
+from pcore.kernels.cpu_splats import Discs, Splats
 from pcore.kernels.numba_bridge import as_array
 
 
@@ -77,7 +77,7 @@ class _Blend(torch.autograd.Function):
             precision,
         )
         cameras, (width, height) = len(depths), size
-        image = torch.zeros(cameras, height, width, colors.shape[-1], dtype=means.dtype)
+        image = torch.empty(cameras, height, width, colors.shape[-1], dtype=means.dtype)
         through = torch.ones(cameras, height, width, dtype=means.dtype)
         middle = torch.full((cameras, height, width), -1)
         blend(splats, lists, image.numpy(), through.numpy(), middle.numpy())

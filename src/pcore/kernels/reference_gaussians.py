@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from pcore.kernels.cpu_gaussian_lists import FAINTEST
-from pcore.kernels.cpu_gaussian_loops import FULL, HALF, MOST_OPAQUE
 from pcore.kernels.cpu_projection_loops import BEYOND, SMALLEST_SHARE
+from pcore.kernels.cpu_splats import FULL, HALF, MOST_OPAQUE
 from pcore.kernels.gaussian_projection import Projected
 
 
