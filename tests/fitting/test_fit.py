@@ -144,7 +144,8 @@ def test_an_arm_that_left_all_it_overlapped_is_found(tmp_path: Path) -> None:
 
 def test_a_moving_object_becomes_keyframes(asset: Asset, tmp_path: Path) -> None:
     states = []
-    for number, degrees in enumerate((30.0, 60.0)):
+    # Not 60: from 16 pixels that has two answers, and a change of the rates by 1e-5 chooses.
+    for number, degrees in enumerate((30.0, 45.0)):
         bend = {"version": 2, "edits": [{"type": "bend", "axis": "z", "angle_deg": degrees}]}
         posed = asset.pose(bend)
         folder = write_photos(tmp_path / str(number), asset, posed, cameras(5))
