@@ -394,6 +394,20 @@ def test_files_that_change_between_two_commands_are_named(
     assert sweep(plan) == 0
 
 
+def test_what_a_trial_failed_of_may_be_mended(
+    plan: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, _, second = PLAN.partition("  papr:")
+    plan.write_text(first + second[second.index("  more:") :], encoding="utf-8")
+    photo = plan.parent / "ball" / "train" / "r_3.png"
+    whole = photo.read_bytes()
+    photo.write_bytes(whole[: len(whole) // 2])
+    assert sweep(plan) == 2
+    assert "2 of 2 trials failed" in capsys.readouterr().err
+    photo.write_bytes(whole)
+    assert sweep(plan) == 0
+
+
 def test_a_folder_of_somebody_else_is_left_alone(
     plan: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

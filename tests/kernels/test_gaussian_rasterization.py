@@ -7,6 +7,8 @@ import math
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+import numba
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -18,6 +20,7 @@ from pcore.kernels import (
     gaussian_rasterization,
     reference_gaussians,
 )
+from pcore.kernels.cpu_gaussian_rows import exponential
 from pcore.kernels.gaussian_rasterization import rasterization
 from same_bits import assert_same_bits
 
@@ -381,3 +384,35 @@ def test_second_derivatives_are_refused() -> None:
     (slope,) = torch.autograd.grad(image.square().sum(), inputs["means"], create_graph=True)
     with pytest.raises(RuntimeError, match="once_differentiable"):
         slope.sum().backward()
+
+
+def test_what_is_hidden_may_have_any_colour() -> None:
+    inputs = {
+        "means": torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 3.0], [0.0, 0.0, 4.0], [0.0, 0.0, 5.0]]),
+        "quats": torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(4, 1),
+        "scales": torch.full((4, 3), 1.0),
+        "opacities": torch.full((4,), 0.9999),
+        "colors": torch.tensor([[0.5], [0.5], [0.5], [math.inf]], requires_grad=True),
+        "viewmats": torch.eye(4)[None],
+        "Ks": torch.tensor([[[8.0, 0.0, 4.0], [0.0, 8.0, 4.0], [0.0, 0.0, 1.0]]]),
+    }
+    image, _, _ = rasterization(**inputs, width=8, height=8)
+    assert math.isclose(float(image.detach()[0, 4, 4, 0]), 0.5, abs_tol=1e-3)
+    image[0, 4, 4].sum().backward()
+    gradient = inputs["colors"].grad
+    assert gradient is not None
+    assert float(gradient[3]) == 0
+    assert 0.9 < float(gradient[0]) < 1
+
+
+def test_the_exponential_is_that_of_the_library() -> None:
+    powers = np.linspace(-6, 0, 100_001, dtype=np.float32)
+
+    @numba.njit(fastmath={"reassoc", "contract", "nsz"})
+    def all_of(powers: np.ndarray, found: np.ndarray) -> None:
+        for k in range(len(powers)):
+            found[k] = exponential(powers[k])
+
+    found = np.empty_like(powers)
+    all_of(powers, found)
+    assert np.abs(found / np.exp(powers.astype(np.float64)) - 1).max() < 1e-7

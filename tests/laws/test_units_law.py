@@ -133,8 +133,14 @@ def check_same(
     )
     assert torch.allclose(surfels.heights / scale, usual.model.surfels.heights, rtol=0, atol=BAR)
     assert torch.allclose((found.means - shift) / scale, usual.means, rtol=0, atol=BAR)
-    assert float((found.rgb - usual.rgb).abs().max()) < 5 * BAR
-    assert torch.allclose(found.depth / scale, usual.depth, rtol=0, atol=deep, equal_nan=True)
+    # Here, too, one pixel of 576 may see the other of two points that are equally near.
+    colors = (found.rgb - usual.rgb).abs().amax(dim=-1).flatten().sort().values
+    assert float(colors.mean()) < BAR / 10
+    assert float(colors[-2]) < 5 * BAR
+    assert float(colors[-1]) < 10 * BAR
+    assert torch.equal(found.depth.isnan(), usual.depth.isnan())
+    depths = (found.depth / scale - usual.depth).abs().nan_to_num().flatten().sort().values
+    assert float(depths[-2]) < deep
 
 
 @pytest.mark.parametrize("scale", SCALES)

@@ -108,7 +108,7 @@ class Look:
         said: list[str] = []
         for number in np.unique(self.material_of_face):
             one = self.materials[number]
-            if one.texture is None and one.color[3] < one.cutoff:
+            if one.color[3] < one.cutoff:  # A texture makes it less, never more.
                 said.append(
                     f"what has the material {number} is not to be seen: its alpha "
                     f"{one.color[3]:g} is below {one.cutoff:g}, where it is cut out; make it opaque"

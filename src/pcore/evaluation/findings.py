@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from pcore.capture.coverage import ONE_SIDE
+from pcore.capture.layouts import RENDERED
 from pcore.capture.triangulation import WRONG, PoseAgreement
 from pcore.data.masks import check_masks
 from pcore.errors import SceneError
@@ -174,7 +175,7 @@ def _of_photos(check: SceneCheck) -> list[Finding]:
         action = "Learn a colour per view (--exposure per-view)."
         found.append(Finding(level="note", topic="exposure", text=text, action=action))
     alone = len(check.views) - int(quality.compared.sum())
-    if 2 * alone > len(check.views):
+    if 2 * alone > len(check.views) and check.scene.layout != RENDERED:
         text = f"{alone} of {len(check.views)} photos are too far from others to compare exposure"
         action = "If the camera measured light anew for each, learn a colour per view (--exposure "
         action += "per-view)."

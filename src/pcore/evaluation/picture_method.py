@@ -6,6 +6,7 @@ world units, tells depth; so does VIEW.npz with an array `depth`, as `pcore rend
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -172,10 +173,10 @@ def _alphas(pictures: Sequence[Path]) -> list[bool]:
 def _depth(path: Path, like: Tensor) -> Tensor:
     try:
         found = np.load(path, allow_pickle=False)
-        if path.suffix == ".npz":
+        if isinstance(found, np.lib.npyio.NpzFile):
             with found as arrays:
                 found = arrays[_DEPTH_OF_NPZ]
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
+    except (OSError, EOFError, ValueError, KeyError, BadZipFile, zlib.error) as error:
         raise InputError(f"{path}: expected an array of camera z, got {error}") from error
     if found.shape != tuple(like.shape) or found.dtype.kind != "f":
         raise InputError(

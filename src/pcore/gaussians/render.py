@@ -103,11 +103,14 @@ class PosedGaussians:
         Returns:
             (..., N, 3) not negative; more than 1 is possible.
         """
-        some = slice(None) if which is None else which
+
+        def chosen(values: Tensor) -> Tensor:
+            return values if which is None else values.index_select(0, which)
+
         if self.turns is not None:
-            directions = (directions.unsqueeze(-1) * self.turns[some]).sum(dim=-2)
-        rgb = colors(self.gaussians.sh[some], directions)
-        return rgb if self.gains is None else rgb * self.gains[some]
+            directions = (directions.unsqueeze(-1) * chosen(self.turns)).sum(dim=-2)
+        rgb = colors(chosen(self.gaussians.sh), directions)
+        return rgb if self.gains is None else rgb * chosen(self.gains)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,8 @@ def capture_axes(cameras: Sequence[Camera]) -> Tensor:
     Args:
         cameras: at least one; the same capture has them in the same order.
     """
-    turns = torch.stack([one.world_from_camera.double()[:3, :3] for one in cameras])
+    poses = [one.world_from_camera.detach().cpu().double() for one in cameras]
+    turns = torch.stack([one[:3, :3] for one in poses])
     first = turns[0]
     up = torch.from_numpy(upward(turns[:, :, 0].numpy(), turns[:, :, 1].numpy()))
     # A camera that is turned by a quarter has its right along up, and looks across it.

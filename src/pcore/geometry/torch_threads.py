@@ -31,7 +31,8 @@ def one_thread() -> Generator[None]:
     """Compute in one thread for a while: for what takes milliseconds while something moves.
 
     Threads that wait for the next loop spin, which takes more of the processor than they save, and
-    takes it from the browser that is to draw.
+    takes it from the browser that is to draw. The number is one of the process: not for two threads
+    of it at a time.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -24,7 +24,7 @@ _LEAST = np.float32(-80.0)
 
 
 def exponential(power: Any) -> Any:
-    """E to a power that is not above 0; of float32 to 2e-7 of it, without a call."""
+    """The exponential of what is not above 0; of float32 without a call, to 1e-7 down to -6."""
     raise NotImplementedError
 
 
@@ -143,9 +143,12 @@ def _meet(
 def _add(
     planes: np.ndarray, at: int, d: int, begin: int, end: int, weights: np.ndarray, color: Any
 ) -> None:
+    none = like(0.0, color)
     first_column = np.uint64(begin)
     for k in range(np.uint64(end - begin)):
-        planes[at, d, first_column + k] += weights[k] * color
+        # Not 0 times a colour, which may be infinite behind what hides it.
+        share = weights[k] * color if weights[k] > 0 else none
+        planes[at, d, first_column + k] += share
 
 
 def row_backward(
@@ -217,11 +220,11 @@ def _of_color(
     shown: np.ndarray,
 ) -> Any:
     """The derivative by one colour; adds to `shown` what the loss gets of it."""
-    total = like(0.0, color)
+    total = none = like(0.0, color)
     first_column = np.uint64(begin)
     for k in range(np.uint64(end - begin)):
         value = gradient[at, d, first_column + k]
-        total += weights[k] * value
+        total += weights[k] * value if weights[k] > 0 else none
         shown[k] += value * color
     return total
 

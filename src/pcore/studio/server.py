@@ -146,9 +146,10 @@ def _serve_behind(guard: Guard, serve: Any) -> Any:
                 del request.headers["Accept-Encoding"]
             found = proceed(connection, request)
             if found is not None:
-                found.body = found.body.replace(_TITLE, head, 1)
-                found.headers.pop("Content-Length", None)
-                found.headers["Content-Length"] = str(len(found.body))
+                if found.headers.get("Content-Type", "").startswith("text/html"):
+                    found.body = found.body.replace(_TITLE, head, 1)
+                    found.headers.pop("Content-Length", None)
+                    found.headers["Content-Length"] = str(len(found.body))
                 for name, value in HEADERS:
                     found.headers[name] = value
             return found

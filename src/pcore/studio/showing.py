@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
 
 from pcore.asset.asset import Posed
 from pcore.geometry.torch_threads import one_thread
@@ -35,15 +34,16 @@ class Showing:
         By splats, or by small exact pictures where those are wished.
         """
         state, side = self.editor.state, self.editor.shown.exact
-        with nullcontext() if side else one_thread():
-            for viewport in viewports:
-                camera = viewport.camera(most=side * side) if side else None
-                if camera is None:
+        for viewport in viewports:
+            camera = viewport.camera(most=side * side) if side else None
+            if camera is None:
+                with one_thread():
                     self._shapes(viewport)
-                    viewport.moving()
-                    continue
-                picture = self._drawer.quick_picture(state, camera, still=self.editor.shown.still)
-                viewport.show_picture(pixels_of(picture), page_depth(picture, self._frame))
+                viewport.moving()
+                continue
+            picture = self._drawer.quick_picture(state, camera, still=self.editor.shown.still)
+            viewport.show_picture(pixels_of(picture), page_depth(picture, self._frame))
+        with one_thread():
             self._dots(viewports, moving=True)
 
     def rest(self, viewports: Sequence[Viewport], cancelled: Callable[[], bool]) -> Iterator[None]:

@@ -148,6 +148,8 @@ def check_inputs(trial: Trial, place: Path | None = None) -> None:
         before: Any = json.loads(((place or trial.folder) / INPUTS_FILE).read_bytes())
     except (OSError, ValueError):
         return  # Not begun, or stopped at once.
+    if _failed_at_once(place or trial.folder):
+        return  # What it failed of may have been mended, and nothing of the old files is kept.
     now = trial.inputs
     # Another name of an option's file is another setting, which is run again.
     differ = sorted(
@@ -163,6 +165,14 @@ def check_inputs(trial: Trial, place: Path | None = None) -> None:
             f"{differ[0]}{more}; give what has changed another name in the plan, or the sweep "
             "another folder (and storage)"
         )
+
+
+def _failed_at_once(place: Path) -> bool:
+    try:
+        failed = json.loads((place / RECORD_FILE).read_bytes())["failed"] is not None
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+    return failed and not any(True for one in ("*.safetensors", "*.pt") for _ in place.rglob(one))
 
 
 def fetch_records(trial: Trial, place: Path | None = None) -> None:

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from pcore.capture.coverage import ONE_SIDE, coverage
+from pcore.data.held_cameras import held_cameras
 from pcore.data.scene import Scene, View
 from pcore.errors import InputError
 from pcore.gaussians.gaussians import THINNEST, Gaussians
@@ -50,7 +51,7 @@ def chosen_start(scene: Scene, start: str) -> str:
     views = scene.split("train")
     if all(view.has_alpha for view in views):
         # A hull of views from one side is open, and what fills it stands before the object.
-        gap = coverage([view.camera for view in views], scene.center).gap
+        gap = coverage(held_cameras(views), scene.center).gap
         return "views" if gap > ONE_SIDE and len(views) > _FEW_VIEWS else "hull"
     return "views" if scene.sparse is None or len(scene.sparse) < _FEW else "sparse"
 
