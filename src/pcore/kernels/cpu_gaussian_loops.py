@@ -7,6 +7,7 @@ their arrays, float32 or float64. What happens in a row of pixels is in `cpu_gau
 
 from __future__ import annotations
 
+from functools import wraps
 from types import ModuleType
 from typing import Any
 
@@ -33,43 +34,16 @@ def row_backward(*given: Any) -> Any:
     raise NotImplementedError
 
 
+# numba wants the very names and annotations of what is returned, which both modules share.
 @overload(draw_row, inline="always")
-def _draw_row(
-    splats: Any,
-    g: int,
-    level: float,
-    row: int,
-    columns: tuple[int, int],
-    left: np.ndarray,
-    at: int,
-    planes: np.ndarray,
-    middle: np.ndarray,
-    falloffs: np.ndarray,
-    weights: np.ndarray,
-    befores: np.ndarray,
-) -> Any:
-    # numba wants the very names and annotations of what is returned.
+@wraps(cpu_gaussian_rows.draw_row)
+def _draw_row(splats: Any, *_: Any) -> Any:
     return _rows_of(splats).draw_row
 
 
 @overload(row_backward, inline="always")
-def _row_backward(
-    splats: Any,
-    g: int,
-    level: float,
-    row: int,
-    columns: tuple[int, int],
-    left: np.ndarray,
-    at: int,
-    gradient: np.ndarray,
-    behind: np.ndarray,
-    found: np.ndarray,
-    slot: int,
-    falloffs: np.ndarray,
-    weights: np.ndarray,
-    befores: np.ndarray,
-    shown: np.ndarray,
-) -> Any:
+@wraps(cpu_gaussian_rows.row_backward)
+def _row_backward(splats: Any, *_: Any) -> Any:
     return _rows_of(splats).row_backward
 
 
