@@ -21,7 +21,6 @@ from toys import write_scene
 
 from pcore.cli import sweep_results
 from pcore.cli.main import main
-from pcore.cli.sweep_places import placed
 from pcore.cli.sweep_verbs import run_trial
 from pcore.sweep import sweep_storage
 from pcore.sweep.sweep_storage import fetch
@@ -255,32 +254,6 @@ def test_processes_share_a_trial(plan: Path, capsys: pytest.CaptureFixture[str])
     told = capsys.readouterr()
     assert "its processes ended with code 1: " in told.out
     assert "holds other files" in told.out
-
-
-def test_files_of_options_are_seen_from_the_plan(tmp_path: Path) -> None:
-    for name in ("lean.json", "theirs"):
-        (tmp_path / name).touch()
-    verbs: Any = {
-        "train": {"masks": "auto", "init": "hull", "steps": 3},
-        "eval": {"edit": ["lean.json"]},
-        "compare": {"pictures": ["other=theirs"]},
-    }
-    trial = Trial(
-        scene="ball",
-        setting="papr",
-        seed=0,
-        scene_folder=tmp_path,
-        folder=tmp_path,
-        verbs=verbs,
-        threads=1,
-        device="cpu",
-    )
-    (found,) = placed([trial], tmp_path)
-    assert found.verbs == {
-        "train": verbs["train"],
-        "eval": {"edit": [str(tmp_path / "lean.json")]},
-        "compare": {"pictures": [f"other={tmp_path / 'theirs'}"]},
-    }
 
 
 def test_tables_are_there_before_the_last_trial_has_ended(
