@@ -195,8 +195,11 @@ def test_failures_are_listed_and_cost_nobody_else(
         (("steps: 3", "steps: 3, flat: true"), "train: --flat: expected options of PAPR"),
         (
             ("  more:", "    compare: {methods: [nerf]}\n  more:"),
-            "all or none, got nerf",
+            "setting 'papr', compare: --methods: expected some of",
         ),
+        (("rays: plain", "edit: [odd.json]"), """odd.json: edit 1: key "type": expected one of"""),
+        (("rays: plain", "against: end"), "setting 'papr', eval: --against: expected --edit FILE"),
+        (("rays: plain", "edit: [still.json], against: end"), "no state 'end'"),
         (
             ("version: 1", "version: 1\nresources: {processes: 2}"),
             "setting 'papr', train: expected at least one patch or photo of a step for each of 2",
@@ -210,6 +213,9 @@ def test_mistakes_are_said_before_anything_starts(
 ) -> None:
     assert change[0] in PLAN
     plan.write_text(PLAN.replace(*change), encoding="utf-8")
+    for name, edits in (("odd", '{"type": "twst"}'), ("still", "")):
+        text = f'{{"version": 2, "edits": [{edits}]}}'
+        (plan.parent / f"{name}.json").write_text(text, encoding="utf-8")
     assert sweep(plan) == 2
     assert said in capsys.readouterr().err
     assert not (plan.parent / "out").exists()
