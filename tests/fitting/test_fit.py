@@ -20,6 +20,7 @@ from pcore.data.scene import View
 from pcore.deform.skinning import AnchorPose, skin
 from pcore.editing.script import load_edit
 from pcore.errors import InputError
+from pcore.fitting.agreement import Agreement, check_same_object
 from pcore.fitting.anchor_motion import AnchorSpace, rotation_matrices, rotation_vectors
 from pcore.fitting.appearance_fit import fit_appearance
 from pcore.fitting.fit_config import AppearanceConfig, FitConfig, FitStage, SearchConfig
@@ -213,8 +214,20 @@ def test_colours_follow_the_photos(asset: Asset, tmp_path: Path) -> None:
 def test_photos_of_another_object_are_refused(asset: Asset, tmp_path: Path) -> None:
     other = rod(bands=2.0, radius=0.45)
     photos = write_photos(tmp_path / "other", other, None, cameras(4))
-    with pytest.raises(InputError, match="another pose, got pictures that no pose of it explains"):
-        fit_pose(asset, views_of(photos), QUICK)
+    steps: list[int] = []
+    with pytest.raises(InputError, match=r"in another pose, got .* after the coarse stages"):
+        fit_pose(asset, views_of(photos), QUICK, progress=lambda done, _: steps.append(done))
+    assert steps[-1] <= QUICK.steps - QUICK.stages[1].steps  # Nothing was refined.
+
+
+def test_what_is_fitted_at_last_is_judged_more_strictly() -> None:
+    close = Agreement(psnr=20.0, overlap=0.9, explained=0.2, error=0.1)
+    far = replace(close, explained=-0.1)
+    check_same_object(close, silhouettes=False, coarse=True)
+    check_same_object(far, silhouettes=True)
+    for found, coarse in ((close, False), (far, True)):
+        with pytest.raises(InputError, match="that no pose of it explains"):
+            check_same_object(found, silhouettes=False, coarse=coarse)
 
 
 def test_units_do_not_matter(asset: Asset, bent: Path, tmp_path: Path) -> None:
