@@ -29,7 +29,7 @@ from pcore.fitting.fit_sequence import fit_sequence
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, keyframed, pose_of_edit
 from pcore.fitting.fitter import Fitter
 from pcore.fitting.numbers_fit import fit_numbers
-from pcore.fitting.pose_fit import fit_pose
+from pcore.fitting.pose_fit import PoseFit, fit_pose
 from pcore.fitting.shown_object import Shown
 from pcore.gaussians.wide_pixels import pixel_width
 
@@ -157,6 +157,30 @@ def test_a_moving_object_becomes_keyframes(asset: Asset, tmp_path: Path) -> None
         moved = asset.pose(found.animation.at(time)).points
         way = (true - asset.points).norm(dim=1).mean()
         assert float((moved - true).norm(dim=1).mean()) < 0.35 * float(way)
+
+
+def test_what_was_found_is_kept_where_a_later_state_is_refused(
+    asset: Asset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = FitConfig(**TWELVE)
+    edits = [edit_of(a_pose(asset, config, size), config) for size in (0.02, 0.05)]
+    good = Agreement(psnr=30.0, overlap=1.0, explained=1.0, error=0.0)
+    left, kept = [*edits], []
+
+    def fitted(*_: object, **__: object) -> PoseFit:
+        if not left:
+            raise InputError("photos: expected the object of the run")
+        return PoseFit(edit=left.pop(0), before=good, after=good)
+
+    monkeypatch.setattr("pcore.fitting.fit_sequence.fit_pose", fitted)
+    with pytest.raises(InputError, match="state 3 of 3: photos: expected the object of the run"):
+        fit_sequence(
+            asset, [()] * 3, config, times=(0, 1, 3), shown=Shown.of(asset), keep=kept.append
+        )
+    (film,) = kept
+    assert film.key_times == (0, 1)
+    for time, edit in enumerate(edits):
+        assert torch.allclose(asset.pose(film.at(time)).points, asset.pose(edit).points, atol=1e-5)
 
 
 def test_from_the_truth_it_stays_there(asset: Asset, tmp_path: Path) -> None:
