@@ -102,10 +102,16 @@ def check_same_object(found: Agreement, *, silhouettes: bool, coarse: bool = Fal
     overlap, explained = (0.0, 0.0) if coarse else (_LEAST_OVERLAP, _LEAST_EXPLAINED)
     if found.overlap >= overlap and (silhouettes or found.explained >= explained):
         return
+    if coarse:
+        why = "after the coarse stages of the fit one colour all over would meet theirs better"
+    else:
+        why = (
+            f"after the fit outlines overlap by {found.overlap:.0%} (at least {overlap:.0%}) and "
+            f"{max(found.explained, 0):.0%} of the variation of colours is explained (at least "
+            f"{explained:.0%})"
+        )
     raise InputError(
-        f"photos: expected the object of the run in another pose, got pictures that no pose of it "
-        f"explains: after the {'coarse stages of the ' * coarse}fit outlines overlap by "
-        f"{found.overlap:.0%} (at least {overlap:.0%}) and {found.explained:.0%} of the variation "
-        f"of colours is explained (at least {explained:.0%}); check that run and photos are of one "
-        "object, that cameras are in the run's world, or start nearer (--start)"
+        "photos: expected the object of the run in another pose, got pictures that no pose of it "
+        f"explains: {why}; check that run and photos are of one object, that cameras are in the "
+        "run's world, or start nearer (--start)"
     )
