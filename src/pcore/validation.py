@@ -153,8 +153,12 @@ def describe_problem(problem: ValidationError) -> str:
     """First finding of pydantic as "field: what was expected, got value"."""
     details = problem.errors(include_url=False)
     first = details[0]
-    field = ".".join(str(part) for part in first["loc"]) or "top level"
+    field = _field(first["loc"])
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    unknown = next((one for one in details if one["type"] == "extra_forbidden"), None)
+    if first["type"] == "missing" and unknown is not None:
+        odd = _field(unknown["loc"])
+        return f"'{field}' is missing, and '{odd}' is not a known key; add it or mend its spelling"
     if first["type"] == "missing":
         return f"'{field}' is missing{more}; add it"
     if first["type"] == "extra_forbidden":
@@ -167,6 +171,10 @@ def describe_problem(problem: ValidationError) -> str:
     got = _JSON_NAMES.get(repr(first["input"]), repr(first["input"]))
     short = got if len(got) <= 60 else got[:57] + "..."
     return f"'{field}': {message}, got {short}{more}"
+
+
+def _field(place: tuple[int | str, ...]) -> str:
+    return ".".join(str(part) for part in place) or "top level"
 
 
 def check_folder_names(where: str, names: Collection[str]) -> None:
