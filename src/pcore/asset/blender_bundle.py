@@ -20,7 +20,7 @@ from pcore.asset.painted_points import painted_points
 from pcore.asset.standing import standing_of
 from pcore.data.camera_output import save_transforms
 from pcore.data.mesh_output import save_mesh
-from pcore.data.painted_ply import save_painted
+from pcore.data.points import save_painted
 from pcore.data.whole_file import save_json
 from pcore.deform.cage import Cage
 from pcore.editing.autosave import fingerprint
