@@ -11,7 +11,6 @@ from pathlib import Path
 from rich.console import Console
 
 from pcore.asset.asset import Asset
-from pcore.asset.run_options import RunOptions
 from pcore.cli.console import ProgressDisplay, say
 from pcore.cli.finetune import FinetuneCommand
 from pcore.cli.light import show_light
@@ -21,6 +20,7 @@ from pcore.data.scene import Scene
 from pcore.files.provenance import pcore_version
 from pcore.files.run_record import finished
 from pcore.training.events import Listener, silent
+from pcore.training.in_folder import RunOptions
 
 Make = Callable[[Path | None, Listener, RunOptions], Asset]
 
