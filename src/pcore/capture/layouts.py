@@ -90,13 +90,12 @@ def layout_of(path: Path) -> Layout:
     if path.is_file():
         return _of_file(path)
     photos_above = path.name != path.parent.name and kind_of(path) is not None
-    if photos_above and not any(pictures_in(path / name) for name in _PHOTO_FOLDERS):
+    if photos_above and not _has_photos(path):
         return Layout(name="COLMAP", root=_root_of_model(path), path=path)
     found = layouts_of(path)
-    models = None if found else largest_model(path, path.parent)  # It is the folder of models.
-    if models is not None:
-        root = _root_of_model(models.folder)
-        return Layout(name="COLMAP", root=root, path=models.folder, note=models.note)
+    if not _has_photos(path) and (not found or found[0].name == PHOTOS):
+        _check_one(path)
+        found = found or _of_models(path)
     if not found:
         raise SceneError(_unknown(path))
     if len(found) > 1:
@@ -150,6 +149,37 @@ def _of_file(path: Path) -> Layout:
             f"one of {', '.join(_FILES)}"
         )
     return Layout(name=name, root=path.parent, path=path)
+
+
+def _of_models(path: Path) -> Sequence[Layout]:
+    """The folder of models was given, as `sparse` of a capture."""
+    models = largest_model(path, path.parent)
+    if models is None:
+        return ()
+    root = _root_of_model(models.folder)
+    return (Layout(name="COLMAP", root=root, path=models.folder, note=models.note),)
+
+
+def _check_one(path: Path) -> None:
+    """Refuse a folder of captures: which of them is meant, nobody said."""
+    below = sorted(one for one in path.iterdir() if one.is_dir() and one.name[0] != ".")
+    captures = [one for one in below if _is_posed(one)]
+    if captures:
+        raise SceneError(
+            f"scene {path}: holds {len(captures)} captures with poses of their own in its "
+            f"sub-folders; give the path of one: {', '.join(map(str, captures))}"
+        )
+
+
+def _is_posed(folder: Path) -> bool:
+    """Whether a folder is a capture with poses, and no model of one that lies above."""
+    if kind_of(folder) is not None:
+        return _has_photos(folder)
+    return any(one.name not in (PHOTOS, VIDEO) for one in layouts_of(folder))
+
+
+def _has_photos(folder: Path) -> bool:
+    return any(pictures_in(folder / name) for name in _PHOTO_FOLDERS)
 
 
 def _root_of_model(folder: Path) -> Path:
