@@ -26,6 +26,7 @@ from capture_files import (
     write_photos,
     write_transforms,
 )
+from pcore.capture.layouts import layout_of
 from pcore.capture.load import load_scene
 from pcore.data.scene import Scene, View
 from pcore.errors import SceneError
@@ -357,6 +358,11 @@ class TestColmap:
         assert (scene.layout, scene.root) == ("COLMAP", tmp_path)
         assert len(views_of(scene)) == 10
         assert any("1 is the largest model, with 10 images" in note for note in scene.notes)
+
+    def test_photos_of_a_posed_capture_are_told_to_have_poses(self, tmp_path: Path) -> None:
+        write_colmap(tmp_path)
+        assert "sparse/0 for them" in layout_of(tmp_path / "images").note
+        assert layout_of(tmp_path).note == ""
 
     @pytest.mark.parametrize("model", [".", "sparse/0"])
     def test_a_folder_of_captures_is_none(self, model: str, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pcore.capture.archives import IDR_FILES, read_idr, read_llff
@@ -105,7 +105,7 @@ def layout_of(path: Path) -> Layout:
             "path of the one that is meant instead of the folder"
         )
     inside(found[0].root, found[0].path)
-    return found[0]
+    return replace(found[0], note=found[0].note or _posed_above(found[0]))
 
 
 def read_layout(layout: Layout, factor: int) -> Capture:
@@ -144,9 +144,10 @@ def _of_file(path: Path) -> Layout:
     if name is None and path.suffix.lower() in VIDEOS:
         name = VIDEO
     if name is None:
+        packed = "unpack it and " * (path.suffix.lower() == ".zip")
         raise SceneError(
-            f"scene {path}: expected a folder, got a file; give the folder it lies in, a video, or "
-            f"one of {', '.join(_FILES)}"
+            f"scene {path}: expected a folder, got a file; {packed}give the folder it lies in, a "
+            f"video, or one of {', '.join(_FILES)}"
         )
     return Layout(name=name, root=path.parent, path=path)
 
@@ -175,7 +176,19 @@ def _is_posed(folder: Path) -> bool:
     """Whether a folder is a capture with poses, and no model of one that lies above."""
     if kind_of(folder) is not None:
         return _has_photos(folder)
-    return any(one.name not in (PHOTOS, VIDEO) for one in layouts_of(folder))
+    return bool(_posed(folder))
+
+
+def _posed(folder: Path) -> Sequence[Layout]:
+    return [one for one in layouts_of(folder) if one.name not in (PHOTOS, VIDEO)]
+
+
+def _posed_above(found: Layout) -> str:
+    """A note on poses that nobody asked for, since the folder of their photos was given."""
+    if found.name != PHOTOS or found.root.name not in _PHOTO_FOLDERS:
+        return ""
+    above = _posed(found.root.parent)
+    return f"poses beside {found.root} are not used; give {above[0].path} for them" if above else ""
 
 
 def _has_photos(folder: Path) -> bool:

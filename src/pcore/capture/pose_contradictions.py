@@ -125,7 +125,9 @@ def find_contradictions(views: Sequence[View], region: Region) -> Contradictions
     least = _ALIKE if usual is None else min(_ALIKE, usual - _BELOW)
     odd = [p for p in pairs if p.alike < least and p.second - p.first > _NEIGHBOUR]
     odd.sort(key=lambda pair: pair.alike)
-    return Contradictions(pairs=tuple(pairs), usual=usual, contradicting=tuple(odd), still=_stands(small))
+    return Contradictions(
+        pairs=tuple(pairs), usual=usual, contradicting=tuple(odd), still=_stands(small)
+    )
 
 
 def _thumbnail(view: View) -> _Thumbnail:
