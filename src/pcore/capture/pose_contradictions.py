@@ -30,6 +30,9 @@ _ALIKE, _BELOW = 0.6, 0.15
 than most neighbours in name order do. Measured: neighbours 0.65 to 1, in a folded room 0.42."""
 _NEIGHBOUR = 2
 """Views are neighbours that are no farther apart in name order: one photo after another."""
+_ELSEWHERE = (0.7, 0.85, 1.25, 1.6, 2.5, 10.0)
+"""Distances, in those of the object, at which a floor, a wall or the object itself is looked for
+before near poses are said to contradict one another."""
 _LEAST = 0.3
 """Share of a picture that both must show."""
 _FEW, _TURNED = 8, 20.0
@@ -124,6 +127,7 @@ def find_contradictions(views: Sequence[View], region: Region) -> Contradictions
     usual = statistics.median(neighbours) if neighbours else None
     least = _ALIKE if usual is None else min(_ALIKE, usual - _BELOW)
     odd = [p for p in pairs if p.alike < least and p.second - p.first > _NEIGHBOUR]
+    odd = [p for p in odd if _anywhere(small[p.first], small[p.second], region.center) < least]
     odd.sort(key=lambda pair: pair.alike)
     return Contradictions(
         pairs=tuple(pairs), usual=usual, contradicting=tuple(odd), still=_stands(small)
@@ -178,6 +182,13 @@ def _stands(small: Sequence[_Thumbnail]) -> bool:
     detail = light.diff(dim=2)[:, rim]
     whole = float(detail.square().mean())
     return whole > _DETAIL**2 and float(detail.mean(dim=0).square().mean()) > _STILL * whole
+
+
+def _anywhere(first: _Thumbnail, second: _Thumbnail, place: Tensor) -> float:
+    """The best correlation of two pictures, as if what they show lay nearer or farther."""
+    away = place - first.camera.center
+    planes = (_on_plane(first, second, first.camera.center + far * away) for far in _ELSEWHERE)
+    return max((_correlation(*seen) for seen in planes if seen is not None), default=-1.0)
 
 
 def _correlation(first: Tensor, second: Tensor) -> float:
