@@ -137,6 +137,17 @@ def test_poses_that_are_none(tmp_path: Path) -> None:
     assert reason(tmp_path) == "img_3.png: a pose with NaN or infinity"
 
 
+@pytest.mark.parametrize("rows", [[3], [0, 1, 2, 3]])
+def test_matrices_that_are_none(rows: list[int], tmp_path: Path) -> None:
+    """Trackers that lose sight of the room write a whole matrix of NaN."""
+    write_ngp(tmp_path)
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    for row in rows:
+        content["frames"][3]["transform_matrix"][row] = [float("nan")] * 4
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    assert reason(tmp_path) == "images/img_3.png: a pose with NaN or infinity"
+
+
 def test_masks_of_another_size(tmp_path: Path) -> None:
     write_idr(tmp_path)
     write_photos(tmp_path / "mask", ["002.png"], size=(8, 8), mode="L")

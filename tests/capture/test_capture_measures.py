@@ -21,6 +21,7 @@ from pcore.data.scene import View
 from pcore.data.sparse import Sightings, SparsePoints
 from pcore.geometry.capture_axes import capture_axes
 from pcore.geometry.object_region import Region
+from pcore.geometry.orbit import orbit_cameras
 from room_scene import HEIGHT, WIDTH, cameras, picture, write_room
 
 BALL = Region(center=torch.zeros(3), radius=0.7)
@@ -47,6 +48,30 @@ def test_photos_at_each_others_poses_contradict_their_neighbours(tmp_path: Path)
     found = find_contradictions(folded, BALL)
     assert len(found.contradicting) > 5
     assert found.contradicting[0].alike < 0.5
+
+
+def test_a_patterned_floor_behind_the_object_contradicts_nothing(tmp_path: Path) -> None:
+    """Seen from above, near poses that are turned about the floor's normal, and far behind."""
+    room = write_room(tmp_path / "room", 24)
+    written = json.loads((room / "transforms.json").read_text())
+    above = orbit_cameras(
+        torch.zeros(3), 3.2, 24, elevation=1.45, width=WIDTH, height=HEIGHT, angle_x=0.9
+    )
+    for frame, camera in zip(written["frames"], above, strict=True):
+        rays = camera.rays()
+        down = (-0.7 - rays.origins[..., 2]) / rays.directions[..., 2]
+        x, y, _ = (rays.origins + down.unsqueeze(-1) * rays.directions).unbind(-1)
+        grey = 0.5 + 0.25 * torch.sin(9 * x + 2 * torch.sin(4 * y)) + 0.25 * torch.sin(11 * y + x)
+        pixels = (255 * grey).round().byte().numpy()
+        Image.fromarray(pixels).convert("RGB").save(room / frame["file_path"])
+        frame["transform_matrix"] = camera.world_from_camera.tolist()
+    (room / "transforms.json").write_text(json.dumps(written))
+    views, near = _views(room), Region(center=torch.tensor([0.0, 0.0, 0.7]), radius=0.7)
+    found = find_contradictions(views, near)
+    assert sum(pair.alike < 0.6 for pair in found.pairs if pair.second - pair.first > 2) > 5
+    assert found.contradicting == ()
+    again = [replace(view, camera=above[(7 * k) % 24]) for k, view in enumerate(views)]
+    assert len(find_contradictions(again, near).contradicting) > 5
 
 
 def test_a_dark_photo_stands_out(tmp_path: Path) -> None:

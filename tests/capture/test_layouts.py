@@ -26,6 +26,7 @@ from capture_files import (
     write_photos,
     write_transforms,
 )
+from pcore.capture.layouts import layout_of
 from pcore.capture.load import load_scene
 from pcore.data.scene import Scene, View
 from pcore.errors import SceneError
@@ -357,6 +358,22 @@ class TestColmap:
         assert (scene.layout, scene.root) == ("COLMAP", tmp_path)
         assert len(views_of(scene)) == 10
         assert any("1 is the largest model, with 10 images" in note for note in scene.notes)
+
+    def test_photos_of_a_posed_capture_are_told_to_have_poses(self, tmp_path: Path) -> None:
+        write_colmap(tmp_path)
+        assert "sparse/0 for them" in layout_of(tmp_path / "images").note
+        assert layout_of(tmp_path).note == ""
+
+    @pytest.mark.parametrize("model", [".", "sparse/0"])
+    def test_a_folder_of_captures_is_none(self, model: str, tmp_path: Path) -> None:
+        """Neither the largest of them nor photos of all is what anybody meant."""
+        for name, count in (("cup", 10), ("jug", 12)):
+            photos = shots(count)
+            write_model(tmp_path / name / model, photos)
+            write_photos(tmp_path / name, [shot.name for shot in photos])
+        with pytest.raises(SceneError, match=r"holds 2 captures.*one: .*/cup, .*/jug"):
+            load_scene(tmp_path)
+        assert len(views_of(load_scene(tmp_path / "jug"))) == 12
 
     @pytest.mark.parametrize("place", ["sparse", "colmap_sparse/0", "colmap/sparse/0", "."])
     def test_places(self, place: str, tmp_path: Path) -> None:

@@ -52,6 +52,21 @@ def test_the_object_stands_at_the_origin(degrees: float, elevation: float) -> No
     assert places[0, 1] < 0
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_photos_taken_straight_down_have_the_floor_below(seed: int) -> None:
+    """Tops of pictures lie in the floor, whichever way the hands lean: up is where they are."""
+    random = np.random.default_rng(seed)
+    poses = []
+    for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False):
+        pose = np.eye(4)
+        shake = Rotation.from_rotvec(random.normal(0, 0.04, 3))
+        pose[:3, :3] = (Rotation.from_euler("z", turn) * shake).as_matrix()
+        pose[:3, 3] = [*random.normal(0, 0.3, 2), 3.0]
+        poses.append(pose)
+    up = upright(np.stack(poses)).rotation @ [0.0, 0.0, 1.0]
+    assert np.degrees(np.arccos(up[2])) < 5
+
+
 def test_what_colmap_left_does_not_matter() -> None:
     """Two worlds of the same photos become one."""
     poses, places = walk(200, 25), np.random.default_rng(1).normal(size=(9, 3))

@@ -62,6 +62,27 @@ def test_it_says_what_was_found_and_leaves_the_folder_alone(
     assert "http" not in text.replace("http-equiv", "")
 
 
+def test_a_turntable_before_a_room_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Poses are those of the object's own world; the camera and the room stood still."""
+    room = write_room(tmp_path / "room", 12)
+    behind, _ = picture(cameras(12)[0])
+    for number, camera in enumerate(cameras(12)):
+        rgb, mask = picture(camera)
+        shown = torch.where(mask[..., None] > 0, rgb, behind)
+        Image.fromarray((255 * shown).round().byte().numpy()).save(
+            room / "images" / f"{number:04d}.png"
+        )
+    assert main(["check", str(room), *BOX]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "!! poses: the borders of all pictures show the same" in said
+    assert "by these poses the room cannot be learned" in said
+    assert "folded" not in said
+    assert main(["check", str(write_room(tmp_path / "other", 12)), *BOX]) == 0
+    assert "borders of all" not in capsys.readouterr().out
+
+
 def test_masks_go_out_and_come_back(tmp_path: Path) -> None:
     room = write_room(tmp_path / "room", 12)
     masks = tmp_path / "masks"

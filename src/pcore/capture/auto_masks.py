@@ -1,8 +1,8 @@
 """Masks of an object in photos that have none: GrabCut within its region, held against one hull.
 
-Every photo is cut by itself (Rother et al. 2004) inside of the outline of what is known to be the
-object. Then the masks of all views vote on a hull in space, and every photo is cut again from the
-outline of that hull: a view whose cut went wrong is corrected by the others.
+Every photo is cut by itself inside of the outline of what is known to be the object. Then the masks
+of all views vote on a hull in space, and every photo is cut again from the outline of that hull: a
+view whose cut went wrong is corrected by the others. Colours are found once, by the first cuts.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pcore.capture.photo_cut import Colours, cut, near_outline, outline, resized
 from pcore.capture.voted_hull import Bits, hull_silhouettes, require_opencv
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
@@ -26,9 +27,7 @@ _LONGEST, _ROUGH = 320, 160
 """Longer side of the pictures whose cuts are masks, pixels: finer ones cost more and find no more;
 and of those whose cuts only vote on the hull."""
 _VOTERS = 32  # Photos that vote before all are cut: neighbours say the same.
-_MARGIN = 0.12
-"""Room around an outline in which the cut may still find object, as a share of its size."""
-_ROUNDS, _ITERATIONS = 3, 2
+_ROUNDS = 3
 _LOOSE, _JUDGED, _SURE = 0.6, 0.75, 0.85
 """Share of the views that see a voxel and must have it in their mask: where the object is looked
 for, where masks are judged, and where there is object for certain."""
@@ -107,22 +106,26 @@ def find_masks(
     turns = [*[voting] * (_ROUNDS - 1), everyone]
     whole = region.corners if region.box is not None else _sphere(region)
     known = whole if points is None or len(points) < _FEW else points
-    seeds = [_outline(photo.camera, known) for photo in voting]
+    seeds = [outline(photo.camera, known) for photo in voting]
     masks: list[Bits] = []
     cores: list[Bits] | None = None
+    colours: list[Colours] = []
     total, done = sum(map(len, turns)), 0
     for turn, taken in enumerate(turns):
         # What the points leave out of the object lies in their box.
-        rooms = [_outline(photo.camera, whole) for photo in taken]
-        nears = [_near(a, b, region) for a, b in zip(seeds, rooms, strict=True)]
+        rooms = [outline(photo.camera, whole) for photo in taken]
+        nears = [near_outline(a, b, region) for a, b in zip(seeds, rooms, strict=True)]
         if turn == 0:
             _check_background(seeds, nears)
         inner = [None] * len(taken) if cores is None else cores
-        masks = []
+        begin = _beginnings(colours, len(taken), len(photos))
+        masks, colours = [], []
         # OpenCV holds no lock while it cuts, and every thread has a generator of its own.
         with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-            for mask in pool.map(_cut, [photo.rgb for photo in taken], seeds, nears, inner):
+            pictures = [photo.rgb for photo in taken]
+            for mask, found in pool.map(cut, pictures, seeds, nears, inner, begin):
                 masks.append(mask)
+                colours += [] if found is None else [found]
                 done += 1
                 if progress is not None:
                     progress(done, total)
@@ -132,9 +135,7 @@ def find_masks(
         seeds, cores = _voted(voters[: len(photos)], region, votes, following)
     _check_filled(masks, "what is cut out")
     _check_ends(masks)
-    sized = (
-        _resized(mask, one.camera) for mask, one in zip(masks, [*photos, *judged], strict=True)
-    )
+    sized = (resized(mask, one.camera) for mask, one in zip(masks, [*photos, *judged], strict=True))
     return FoundMasks(
         masks=tuple(sized),
         agreement=tuple(overlap(a, b) for a, b in zip(masks, seeds, strict=True)),
@@ -225,20 +226,6 @@ def _shrunk(photo: Photo, longest: int) -> Photo:
     return replace(photo, camera=photo.camera.resized(rgb.shape[1], rgb.shape[0]), rgb=rgb)
 
 
-def _outline(camera: Camera, points: Tensor) -> Bits:
-    """Convex outline (H, W) 0 or 1 of points in a picture; empty where all are behind it."""
-    cv2 = require_opencv()
-    column, row, depth = camera.project(points)
-    ahead = depth > 0
-    picture = np.zeros((camera.height, camera.width), dtype=np.uint8)
-    if int(ahead.sum()) < 3:
-        return picture
-    corners = torch.stack([column, row], dim=-1)[ahead].numpy()
-    limit = 8.0 * max(camera.width, camera.height)
-    hull = cv2.convexHull(np.clip(corners, -limit, limit).round().astype(np.int32))
-    return cv2.fillConvexPoly(picture, hull, 1)
-
-
 def _sphere(region: Region) -> Tensor:
     """(N, 3) points evenly on the sphere of a region (a Fibonacci lattice)."""
     number = torch.arange(_ON_SPHERE) + 0.5
@@ -249,69 +236,10 @@ def _sphere(region: Region) -> Tensor:
     return region.center + region.radius * ball
 
 
-def _reach(seed: Bits) -> int:  # Pixels around an outline that the cut may still take.
-    return max(2, round(_MARGIN * math.sqrt(float(seed.sum()))))
-
-
-def _near(seed: Bits, room: Bits, region: Region) -> Bits:
-    """What is not known to be background: a sphere has room in it, a box may be tight."""
-    return room if region.box is None else _grown(seed, _reach(seed)) | room
-
-
-def _cut(rgb: Tensor, seed: Bits, near: Bits, core: Bits | None) -> Bits:
-    """GrabCut (H, W) 0 or 1 from an outline, near it; inside of a core is object for certain."""
-    cv2 = require_opencv()
-    if not seed.any() or near.all():
-        return seed  # There is no object, or nothing is known to be background.
-    trimap = np.full(seed.shape, cv2.GC_BGD, dtype=np.uint8)
-    trimap[near > 0] = cv2.GC_PR_BGD
-    trimap[seed > 0] = cv2.GC_PR_FGD
-    if core is not None:
-        trimap[_shrunken(core, _reach(seed)) > 0] = cv2.GC_FGD
-    pixels = (255 * rgb.clamp(0, 1)).round().byte().numpy()
-    models = np.zeros((1, 65)), np.zeros((1, 65))
-    # OpenCV draws its clusters from a generator of the thread.
-    cv2.setRNGSeed(0)
-    cv2.grabCut(
-        np.ascontiguousarray(pixels), trimap, None, *models, _ITERATIONS, cv2.GC_INIT_WITH_MASK
-    )
-    found = ((trimap == cv2.GC_FGD) | (trimap == cv2.GC_PR_FGD)).astype(np.uint8)
-    return _largest(cv2.morphologyEx(found, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)), seed)
-
-
-def _largest(mask: Bits, seed: Bits) -> Bits:
-    """The parts of a mask that reach into the seed, without specks and with small holes closed."""
-    cv2 = require_opencv()
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
-    if count < 2:
-        return mask
-    areas = stats[1:, cv2.CC_STAT_AREA]
-    inside = np.bincount(labels[seed > 0], minlength=count)[1:]
-    kept = [i + 1 for i in range(count - 1) if areas[i] >= 0.1 * areas.max() and inside[i] > 0]
-    whole = np.isin(labels, kept).astype(np.uint8)
-    return cv2.morphologyEx(whole, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
-
-
-def _grown(mask: Bits, reach: int) -> Bits:
-    cv2 = require_opencv()
-    return cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2))
-
-
-def _shrunken(mask: Bits, reach: int) -> Bits:
-    cv2 = require_opencv()
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
-    # What the border of the picture cuts off goes on behind it.
-    return cv2.erode(mask, kernel, borderType=cv2.BORDER_REPLICATE)
-
-
-def _resized(mask: Bits, camera: Camera) -> Tensor:
-    """A mask in the size of its photo, with a rim of a pixel's softness."""
-    cv2 = require_opencv()
-    size = (camera.width, camera.height)
-    if mask.shape == (camera.height, camera.width):
-        return torch.from_numpy(255 * mask)
-    smooth = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 0.7)
-    large = cv2.resize(smooth, size, interpolation=cv2.INTER_CUBIC)
-    factor = max(1.0, camera.width / mask.shape[1])
-    soft = np.clip((large - 0.5) * factor + 0.5, 0.0, 1.0)
-    return torch.from_numpy((255 * soft).round().astype(np.uint8))
+def _beginnings(known: Sequence[Colours], count: int, walk: int) -> list[Colours | None]:
+    """Colours that each of so many cuts begins with: of the photo beside it on the walk."""
+    if not known:
+        return [None] * count
+    beside = [*range(walk), *(i * walk // max(1, count - walk) for i in range(count - walk))]
+    steps = min(walk, count)
+    return [known[beside[i] * len(known) // steps] for i in range(count)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pcore.capture.archives import IDR_FILES, read_idr, read_llff
@@ -90,13 +90,12 @@ def layout_of(path: Path) -> Layout:
     if path.is_file():
         return _of_file(path)
     photos_above = path.name != path.parent.name and kind_of(path) is not None
-    if photos_above and not any(pictures_in(path / name) for name in _PHOTO_FOLDERS):
+    if photos_above and not _has_photos(path):
         return Layout(name="COLMAP", root=_root_of_model(path), path=path)
     found = layouts_of(path)
-    models = None if found else largest_model(path, path.parent)  # It is the folder of models.
-    if models is not None:
-        root = _root_of_model(models.folder)
-        return Layout(name="COLMAP", root=root, path=models.folder, note=models.note)
+    if not _has_photos(path) and (not found or found[0].name == PHOTOS):
+        _check_one(path)
+        found = found or _of_models(path)
     if not found:
         raise SceneError(_unknown(path))
     if len(found) > 1:
@@ -106,7 +105,7 @@ def layout_of(path: Path) -> Layout:
             "path of the one that is meant instead of the folder"
         )
     inside(found[0].root, found[0].path)
-    return found[0]
+    return replace(found[0], note=found[0].note or _posed_above(found[0]))
 
 
 def read_layout(layout: Layout, factor: int) -> Capture:
@@ -145,11 +144,55 @@ def _of_file(path: Path) -> Layout:
     if name is None and path.suffix.lower() in VIDEOS:
         name = VIDEO
     if name is None:
+        packed = "unpack it and " * (path.suffix.lower() == ".zip")
         raise SceneError(
-            f"scene {path}: expected a folder, got a file; give the folder it lies in, a video, or "
-            f"one of {', '.join(_FILES)}"
+            f"scene {path}: expected a folder, got a file; {packed}give the folder it lies in, a "
+            f"video, or one of {', '.join(_FILES)}"
         )
     return Layout(name=name, root=path.parent, path=path)
+
+
+def _of_models(path: Path) -> Sequence[Layout]:
+    """The folder of models was given, as `sparse` of a capture."""
+    models = largest_model(path, path.parent)
+    if models is None:
+        return ()
+    root = _root_of_model(models.folder)
+    return (Layout(name="COLMAP", root=root, path=models.folder, note=models.note),)
+
+
+def _check_one(path: Path) -> None:
+    """Refuse a folder of captures: which of them is meant, nobody said."""
+    below = sorted(one for one in path.iterdir() if one.is_dir() and one.name[0] != ".")
+    captures = [one for one in below if _is_posed(one)]
+    if captures:
+        raise SceneError(
+            f"scene {path}: holds {len(captures)} captures with poses of their own in its "
+            f"sub-folders; give the path of one: {', '.join(map(str, captures))}"
+        )
+
+
+def _is_posed(folder: Path) -> bool:
+    """Whether a folder is a capture with poses, and no model of one that lies above."""
+    if kind_of(folder) is not None:
+        return _has_photos(folder)
+    return bool(_posed(folder))
+
+
+def _posed(folder: Path) -> Sequence[Layout]:
+    return [one for one in layouts_of(folder) if one.name not in (PHOTOS, VIDEO)]
+
+
+def _posed_above(found: Layout) -> str:
+    """A note on poses that nobody asked for, since the folder of their photos was given."""
+    if found.name != PHOTOS or found.root.name not in _PHOTO_FOLDERS:
+        return ""
+    above = _posed(found.root.parent)
+    return f"poses beside {found.root} are not used; give {above[0].path} for them" if above else ""
+
+
+def _has_photos(folder: Path) -> bool:
+    return any(pictures_in(folder / name) for name in _PHOTO_FOLDERS)
 
 
 def _root_of_model(folder: Path) -> Path:

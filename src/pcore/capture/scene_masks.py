@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import torch
 from torch import Tensor
@@ -53,7 +54,13 @@ def scene_masks(
 def photos_of(views: Sequence[View]) -> list[Photo]:
     """Photos of views, on white where they have an alpha channel; small, so that all fit memory."""
     white = torch.ones(3)
-    return [Photo(name=v.name, camera=v.camera, rgb=shrunk(v.rgb(white))) for v in views]
+
+    def photo(view: View) -> Photo:
+        return Photo(name=view.name, camera=view.camera, rgb=shrunk(view.rgb(white)))
+
+    # Pictures are decoded without a lock.
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        return list(pool.map(photo, views))
 
 
 def ordered_views(scene: Scene) -> tuple[View, ...]:

@@ -69,12 +69,14 @@ def with_poses(layout: Layout, tell: Tell, patience: Patience | None = None) -> 
                 f"scene {layout.root}: expected at least {_LEAST} photos to find poses for, got "
                 f"{len(sources)}"
             )
+        if layout.note:
+            tell(layout.note)
         _reconstruct(layout, place, tell, patience or Patience())
     found = find_model(place)
     if found is None:
         raise SceneError(f"{place}: expected the model of {layout.path}; remove this folder")
     root = place if video else layout.root
-    notes = [found.note]
+    notes = [layout.note, found.note]
     if (place / _NOTE).is_file():
         notes.append((place / _NOTE).read_text(encoding="utf-8"))
     note = "; ".join(note for note in notes if note)

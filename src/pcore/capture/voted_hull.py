@@ -68,12 +68,16 @@ def _grid(region: Region, count: int) -> tuple[Tensor, float]:
     lower, upper = region.bounds
     room = 0.25 * (upper - lower).max()
     lower, upper = lower - room, upper + room
-    size = float((upper - lower).max()) / count
+    longest = float((upper - lower).max())
+    size = longest / count
     axes = [
         float(low) + size * (torch.arange(max(1, round(float(high - low) / size))) + 0.5)
         for low, high in zip(lower, upper, strict=True)
     ]
-    return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, 3), size
+    places = torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, 3)
+    if region.box is None:  # A sphere; half of its cube lies in corners.
+        places = places[(places - region.center).norm(dim=-1) <= 0.5 * longest]
+    return places, size
 
 
 def _pixels(camera: Camera, places: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:

@@ -110,13 +110,13 @@ def read_rgba(path: Path, *, size: tuple[int, int] | None = None, upright: bool 
                 return _grey(np.asarray(turned, dtype=np.float32), path)
             if image.mode in ("LAB", "HSV", "YCbCr", "CMYK"):
                 turned = turned.convert("RGB")
-            pixels = np.asarray(turned.convert("RGBA"), dtype=np.float32)
+            pixels = torch.from_numpy(np.array(turned.convert("RGBA")))
     except (OSError, SyntaxError, ValueError) as problem:
         raise SceneError(
             f"image {path}: expected {header.width} x {header.height} pixels, got a truncated or "
             f"damaged file ({problem}); copy or export it again"
         ) from problem
-    return torch.from_numpy(pixels / 255.0)
+    return pixels.float().div_(255.0)
 
 
 def _grey(pixels: NDArray[np.float32], path: Path) -> Tensor:

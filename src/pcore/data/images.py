@@ -232,7 +232,8 @@ def area_downscale(rgba: Tensor, factor: int) -> Tensor:
     if factor == 1:
         return rgba
     alpha = rgba[..., 3:]
-    premultiplied = torch.cat([rgba[..., :3] * alpha, alpha], dim=-1)
+    solid = bool((alpha == 1.0).all())  # As most photos are: colours are premultiplied as they are.
+    premultiplied = rgba if solid else torch.cat([rgba[..., :3] * alpha, alpha], dim=-1)
     blocks = premultiplied.reshape(height // factor, factor, width // factor, factor, 4)
     total = torch.zeros_like(blocks[:, 0, :, 0])
     for row in blocks.unbind(1):
@@ -242,6 +243,8 @@ def area_downscale(rgba: Tensor, factor: int) -> Tensor:
             across += row[:, :, column]
         total += across
     mean = total / factor**2
+    if solid:
+        return mean.clamp_(0.0, 1.0)
     covered = mean[..., 3:]
     color = torch.where(covered > 0, mean[..., :3] / covered.clamp_min(1e-12), 0.0)
     return torch.cat([color.clamp(0.0, 1.0), covered], dim=-1)

@@ -224,12 +224,13 @@ def _lens(top: Lens, entry: _FrameEntry, place: str, where: str) -> Lens:
 
 def _pose(where: str, entry: _FrameEntry, *, finite: bool) -> Tensor:
     pose = torch.tensor(entry.transform_matrix, dtype=torch.float64)
-    if finite and not bool(torch.isfinite(pose).all()):
+    known = bool(torch.isfinite(pose).all())
+    if finite and not known:
         raise SceneError(
             f"{where}: expected finite numbers in 'transform_matrix', got NaN or infinity; "
             "remove the frame or estimate its pose again"
         )
-    if pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+    if known and pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise SceneError(
             f"{where}: expected the last row of 'transform_matrix' to be 0 0 0 1, "
             f"got {pose[3].tolist()}; is the matrix transposed?"

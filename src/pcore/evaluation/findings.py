@@ -62,7 +62,9 @@ def findings(check: SceneCheck) -> tuple[Finding, ...]:
 def _of_poses(check: SceneCheck) -> list[Finding]:
     found: list[Finding] = []
     near = check.contradictions
-    if near.contradicting:
+    if near.still:
+        found.append(_of_a_still_room(check))
+    elif near.contradicting:
         worst = near.contradicting[0]
         names = [check.views[i].name for i in (worst.first, worst.second)]
         found.append(
@@ -94,6 +96,19 @@ def _of_poses(check: SceneCheck) -> list[Finding]:
         action = "Leave those photos out (--fix), or run bundle adjustment again." if bad else ""
         found.append(Finding(level=level, topic="reprojection", text=text, action=action))
     return found
+
+
+def _of_a_still_room(check: SceneCheck) -> Finding:
+    text = (
+        "the borders of all pictures show the same, though the poses say that the camera went "
+        "around: a turntable before a room that stood still"
+    )
+    if check.masks is not None and not check.masks.automatic:
+        action = "The masks take the room away; do not train without them."
+        return Finding(level="note", topic="poses", text=text, action=action)
+    action = "Cut the object out (--masks auto, with a --box where that fails, or masks of your "
+    action += "own): by these poses the room cannot be learned, nor masks by it (--masks trained)."
+    return Finding(level="warning", topic="poses", text=text, action=action)
 
 
 def _of_agreement(check: SceneCheck, agreement: PoseAgreement) -> Finding:

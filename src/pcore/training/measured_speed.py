@@ -47,8 +47,8 @@ _RENDERED = "NeRF-Synthetic"
 _TURNS = 3
 _PATCHES = 10
 """Steps of PAPR with a cut-off and masks: patches that hold no point cost next to nothing."""
-_EVEN = 1.25
-"""Steps that take the same but for so much are not repeated."""
+_ALIKE, _EVEN = 2, 1.25
+"""So many steps that take the same but for so much are not repeated."""
 _SOLID = 0.5
 
 
@@ -161,7 +161,7 @@ def _timed_step(scene: Scene, config: PretrainConfig, device: str, clock: Clock)
         work.optimizer.step()
         work.optimizer.zero_grad(set_to_none=True)
         took.append(clock() - began)
-        if turn == _TURNS and max(took[1:]) < _EVEN * min(took[1:]):
+        if turn == _ALIKE and max(took[1:]) < _EVEN * min(took[1:]):
             break  # More steps say the same.
     seconds = statistics.mean(took[1:])
     if config.lpips_weight > 0:
