@@ -1,0 +1,122 @@
+"""Programs in processes of their own without importing torch each: one that has, forks them."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+LOADED = ("pcore.cli.train", "pcore.cli.finetune", "pcore.asset.training")
+"""What takes its time to be imported."""
+
+
+class Forked:
+    """Starts programs, one after the other, with one thread each."""
+
+    def __init__(self) -> None:
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+        self.server = subprocess.Popen(
+            [sys.executable, __file__],
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+        )
+
+    def start(self, code: str, *words: str, said: Path) -> Child:
+        """Run code with these arguments; what it prints goes into a file."""
+        said.touch()
+        job = {"code": code, "words": words, "said": str(said)}
+        assert self.server.stdin is not None
+        self.server.stdin.write(json.dumps(job).encode() + b"\n")
+        return Child(self.server.stdout, said)
+
+    def end(self) -> None:
+        self.server.kill()
+        self.server.communicate()
+
+
+@dataclass
+class Child:
+    """A program that was started: the next one begins when this one has ended."""
+
+    told: Any
+    said: Path
+    code: int | None = None
+    pid: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.pid = int(self.told.readline())
+
+    def poll(self) -> int | None:
+        """Its exit code, negative of a signal; None while it runs."""
+        if self.code is None and select.select([self.told], [], [], 0)[0]:
+            self.code = int(self.told.readline())
+        return self.code
+
+    def wait(self) -> int:
+        if self.code is None:
+            self.code = int(self.told.readline())
+        return self.code
+
+    def kill(self) -> int:
+        """Kill it outright, unless it has ended; return its exit code."""
+        if self.poll() is None:
+            os.kill(self.pid, signal.SIGKILL)
+        return self.wait()
+
+    def says(self, text: str, times: int = 1, seconds: float = 200) -> None:
+        """Wait until it has said something so often."""
+        end = time.monotonic() + seconds
+        while self.said.read_text().count(text) < times:
+            assert self.poll() is None, self.said.read_text()
+            assert time.monotonic() < end, "it did not happen in time"
+            time.sleep(0.002)
+
+
+def _serve() -> None:
+    for name in LOADED:
+        import_module(name)
+    for line in sys.stdin:
+        child = os.fork()
+        if not child:
+            _run(**json.loads(line))
+        _tell(child)
+        _tell(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+
+
+def _tell(number: int) -> None:
+    sys.stdout.write(f"{number}\n")
+    sys.stdout.flush()
+
+
+def _run(code: str, words: list[str], said: str) -> None:
+    """Be the program, as `python -c` would; never returns."""
+    file, nothing = os.open(said, os.O_WRONLY | os.O_APPEND), os.open(os.devnull, os.O_RDONLY)
+    for here, there in ((nothing, 0), (file, 1), (file, 2)):
+        os.dup2(here, there)
+    sys.argv, result = ["-c", *words], 0
+    try:
+        exec(code, {"__name__": "__main__"})
+    except SystemExit as end:
+        result = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except BaseException:
+        traceback.print_exc()
+        result = 1
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(result)
+
+
+if __name__ == "__main__":
+    _serve()
