@@ -32,6 +32,8 @@ def _seed() -> None:
 @pytest.fixture(scope="session")
 def forked() -> Iterator[Forked]:
     """Starts programs in processes of their own, which need not import torch first."""
+    if not hasattr(os, "fork"):
+        pytest.skip("this system forks no processes")
     one = Forked()
     yield one
     one.end()

@@ -9,11 +9,10 @@ import signal
 import subprocess
 import sys
 import time
-import traceback
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 LOADED = ("pcore.cli.train", "pcore.cli.finetune", "pcore.asset.training")
 """What takes its time to be imported."""
@@ -63,16 +62,18 @@ class Child:
             self.code = int(self.told.readline())
         return self.code
 
-    def wait(self) -> int:
+    def wait(self, seconds: float = 200) -> int:
+        """Return its exit code when it has ended."""
         if self.code is None:
+            assert select.select([self.told], [], [], seconds)[0], "it did not end in time"
             self.code = int(self.told.readline())
         return self.code
 
-    def kill(self) -> int:
-        """Kill it outright, unless it has ended; return its exit code."""
+    def end(self, how: signal.Signals = signal.SIGKILL, seconds: float = 60) -> int:
+        """Send it a signal, unless it has ended; return its exit code."""
         if self.poll() is None:
-            os.kill(self.pid, signal.SIGKILL)
-        return self.wait()
+            os.kill(self.pid, how)
+        return self.wait(seconds)
 
     def says(self, text: str, times: int = 1, seconds: float = 200) -> None:
         """Wait until it has said something so often."""
@@ -99,23 +100,16 @@ def _tell(number: int) -> None:
     sys.stdout.flush()
 
 
-def _run(code: str, words: list[str], said: str) -> None:
-    """Be the program, as `python -c` would; never returns."""
+def _run(code: str, words: list[str], said: str) -> NoReturn:
+    """Be the program, and end as `python -c` does."""
     file, nothing = os.open(said, os.O_WRONLY | os.O_APPEND), os.open(os.devnull, os.O_RDONLY)
     for here, there in ((nothing, 0), (file, 1), (file, 2)):
         os.dup2(here, there)
-    sys.argv, result = ["-c", *words], 0
-    try:
-        exec(code, {"__name__": "__main__"})
-    except SystemExit as end:
-        result = end.code if isinstance(end.code, int) else int(end.code is not None)
-    except BaseException:
-        traceback.print_exc()
-        result = 1
-    finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(result)
+    # Shells let what they start in the background ignore Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.argv = ["-c", *words]
+    exec(code, {"__name__": "__main__"})
+    sys.exit()
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ def kill_later(forked: Forked, arguments: Sequence[str], run: Path, moment: rand
                 break
             time.sleep(0.001)
     finally:
-        code = process.kill()
+        code = process.end()
     # It must have been working to the last: neither failed nor finished.
     assert code == -signal.SIGKILL, process.said.read_text()
 

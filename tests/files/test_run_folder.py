@@ -249,7 +249,7 @@ def test_a_killed_process_does_not_keep_the_lock(tmp_path: Path, forked: Forked)
     process.says("locked\n")
     with pytest.raises(InputError, match=f"id {process.pid}.*is training into"):
         create(path, resume=True, config=config)
-    assert process.kill() == -signal.SIGKILL
+    assert process.end() == -signal.SIGKILL
     with create(path, resume=True, config=config) as run:
         assert run.load_state() is None
 

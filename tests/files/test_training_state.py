@@ -212,7 +212,7 @@ def test_a_kill_at_any_moment_leaves_one_consistent_state(tmp_path: Path, forked
         process = forked.start(SAVER, str(path), said=tmp_path / f"said-{number}")
         process.says("saved\n", times=2)
         time.sleep(delay)
-        assert process.kill() == -signal.SIGKILL
+        assert process.end() == -signal.SIGKILL
         state = load_state(path)
         assert state.step >= 2
         assert torch.equal(state.papr["w"], torch.full((200_000,), float(state.step)))
