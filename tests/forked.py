@@ -30,16 +30,25 @@ class Forked:
             stdout=subprocess.PIPE,
             bufsize=0,
         )
+        self.last: Child | None = None
 
     def start(self, code: str, *words: str, said: Path) -> Child:
-        """Run code with these arguments; what it prints goes into a file."""
+        """Run code with these arguments; what it prints goes into a file.
+
+        What a test has left running is ended.
+        """
+        if self.last is not None:
+            self.last.end()
         said.touch()
         job = {"code": code, "words": words, "said": str(said)}
         assert self.server.stdin is not None
         self.server.stdin.write(json.dumps(job).encode() + b"\n")
-        return Child(self.server.stdout, said)
+        self.last = Child(self.server.stdout, said)
+        return self.last
 
     def end(self) -> None:
+        if self.last is not None:
+            self.last.end()
         self.server.kill()
         self.server.communicate()
 
@@ -62,7 +71,7 @@ class Child:
             self.code = int(self.told.readline())
         return self.code
 
-    def wait(self, seconds: float = 200) -> int:
+    def wait(self, seconds: float = 600) -> int:
         """Return its exit code when it has ended."""
         if self.code is None:
             assert select.select([self.told], [], [], seconds)[0], "it did not end in time"
