@@ -5,13 +5,14 @@ Both happen in processes of their own: whether Triton interprets is decided when
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from tests.forked import Forked
-from tests.kernels.triton_programs import run_triton
 
 from pcore.kernels import backends
 from pcore.kernels.networks import Layers
@@ -161,21 +162,31 @@ for one in sys.argv[2:]:
 """
 
 
+def run(*arguments: str, cache: Path, **environment: str) -> None:
+    shown = subprocess.run(
+        [sys.executable, *arguments],
+        env=os.environ | {"TRITON_CACHE_DIR": str(cache)} | environment,
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert shown.returncode == 0, shown.stdout + shown.stderr
+
+
 @needs_triton
-def test_interpreted_it_gives_what_the_reference_gives(tmp_path: Path, forked: Forked) -> None:
+def test_interpreted_it_gives_what_the_reference_gives(tmp_path: Path) -> None:
     """Values and gradients of the cases of test_attention, and under autocast."""
-    run_triton(forked, _INTERPRETED, folder=tmp_path, interpreted=True)
+    run("-c", _INTERPRETED, cache=tmp_path, TRITON_INTERPRET="1")
 
 
 @needs_triton
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("capability", [pytest.param("80", marks=pytest.mark.slow), "90"])
-def test_it_compiles_for_gpus_that_are_not_here(
-    capability: str, tmp_path: Path, forked: Forked
-) -> None:
+def test_it_compiles_for_gpus_that_are_not_here(capability: str, tmp_path: Path) -> None:
     """One process for all presets: it is torch and Triton that take their time to be imported."""
     others = [f"{name}/{kind}" for name in ("fast", "paper", "paper-lego") for kind in _KINDS]
-    run_triton(forked, _COMPILED, capability, "tiny/fp32", *others, folder=tmp_path)
+    run("-c", _COMPILED, capability, "tiny/fp32", *others, cache=tmp_path)
 
 
 def _networks(width: int) -> tuple[Layers, Layers]:
