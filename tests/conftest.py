@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from tests.forked import Forked
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -26,6 +27,16 @@ def _seed() -> None:
     torch.manual_seed(0)
     # Commands switch it on for their process; here many tests share one.
     torch.set_flush_denormal(False)
+
+
+@pytest.fixture(scope="session")
+def forked() -> Iterator[Forked]:
+    """Starts programs in processes of their own, which need not import torch first."""
+    if not hasattr(os, "fork"):
+        pytest.skip("this system forks no processes")
+    one = Forked()
+    yield one
+    one.end()
 
 
 @pytest.fixture(scope="module")

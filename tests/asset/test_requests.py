@@ -113,6 +113,32 @@ def test_rays_of_another_type_and_colours_as_numbers(asset: Asset, camera: Camer
         asset.trace(None, camera)  # pyright: ignore[reportArgumentType]
 
 
+def test_rays_from_nowhere(asset: Asset, camera: Camera) -> None:
+    rays = camera.rays()
+    with pytest.raises(InputError, match="rays: expected finite origins"):
+        asset.trace(None, replace(rays, origins=rays.origins * math.nan))
+
+
+@pytest.mark.parametrize(
+    "color", [(0.2, 0.1), (0.0, 0.0, 255.0), "white", torch.ones(8, 8, 3), (0.0, 0.0, math.nan)]
+)
+def test_a_background_that_is_no_colour(asset: Asset, camera: Camera, color: Any) -> None:
+    for ask in (lambda: asset.over(color), lambda: asset.trace(None, camera.rays(), color)):
+        with pytest.raises(InputError, match=r"background: expected red, green and blue in \[0, 1"):
+            ask()
+
+
+def test_a_background_is_followed_where_it_can_be(asset: Asset, camera: Camera) -> None:
+    color = torch.tensor([0.2, 0.4, 0.6], requires_grad=True)
+    image = asset.trace(None, camera.rays(), color)
+    (gradient,) = torch.autograd.grad(image.rgb.sum(), color)
+    torch.testing.assert_close(gradient, (1 - image.alpha).sum().expand(3))
+    with pytest.raises(InputError, match="a gradient is asked for, and a background that is kept"):
+        asset.over(color)
+    kept, same = asset.over(color.detach()), asset.over((0.2, 0.4, 0.6))
+    assert torch.equal(kept.render(None, camera).rgb, same.render(None, camera).rgb)
+
+
 def test_what_rays_hit_is_not_known_of_cameras(asset: Asset, camera: Camera) -> None:
     with pytest.raises(InputError, match=r"only `asset.trace` of neural points keeps"):
         _ = asset.render(None, camera).ray_hits

@@ -7,7 +7,6 @@ import json
 import re
 import shutil
 import signal
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 import torch
 from safetensors.numpy import load_file
+from tests.forked import Forked
 from toys import write_scene
 
 from pcore.cli import sweep_results
@@ -99,13 +99,14 @@ main(["sweep", *sys.argv[1:]])
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="nothing is killed outright there")
-def test_a_sweep_that_is_killed_outright_goes_on_to_the_same_bits(plan: Path) -> None:
+def test_a_sweep_that_is_killed_outright_goes_on_to_the_same_bits(
+    plan: Path, forked: Forked
+) -> None:
     """Killed between the state and the model; made again in this process, whose threads differ."""
     plan.write_text(PLAN.partition("    finetune:")[0].replace("seeds: [0, 1]", "seeds: [0]"))
     out = plan.parent / "out"
-    command = [sys.executable, "-c", KILLED, str(plan), "-o", str(out)]
-    ended = subprocess.run(command, check=False, stdout=subprocess.DEVNULL)
-    assert ended.returncode == -signal.SIGKILL
+    ended = forked.start(KILLED, str(plan), "-o", str(out), said=plan.parent / "said.txt")
+    assert ended.wait() == -signal.SIGKILL, ended.said.read_text()
     first = out / "trials" / "ball" / "papr" / "seed-0"
     assert (first / "run" / "state.pt").exists()
     assert not (first / "trial.json").exists()

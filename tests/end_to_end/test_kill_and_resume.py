@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import logging
-import os
 import random
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +14,7 @@ import small_pcore
 import torch
 from safetensors.torch import load_file
 from small_pcore import small_presets
+from tests.forked import Forked
 
 from pcore.cli.main import main
 from pcore.files.run_folder import RunFolder
@@ -33,14 +31,7 @@ def _quick_presets(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(presets, name, function)
 
 
-def start(arguments: Sequence[str]) -> subprocess.Popen[bytes]:
-    """`pcore` with these arguments, in a process of its own."""
-    return subprocess.Popen(
-        [sys.executable, small_pcore.__file__, *arguments],
-        env={**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
+PROGRAM = f"import runpy; runpy.run_path({small_pcore.__file__!r}, run_name='__main__')"
 
 
 def steps_logged(run: Path) -> int:
@@ -48,11 +39,11 @@ def steps_logged(run: Path) -> int:
     return log.read_text().count('"event": "step"') if log.is_file() else 0
 
 
-def kill_later(arguments: Sequence[str], run: Path, moment: random.Random) -> None:
+def kill_later(forked: Forked, arguments: Sequence[str], run: Path, moment: random.Random) -> None:
     """Start, let it log two or three more reports, then kill at random before the next one."""
     reports, seen = moment.randint(2, 3), list[float]()
-    process = start(arguments)
     before = steps_logged(run)
+    process = forked.start(PROGRAM, *arguments, said=run.parent / "said.txt")
     try:
         end = time.monotonic() + 200
         while process.poll() is None and time.monotonic() < end:
@@ -63,10 +54,9 @@ def kill_later(arguments: Sequence[str], run: Path, moment: random.Random) -> No
                 break
             time.sleep(0.001)
     finally:
-        process.kill()
-        _, said = process.communicate()
+        code = process.end()
     # It must have been working to the last: neither failed nor finished.
-    assert process.returncode == -signal.SIGKILL, said.decode()
+    assert code == -signal.SIGKILL, process.said.read_text()
 
 
 def another_moment() -> random.Random:
@@ -94,12 +84,12 @@ def train(scene: Path, run: Path, *more: str) -> list[str]:
 
 
 @pytest.mark.timeout(900)
-def test_training_killed_three_times(scene: Path, tmp_path: Path) -> None:
+def test_training_killed_three_times(scene: Path, tmp_path: Path, forked: Forked) -> None:
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert main(train(scene, whole)) == 0
     moment, seen = another_moment(), list[int]()
     for resume in ((), ("--resume",), ("--resume",)):
-        kill_later(train(scene, broken, *resume), broken, moment)
+        kill_later(forked, train(scene, broken, *resume), broken, moment)
         seen.append(RunFolder.open(broken).saved_step() or 0)
     assert main(train(scene, broken, "--resume")) == 0
 
@@ -112,7 +102,7 @@ def test_training_killed_three_times(scene: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.timeout(900)
-def test_fine_tuning_killed(scene: Path, tmp_path: Path) -> None:
+def test_fine_tuning_killed(scene: Path, tmp_path: Path, forked: Forked) -> None:
     base, whole, broken = tmp_path / "base", tmp_path / "whole", tmp_path / "broken"
     settings = ["--steps", "10", "--points", "80", *ONE_THREAD]
     assert main(["train", str(scene), "-o", str(base), "--model", "papr", *settings]) == 0
@@ -122,7 +112,7 @@ def test_fine_tuning_killed(scene: Path, tmp_path: Path) -> None:
         return ["finetune", str(base), "-o", str(run), *steps, *ONE_THREAD, *more]
 
     assert main(tune(whole)) == 0
-    kill_later(tune(broken), broken, another_moment())
+    kill_later(forked, tune(broken), broken, another_moment())
     assert 0 < (RunFolder.open(broken).saved_step() or 0) < TUNING_STEPS
     assert main(tune(broken, "--resume")) == 0
     assert_same_model(whole, broken)

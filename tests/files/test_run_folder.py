@@ -5,12 +5,12 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import torch
+from tests.forked import Forked
 
 from pcore.errors import CheckpointError, InputError, TrainingError
 from pcore.files import run_folder as output
@@ -242,16 +242,13 @@ time.sleep(60)
 """
 
 
-def test_a_killed_process_does_not_keep_the_lock(tmp_path: Path) -> None:
+def test_a_killed_process_does_not_keep_the_lock(tmp_path: Path, forked: Forked) -> None:
     path, config = tmp_path / "run", {"steps": 1}
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(path)], stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"locked\n"
-        with pytest.raises(InputError, match=f"id {process.pid}.*is training into"):
-            create(path, resume=True, config=config)
-        process.send_signal(signal.SIGKILL)
+    process = forked.start(HOLDER, str(path), said=tmp_path / "said")
+    process.says("locked\n")
+    with pytest.raises(InputError, match=f"id {process.pid}.*is training into"):
+        create(path, resume=True, config=config)
+    assert process.end() == -signal.SIGKILL
     with create(path, resume=True, config=config) as run:
         assert run.load_state() is None
 
@@ -295,14 +292,12 @@ with RunFolder.create(Path(sys.argv[1]), stage="pretrain", scene="lego", config=
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of file sizes are of POSIX")
-def test_a_write_that_the_system_stops_halfway_loses_nothing(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", FILLER, str(tmp_path / "run")],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    message, step = done.stdout.splitlines()
+def test_a_write_that_the_system_stops_halfway_loses_nothing(
+    tmp_path: Path, forked: Forked
+) -> None:
+    done = forked.start(FILLER, str(tmp_path / "run"), said=tmp_path / "said")
+    assert done.wait() == 0, done.said.read_text()
+    message, step = done.said.read_text().splitlines()
     assert "File too large; already saved and undamaged" in message
     assert "state.pt of step 1" in message
     assert step == "1"

@@ -1,14 +1,13 @@
 """The training state: everything comes back, nothing foreign is executed, kills do no harm."""
 
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from tests.forked import Forked
 from torch import nn
 
 from pcore.errors import CheckpointError
@@ -206,18 +205,14 @@ while True:
 """
 
 
-def test_a_kill_at_any_moment_leaves_one_consistent_state(tmp_path: Path) -> None:
+def test_a_kill_at_any_moment_leaves_one_consistent_state(tmp_path: Path, forked: Forked) -> None:
     path = tmp_path / "state.pt"
     rng = np.random.default_rng(0)
-    for delay in [*rng.uniform(0.0, 0.15, 5)]:
-        with subprocess.Popen(
-            [sys.executable, "-c", SAVER, str(path)], stdout=subprocess.PIPE
-        ) as process:
-            assert process.stdout is not None
-            for _ in range(2):
-                assert process.stdout.readline() == b"saved\n"
-            time.sleep(delay)
-            process.send_signal(signal.SIGKILL)
+    for number, delay in enumerate(rng.uniform(0.0, 0.15, 5)):
+        process = forked.start(SAVER, str(path), said=tmp_path / f"said-{number}")
+        process.says("saved\n", times=2)
+        time.sleep(delay)
+        assert process.end() == -signal.SIGKILL
         state = load_state(path)
         assert state.step >= 2
         assert torch.equal(state.papr["w"], torch.full((200_000,), float(state.step)))

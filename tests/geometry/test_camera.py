@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -72,3 +75,30 @@ def test_a_cropped_camera_sees_the_rectangle():
     )
     whole, part = camera.rays(), camera.cropped(4, 3, 8, 5).rays()
     torch.testing.assert_close(part.directions, whole.directions[3:8, 4:12])
+
+
+def test_a_batch_sees_points_as_its_cameras_do() -> None:
+    first = turned()
+    pose = first.world_from_camera.clone()
+    pose[:3, :3] = pose[:3, [1, 2, 0]]
+    second = replace(first.moved(pose), fx=12.0, cx=2.0)
+    points = first.rays().at(torch.full((5, 7), 2.0)).reshape(-1, 3)
+    seen = Camera.stack([first, second]).project(points)
+    for found, *alone in zip(seen, first.project(points), second.project(points), strict=True):
+        assert torch.equal(found, torch.stack(alone))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"world_from_camera": np.eye(4)}, "expected a tensor of float32 or float64, got ndarray"),
+        ({"world_from_camera": torch.eye(4).long()}, r"got one of torch\.int64; make one with"),
+        ({"width": 7.5}, r"positive image size, got 7\.5 x 5"),
+        ({"height": 0}, "positive image size, got 7 x 0"),
+        ({"cx": math.nan}, "finite principal point in pixels, got nan"),
+        ({"fy": math.inf}, "positive focal lengths in pixels"),
+    ],
+)
+def test_what_makes_no_camera(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        replace(turned(), **changes)

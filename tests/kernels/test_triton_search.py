@@ -5,12 +5,11 @@ Both happen in processes of their own: whether Triton interprets is decided when
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from tests.forked import Forked
+from tests.kernels.triton_programs import run_triton
 
 pytest.importorskip("triton", reason="triton is not installed (it exists for Linux only)")
 
@@ -67,22 +66,14 @@ for k in map(int, sys.argv[2:]):
 """
 
 
-def run(*arguments: str, cache: Path, **environment: str) -> str:
-    shown = subprocess.run(
-        [sys.executable, *arguments],
-        env=os.environ | {"TRITON_CACHE_DIR": str(cache)} | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert shown.returncode == 0, shown.stdout + shown.stderr
-    return shown.stdout
-
-
-def test_interpreted_it_equals_the_search_on_the_cpu_bit_for_bit(tmp_path: Path) -> None:
-    run("-c", _INTERPRETED, cache=tmp_path, TRITON_INTERPRET="1")
+def test_interpreted_it_equals_the_search_on_the_cpu_bit_for_bit(
+    tmp_path: Path, forked: Forked
+) -> None:
+    run_triton(forked, _INTERPRETED, folder=tmp_path, interpreted=True)
 
 
 @pytest.mark.parametrize("capability", [pytest.param("80", marks=pytest.mark.slow), "90"])
-def test_it_compiles_for_gpus_that_are_not_here(capability: str, tmp_path: Path) -> None:
-    run("-c", _COMPILED, capability, "8", "64", cache=tmp_path)
+def test_it_compiles_for_gpus_that_are_not_here(
+    capability: str, tmp_path: Path, forked: Forked
+) -> None:
+    run_triton(forked, _COMPILED, capability, "8", "64", folder=tmp_path)

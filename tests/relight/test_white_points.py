@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+from pathlib import Path
+
+from tests.forked import Forked
 
 _PAIRS = """
 import numpy as np, torch
@@ -17,9 +18,7 @@ print(_drawn(hues, 30, 4, random).shape)
 """
 
 
-def test_many_points_of_no_hue_are_paired() -> None:
+def test_many_points_of_no_hue_are_paired(tmp_path: Path, forked: Forked) -> None:
     """In a process of its own: what was wrong was a crash."""
-    found = subprocess.run(
-        [sys.executable, "-c", _PAIRS], capture_output=True, text=True, check=False
-    )
-    assert (found.returncode, found.stdout.strip()) == (0, "(400, 4)"), found.stderr
+    found = forked.start(_PAIRS, said=tmp_path / "said")
+    assert (found.wait(), found.said.read_text()) == (0, "(400, 4)\n")

@@ -3,31 +3,30 @@
 import contextlib
 import json
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from tests.forked import Forked
+
 KNOWN = "Unable to preventDefault inside passive event listener"
 """What viser's own page says on the console when something is dragged; all else is a problem."""
+
+
+STUDIO = "import sys; from pcore.cli.main import main; sys.exit(main(sys.argv[1:]))"
 
 
 class Page:
     """A running `pcore studio` and a tab that shows it."""
 
-    def __init__(self, browser: Any, run: Path, port: int, *, ready: bool = True) -> None:
-        command = [sys.executable, "-m", "pcore.cli.main", "studio", str(run), "--port", str(port)]
-        self.server = subprocess.Popen(
-            command,
-            stdout=subprocess.PIPE,
-            text=True,
-            # Shells let what they start in the background ignore Ctrl-C, which is sent below.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )
-        assert self.server.stdout is not None
-        self.url = self.server.stdout.readline().strip()
+    def __init__(
+        self, browser: Any, forked: Forked, run: Path, port: int, *, ready: bool = True
+    ) -> None:
+        words = ["studio", str(run), "--port", str(port)]
+        self.server = forked.start(STUDIO, *words, said=run.parent / f"said-{time.time_ns()}")
+        self.server.says("\n")
+        self.url = self.server.said.read_text().splitlines()[0].strip()
         self.problems: list[str] = []
         self.tab: Any = None
         if ready:
@@ -108,10 +107,7 @@ class Page:
 
     def end(self, how: signal.Signals) -> int:
         """End the server and the tab; return its exit code."""
-        self.server.send_signal(how)
-        assert self.server.stdout is not None
-        with self.server.stdout:
-            code = self.server.wait(60)
+        code = self.server.end(how)
         if self.tab is not None:
             self.tab.close()
         return code

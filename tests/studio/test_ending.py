@@ -1,12 +1,11 @@
 """Ctrl-C ends the program whatever its threads do, and keeps the edits."""
 
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from page import kept
+from tests.forked import Forked
 
 pytest.importorskip("viser", reason="the extra studio is not installed")
 
@@ -31,20 +30,13 @@ sys.exit(main(["studio", sys.argv[1], "--port", sys.argv[2]]))
 
 
 @pytest.mark.timeout(120)
-def test_a_thread_that_hears_nothing_does_not_keep_the_program(run: Path, free_port: int) -> None:
-    server = subprocess.Popen(
-        [sys.executable, "-c", _SERVER, str(run), str(free_port)],
-        stdout=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    assert server.stdout is not None
+def test_a_thread_that_hears_nothing_does_not_keep_the_program(
+    run: Path, free_port: int, forked: Forked
+) -> None:
+    server = forked.start(_SERVER, str(run), str(free_port), said=run.parent / "said.txt")
     try:
-        said = {server.stdout.readline().split()[0] for _ in range(4)}
-        assert "busy" in said
-        server.send_signal(signal.SIGINT)
-        assert server.wait(60) == 0
+        server.says("busy\n")
+        assert server.end(signal.SIGINT) == 0
         assert len(kept(run)["edits"]) == 2
     finally:
-        server.kill()
-        server.stdout.close()
+        server.end()

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import torch
 from page import Page, kept, until
+from tests.forked import Forked
 
 import pcore
 from pcore.cli.main import main
@@ -16,8 +17,8 @@ pytest.importorskip("viser", reason="the extra studio is not installed")
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 
 
-def test_the_whole_story(browser: Any, run: Path, free_port: int) -> None:
-    page = Page(browser, run, free_port)
+def test_the_whole_story(browser: Any, forked: Forked, run: Path, free_port: int) -> None:
+    page = Page(browser, forked, run, free_port)
     middle = (355, 350)
     try:
         page.tab.keyboard.down("Control")
@@ -86,7 +87,7 @@ def test_the_whole_story(browser: Any, run: Path, free_port: int) -> None:
     finally:
         page.end(signal.SIGKILL)
 
-    page = Page(browser, run, free_port)
+    page = Page(browser, forked, run, free_port)
     try:
         page.press("Restore")
         page.says("3 edits, not saved")

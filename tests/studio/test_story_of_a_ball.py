@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from page import Page, kept, until
+from tests.forked import Forked
 
 pytest.importorskip("viser", reason="the extra studio is not installed")
 
@@ -27,8 +28,10 @@ def reads(page: Page, number: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_ball_a_telephone_and_a_lost_server(browser: Any, run: Path, free_port: int) -> None:
-    page = Page(browser, run, free_port)
+def test_a_ball_a_telephone_and_a_lost_server(
+    browser: Any, forked: Forked, run: Path, free_port: int
+) -> None:
+    page = Page(browser, forked, run, free_port)
     try:
         page.click(MIDDLE, "Control")
         page.says("1 edit, not saved")
@@ -69,7 +72,7 @@ def test_a_ball_a_telephone_and_a_lost_server(browser: Any, run: Path, free_port
         edit.wait_for(state="visible", timeout=30_000)
         assert page.problems == []
 
-        page.server.kill()
+        page.server.end()
         page.says("The connection is lost.")
     finally:
         page.end(signal.SIGKILL)

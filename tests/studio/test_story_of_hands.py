@@ -8,6 +8,7 @@ from typing import Any
 import imageio.v3 as iio
 import pytest
 from page import Page, kept, until
+from tests.forked import Forked
 
 pytest.importorskip("viser", reason="the extra studio is not installed")
 
@@ -29,8 +30,8 @@ def without_webgl(browser: Any, url: str) -> None:
 
 
 @pytest.mark.slow
-def test_hands_on_the_page(browser: Any, run: Path, free_port: int) -> None:
-    page = Page(browser, run, free_port)
+def test_hands_on_the_page(browser: Any, forked: Forked, run: Path, free_port: int) -> None:
+    page = Page(browser, forked, run, free_port)
     keys = page.tab.keyboard
     try:
         # A lasso, kept by a name, and a brush that paints on.
@@ -114,8 +115,8 @@ def test_hands_on_the_page(browser: Any, run: Path, free_port: int) -> None:
         page.end(signal.SIGKILL)
 
 
-def test_a_dark_browser_and_points(browser: Any, run: Path, free_port: int) -> None:
-    page = Page(browser, run, free_port, ready=False)
+def test_a_dark_browser_and_points(browser: Any, forked: Forked, run: Path, free_port: int) -> None:
+    page = Page(browser, forked, run, free_port, ready=False)
     try:
         page.open(browser, color_scheme="dark")
         panel = 'document.documentElement.getAttribute("data-mantine-color-scheme")'

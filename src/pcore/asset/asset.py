@@ -10,7 +10,7 @@ from typing import Any, Unpack, overload
 
 from torch import Tensor
 
-from pcore.asset.content import Color, Content, LightName, RaysName, Sampling
+from pcore.asset.content import Color, Content, LightName, RaysName, Sampling, checked_color
 from pcore.asset.posed_asset import How, Posed, checked_cameras, checked_rays, content_of
 from pcore.asset.posing import Edit, EditLike, begin_with, bind_motion, check_bound
 from pcore.capture.load import load_scene
@@ -58,7 +58,7 @@ class Asset:
 
     @property
     def points(self) -> Tensor:
-        """(N, 3) canonical points, world units, float32 on the CPU."""
+        """(N, 3) canonical points, world units, on the CPU; autograd does not follow them."""
         return self.content.points
 
     @cached_property
@@ -180,8 +180,8 @@ class Asset:
             cameras: a camera or a batch (`Camera.stack`) of at least 4 x 4 pixels, or several
                 cameras of any sizes.
             **how: `samples`, rays per pixel, a square number, no matter for Gaussians; `fast=True`,
-                not exact, in less time; `detail` of `film_detail`; `cancel`, asked now and then,
-                True ends the work; `progress`, told which share is done. More under `Sampling`.
+                not exact, in less time; `detail` of `film_detail`; `cancel`, True ends the work;
+                `progress`, told which share is done. More under `Sampling`.
 
         Returns:
             A picture (of a batch with its axis in front), or one for each of several cameras.
@@ -233,10 +233,10 @@ class Asset:
             background: (3,) colour behind the object; None takes its own.
 
         Raises:
-            InputError: no rays, or directions that are not of unit length.
+            InputError: no rays, not of unit length or not finite, or a background of no colour.
         """
         content = content_of(self.pose() if posed is None else posed, self.content)
-        return self.content.trace(content, checked_rays(rays), background)
+        return self.content.trace(content, checked_rays(rays), checked_color(background))
 
     def session(self, edit: EditLike | None = None, *, time: float | None = None) -> EditSession:
         """Begin to edit it step by step, with the weights it learned; see `EditSession`.
@@ -251,15 +251,15 @@ class Asset:
         return EditSession(self.points, begin_with(edit, time), rig=self.rig)
 
     def over(self, background: Color) -> Asset:
-        """Return the same object before another background, RGB in [0, 1]."""
-        return replace(self, content=self.content.over(background))
+        """Return the same before another background, RGB in [0, 1], else raises InputError."""
+        return replace(self, content=self.content.over(checked_color(background, fixed=True)))
 
     def scene(self, folder: Path | None = None, *, factor: int | None = None) -> Scene:
         """Open the scene that it was trained on.
 
         Args:
             folder: of the scene; None takes the one on record.
-            factor: whole number by which images are down-scaled; None takes that of the training.
+            factor: by which images are down-scaled; None takes that of the training.
 
         Raises:
             InputError: none is given and that on record is not here.

@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Literal, Protocol, TypeVar, get_args
+from typing import Any, Literal, Protocol, TypeVar, get_args
 
+import torch
 from torch import Tensor
 
 from pcore.deform.base import Deformation
@@ -261,6 +262,30 @@ def wanted_light(
             "with `pcore light RUN`, or let it be baked in (--light baked)"
         )
     return None if read is None else read()
+
+
+def checked_color(color: Any, *, fixed: bool = False) -> Any:
+    """Return a background as it came, if any, or, to be kept (`fixed`), as three numbers.
+
+    Raises:
+        InputError: no three numbers in [0, 1], or a gradient is asked for of what is kept.
+    """
+    if color is None and not fixed:
+        return None
+    try:
+        values = torch.as_tensor(color).detach()
+    except (TypeError, ValueError, RuntimeError):
+        values = torch.zeros(0)
+    if tuple(values.shape) != (3,) or not bool(((values >= 0) & (values <= 1)).all()):
+        raise InputError(f"background: expected red, green and blue in [0, 1], got {color!r}")
+    if not fixed:
+        return color
+    if isinstance(color, Tensor) and color.requires_grad:
+        raise InputError(
+            "background: a gradient is asked for, and a background that is kept has none; give it "
+            "to `asset.trace`, or detach it"
+        )
+    return tuple(map(float, values))
 
 
 def _check_name(what: str, name: str | None, known: Sequence[str | None]) -> None:

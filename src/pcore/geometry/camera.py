@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from numbers import Integral
 
 import torch
 from torch import Tensor
 
 from pcore.errors import InputError
+from pcore.geometry.camera_checks import check_kind, check_pose
 from pcore.geometry.rays import RayBundle
 from pcore.geometry.rotation import rotations
-
-_RIGID_TOLERANCE = 1e-3
 
 Number = float | Tensor
 """A number, or a tensor () that autograd may follow; (C,) of a batch of cameras."""
@@ -46,6 +46,7 @@ class Camera:
     cy: Number
 
     def __post_init__(self) -> None:
+        check_kind(self.world_from_camera)
         batch = tuple(self.world_from_camera.shape[:-2])
         for name, one in self._numbers.items():
             if isinstance(one, Tensor) and tuple(one.shape) not in ((), batch):
@@ -57,16 +58,16 @@ class Camera:
             for one in self:  # Each is checked by itself.
                 _ = one
             return
-        _check_pose(self.world_from_camera)
-        if self.width < 1 or self.height < 1:
+        check_pose(self.world_from_camera)
+        if not all(isinstance(side, Integral) and side > 0 for side in (self.width, self.height)):
             raise InputError(
-                f"camera: expected a positive image size, got {self.width} x {self.height}"
+                f"camera: expected a positive image size, got {self.width} x {self.height} pixels"
             )
-        focal = self.focal
-        if not (min(focal) > 0 and math.isfinite(sum(focal))):
-            raise InputError(
-                f"camera: expected positive focal lengths in pixels, got {focal[0]}, {focal[1]}"
-            )
+        fx, fy, cx, cy = (_value(one) for one in self._numbers.values())
+        if not (min(fx, fy) > 0 and math.isfinite(fx + fy)):
+            raise InputError(f"camera: expected positive focal lengths in pixels, got {fx}, {fy}")
+        if not math.isfinite(cx + cy):
+            raise InputError(f"camera: expected a finite principal point in pixels, got {cx}, {cy}")
 
     @classmethod
     def stack(cls, cameras: Sequence[Camera]) -> Camera:
@@ -112,8 +113,7 @@ class Camera:
     @property
     def focal(self) -> tuple[float, float]:
         """Focal lengths of a single camera along x and y in pixels, as numbers."""
-        x, y = (float(torch.as_tensor(one).detach()) for one in (self.fx, self.fy))
-        return x, y
+        return _value(self.fx), _value(self.fy)
 
     @property
     def asks_gradient(self) -> bool:
@@ -251,11 +251,15 @@ class Camera:
         return float((self.center - place).detach().norm()) / self.focal[0]
 
     def project(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Column, row and camera z (N,) of world points (N, 3).
+        """Column, row and camera z (N,) of world points (N, 3); of a batch of cameras (C, N).
 
         Columns and rows count from the picture's corner, pixels wide; those of points that are not
         in front of the camera mean nothing.
         """
+        if self.count is not None:
+            each = zip(*(one.project(points) for one in self), strict=True)
+            column, row, depth = map(torch.stack, each)
+            return column, row, depth
         pose = self.world_from_camera.to(points)
         local = (points - pose[:3, 3]) @ pose[:3, :3]
         depth = -local[:, 2]
@@ -280,20 +284,5 @@ class Camera:
         return depth.masked_fill(unknown.squeeze(-1), math.nan)
 
 
-def _check_pose(pose: Tensor) -> None:
-    if tuple(pose.shape) != (4, 4):
-        raise InputError(f"camera pose: expected a 4 x 4 matrix, got shape {tuple(pose.shape)}")
-    if not bool(torch.isfinite(pose).all()):
-        raise InputError("camera pose: expected finite numbers, got NaN or infinity")
-    rotation = pose[:3, :3].double()
-    error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max().item()
-    if error <= _RIGID_TOLERANCE and torch.linalg.det(rotation).item() < 0:
-        raise InputError(
-            "camera pose: expected a right-handed rotation, got a mirrored one (determinant -1); "
-            "negate one column of its 3 x 3 block: the camera looks along -z, with y up"
-        )
-    if error > _RIGID_TOLERANCE:
-        raise InputError(
-            "camera pose: expected a rigid world_from_camera (orthonormal rotation), "
-            f"got a 3 x 3 block that is off by {error:.2g}; remove scale and shear from the pose"
-        )
+def _value(number: Number) -> float:
+    return float(torch.as_tensor(number).detach())

@@ -62,13 +62,15 @@ class RayBundle(Tensors):
         return torch.is_grad_enabled() and followed
 
     def checked(self) -> RayBundle:
-        """Return the same rays; InputError where there are none, or not all of unit length."""
+        """Return the same rays; InputError: none, not of unit length, or from no finite place."""
         lengths = self.directions.detach().norm(dim=-1)
         if not lengths.numel() or not bool(((lengths - 1).abs() < _UNIT).all()):
             got = f"lengths up to {float(lengths.max()):g}" if lengths.numel() else "no rays"
             raise InputError(
                 f"rays: expected directions of unit length, got {got}; divide them by their norm"
             )
+        if not bool(self.origins.isfinite().all()):
+            raise InputError("rays: expected finite origins, got NaN or infinity")
         return self
 
     def __getitem__(self, index: Any) -> RayBundle:
