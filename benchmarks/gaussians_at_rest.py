@@ -42,7 +42,8 @@ def main() -> None:
     keep_freed_memory()
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
-    config = gaussian_preset("tiny")
+    # Held-out views are to judge the end.
+    config = replace(gaussian_preset("tiny"), held_out_until=1.0)
     if wish.steps:
         config = replace(config, steps=wish.steps)
     for path in wish.scenes:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from pcore.asset.importing import import_papr
     from pcore.asset.lighting import estimate_light
     from pcore.asset.posed_asset import Posed
-    from pcore.asset.run_options import RunOptions
     from pcore.asset.saving import asset_of, load
     from pcore.asset.training import finetune, train
     from pcore.capture.load import load_cameras, load_scene
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from pcore.model.papr import Papr
     from pcore.render.image import Image
     from pcore.training.config import FinetuneConfig, PretrainConfig
+    from pcore.training.in_folder import RunOptions
     from pcore.training.presets import finetune_preset, preset
     from pcore.training.pretrain import pretrain
 
@@ -90,7 +90,7 @@ _HOMES = {
     "Posed": "pcore.asset.posed_asset",
     "PretrainConfig": "pcore.training.config",
     "RayBundle": "pcore.geometry.rays",
-    "RunOptions": "pcore.asset.run_options",
+    "RunOptions": "pcore.training.in_folder",
     "Scene": "pcore.data.scene",
     "asset_of": "pcore.asset.saving",
     "diagnose": "pcore.editing.diagnosis",

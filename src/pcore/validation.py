@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -91,18 +91,25 @@ def read_bytes(path: Path, *, what: str) -> bytes:
         raise InputError(f"{path}: cannot read {what}: {problem.strerror}") from problem
 
 
-def parse_json(text: str, *, where: str, error: type[PcoreError]) -> Any:
+def parse_json(
+    text: str,
+    *,
+    where: str,
+    error: type[PcoreError],
+    make: Callable[[list[tuple[str, Any]]], Any] = dict,
+) -> Any:
     """Parse JSON text that a user gave.
 
     Args:
         text: the text.
         where: what the text is, with its file; starts the message.
         error: the class to raise when it is not JSON.
+        make: makes an object of its keys and values.
     """
     if not text.strip():
         raise error(f"{where}: expected JSON, got an empty file; was it copied whole?")
     try:
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=make)
     except json.JSONDecodeError as problem:
         raise error(
             f"{where}: expected JSON, got text that does not parse {_broken(problem)}"
@@ -115,23 +122,26 @@ def parse_json(text: str, *, where: str, error: type[PcoreError]) -> Any:
 
 
 def _broken(problem: json.JSONDecodeError) -> str:
-    """Where text stops being JSON, and why where that is known."""
+    """Where text stops being JSON, why where that is known, and the line that it is in."""
     text, at = problem.doc, problem.pos
     rest = text[at:].lstrip()
     # Whether the parser stops at a comma too many or behind it depends on the version of Python.
-    behind = rest.removeprefix(",").lstrip()
-    before = text[:at].rstrip().endswith(",") or rest.startswith(",")
+    comma = at if text[at : at + 1] == "," else len(text[:at].rstrip()) - 1
+    behind = text[comma + 1 :].lstrip()
     if not rest:
         reason = "where the text ends; was the file cut off?"
     elif rest.startswith(("//", "/*", "#")):
         reason = "where a comment begins, which JSON does not have; delete it"
-    elif before and behind.startswith(("]", "}")):
-        reason = f"where a comma stands before {behind[0]!r}; delete the comma"
+    elif comma >= 0 and text[comma] == "," and behind.startswith(("]", "}")):
+        at, reason = comma, f"where a comma stands before {behind[0]!r}; delete the comma"
     elif rest.startswith("'"):
         reason = "where a single quote stands; JSON has double quotes"
     else:
         reason = f"from {rest[:20].splitlines()[0]!r} on; was the file cut off or edited by hand?"
-    return f"at line {problem.lineno}, column {problem.colno}, {reason}"
+    before, number = text.rfind("\n", 0, at) + 1, text.count("\n", 0, at) + 1
+    line = text[before:].split("\n", 1)[0].strip()
+    shown = line if len(line) <= 60 else line[:57] + "..."
+    return f"at line {number}, column {at - before + 1}, {reason} ({shown})"
 
 
 def parse(model: type[Model], data: object, *, where: str, error: type[PcoreError]) -> Model:
@@ -153,8 +163,12 @@ def describe_problem(problem: ValidationError) -> str:
     """First finding of pydantic as "field: what was expected, got value"."""
     details = problem.errors(include_url=False)
     first = details[0]
-    field = ".".join(str(part) for part in first["loc"]) or "top level"
+    field = _field(first["loc"])
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    unknown = next((one for one in details if one["type"] == "extra_forbidden"), None)
+    if first["type"] == "missing" and unknown is not None:
+        odd = _field(unknown["loc"])
+        return f"'{field}' is missing, and '{odd}' is not a known key; add it or mend its spelling"
     if first["type"] == "missing":
         return f"'{field}' is missing{more}; add it"
     if first["type"] == "extra_forbidden":
@@ -167,6 +181,10 @@ def describe_problem(problem: ValidationError) -> str:
     got = _JSON_NAMES.get(repr(first["input"]), repr(first["input"]))
     short = got if len(got) <= 60 else got[:57] + "..."
     return f"'{field}': {message}, got {short}{more}"
+
+
+def _field(place: tuple[int | str, ...]) -> str:
+    return ".".join(str(part) for part in place) or "top level"
 
 
 def check_folder_names(where: str, names: Collection[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from figure_model import TURN, bar, bowed, figure
 from gltf_files import Builder
 
 from pcore.asset.posing import script_of
+from pcore.benchmark.long_triangles import long_triangles
 from pcore.benchmark.making import SPLITS
 from pcore.benchmark.model import read_model
 from pcore.benchmark.model_states import (
@@ -171,3 +173,15 @@ def test_triangles_too_long_for_a_map_are_told(tmp_path: Path) -> None:
     assert "bow" not in said  # What a file shows of its clips is the truth.
     _, notes = states_of(save(figure(rings=48), tmp_path), resolution=100)
     assert not any("subdivide" in note for note in notes)
+
+
+def test_pixels_of_long_triangles_are_those_of_the_states_pictures() -> None:
+    """A state that is larger is seen from a wider angle, so that its pixels are larger, too."""
+    place, _, faces = bar(1, 12)
+    vertices, faces = place.astype(float), faces.astype(np.int64)
+    twist = formulas(vertices, None)["twist60"].deformation
+    maps = {"near": twist, "far": twist}
+    (said,) = long_triangles(vertices, faces, maps, {"near": 0.01, "far": 0.02})
+    near, far = (float(one) for one in re.findall(r"(?:near|far) ([\d.]+) pixels", said))
+    assert near == pytest.approx(2 * far, abs=0.15)
+    assert "edits `mesh` and `displacement`" in said

@@ -302,7 +302,7 @@ CASES = [
     Case("info nowhere", "no model at nowhere: expected a model.safetensors|check the path"),
     Case(
         "info edit.json",
-        "edit.json: expected an edit file in JSON, got invalid JSON|line 1",
+        "edit.json: expected JSON, got text that does not parse|line 1",
         lambda world: (world / "edit.json").write_text('{"version": 2, "edits": ['),
     ),
     Case(

@@ -21,7 +21,6 @@ from toys import write_scene
 
 from pcore.cli import sweep_results
 from pcore.cli.main import main
-from pcore.cli.sweep_places import placed
 from pcore.cli.sweep_verbs import run_trial
 from pcore.sweep import sweep_storage
 from pcore.sweep.sweep_storage import fetch
@@ -196,8 +195,11 @@ def test_failures_are_listed_and_cost_nobody_else(
         (("steps: 3", "steps: 3, flat: true"), "train: --flat: expected options of PAPR"),
         (
             ("  more:", "    compare: {methods: [nerf]}\n  more:"),
-            "all or none, got nerf",
+            "setting 'papr', compare: --methods: expected some of",
         ),
+        (("rays: plain", "edit: [odd.json]"), """odd.json: edit 1: key "type": expected one of"""),
+        (("rays: plain", "against: end"), "setting 'papr', eval: --against: expected --edit FILE"),
+        (("rays: plain", "edit: [still.json], against: end"), "no state 'end'"),
         (
             ("version: 1", "version: 1\nresources: {processes: 2}"),
             "setting 'papr', train: expected at least one patch or photo of a step for each of 2",
@@ -211,6 +213,9 @@ def test_mistakes_are_said_before_anything_starts(
 ) -> None:
     assert change[0] in PLAN
     plan.write_text(PLAN.replace(*change), encoding="utf-8")
+    for name, edits in (("odd", '{"type": "twst"}'), ("still", "")):
+        text = f'{{"version": 2, "edits": [{edits}]}}'
+        (plan.parent / f"{name}.json").write_text(text, encoding="utf-8")
     assert sweep(plan) == 2
     assert said in capsys.readouterr().err
     assert not (plan.parent / "out").exists()
@@ -255,32 +260,6 @@ def test_processes_share_a_trial(plan: Path, capsys: pytest.CaptureFixture[str])
     told = capsys.readouterr()
     assert "its processes ended with code 1: " in told.out
     assert "holds other files" in told.out
-
-
-def test_files_of_options_are_seen_from_the_plan(tmp_path: Path) -> None:
-    for name in ("lean.json", "theirs"):
-        (tmp_path / name).touch()
-    verbs: Any = {
-        "train": {"masks": "auto", "init": "hull", "steps": 3},
-        "eval": {"edit": ["lean.json"]},
-        "compare": {"pictures": ["other=theirs"]},
-    }
-    trial = Trial(
-        scene="ball",
-        setting="papr",
-        seed=0,
-        scene_folder=tmp_path,
-        folder=tmp_path,
-        verbs=verbs,
-        threads=1,
-        device="cpu",
-    )
-    (found,) = placed([trial], tmp_path)
-    assert found.verbs == {
-        "train": verbs["train"],
-        "eval": {"edit": [str(tmp_path / "lean.json")]},
-        "compare": {"pictures": [f"other={tmp_path / 'theirs'}"]},
-    }
 
 
 def test_tables_are_there_before_the_last_trial_has_ended(

@@ -16,7 +16,7 @@ from PIL import Image
 from pcore.capture.load import load_cameras
 from pcore.data.camera_output import save_colmap, save_transforms
 from pcore.data.depth_files import depth_step, save_depth_png, save_exr
-from pcore.data.painted_ply import save_painted
+from pcore.data.points import save_painted
 from pcore.errors import DependencyError, InputError
 from pcore.geometry.orbit import orbit_cameras
 

@@ -9,7 +9,7 @@ import trimesh
 from torch import Tensor
 
 from pcore.deform.cage import Cage, CageDeform
-from pcore.deform.proxy import follow_mesh
+from pcore.deform.proxy import BoundMesh
 from pcore.deform.scattered import PointMotion
 from pcore.errors import InputError
 
@@ -188,11 +188,11 @@ def test_points_follow_a_mesh_rigidly_and_exactly_at_its_vertices():
     points = torch.nn.functional.normalize(cloud(300), dim=-1) * (0.97 + 0.02 * cloud(300)[:, :1])
     turn = torch.linalg.qr(AFFINE)[0]
     turn = 2 * turn * torch.linalg.det(turn)
-    motion = follow_mesh(points, before, before @ turn.T + 1, faces)
+    motion = BoundMesh.of(points, before, faces).to(before @ turn.T + 1)
     torch.testing.assert_close(motion(points), points @ turn.T + 1)
     torch.testing.assert_close(motion.jacobian(points), turn.expand(300, 3, 3))
     posed = waved(before)
-    at_vertices = follow_mesh(before, before, posed, faces)
+    at_vertices = BoundMesh.of(before, before, faces).to(posed)
     assert isinstance(at_vertices, PointMotion)
     torch.testing.assert_close(at_vertices(before), posed)
 
@@ -203,7 +203,7 @@ def test_between_the_vertices_of_a_mesh_the_error_is_of_second_order():
         before = torch.from_numpy(np.array(mesh.vertices))
         faces = torch.from_numpy(np.array(mesh.faces))
         middle = before[faces].mean(dim=1)
-        away = follow_mesh(middle, before, waved(before), faces)(middle) - waved(middle)
+        away = BoundMesh.of(middle, before, faces).to(waved(before))(middle) - waved(middle)
         return float(away.norm(dim=-1).mean())
 
     # Edges half as long: a quarter of the error.
@@ -213,4 +213,4 @@ def test_between_the_vertices_of_a_mesh_the_error_is_of_second_order():
 def test_a_mesh_without_area_is_refused():
     line = torch.tensor([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
     with pytest.raises(InputError, match="mesh: expected triangles with an area, got none"):
-        follow_mesh(cloud(), line, line, torch.tensor([[0, 1, 2]]))
+        BoundMesh.of(cloud(), line, torch.tensor([[0, 1, 2]])).to(line)

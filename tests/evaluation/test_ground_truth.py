@@ -225,7 +225,7 @@ def test_bad_points(folder):
     truth = load_truth(folder)
     with pytest.raises(InputError, match="NaN or infinity in 1"):
         truth.carry(torch.tensor([[0.0, torch.nan, 0.0], [0.0, 0.0, 0.0]]), "large")
-    with pytest.raises(InputError, match=r"expected shape \(N, 3\), got \(4,\)"):
+    with pytest.raises(InputError, match=r"expected points \(N, 3\), at least one, got \(4,\)"):
         truth.carry(torch.zeros(4), "large")
     with pytest.raises(InputError, match="no state 'jump'; it has twisted, large, turned"):
         truth.carry(torch.zeros(1, 3), "jump")

@@ -42,6 +42,14 @@ def write_depth(path: Path, depth: np.ndarray) -> None:
         np.savez(path, rgb=np.zeros(3), depth=depth)
 
 
+def flatten(folder: Path) -> None:
+    """Pictures over white, without alpha, as `pcore render` writes them."""
+    for path in folder.glob("*/*.png"):
+        rgba = Image.open(path).convert("RGBA")
+        white = Image.new("RGBA", rgba.size, "white")
+        Image.alpha_composite(white, rgba).convert("RGB").save(path)
+
+
 def test_true_pictures_are_perfect(folder: Path, states: SceneStates) -> None:
     method = open_pictures("theirs", folder)
     assert method.tells == "opacity"
@@ -56,10 +64,7 @@ def test_true_pictures_are_perfect(folder: Path, states: SceneStates) -> None:
 
 
 def test_pictures_without_alpha_tell_colours_alone(folder: Path, states: SceneStates) -> None:
-    for path in folder.glob("*/*.png"):
-        rgba = Image.open(path).convert("RGBA")
-        white = Image.new("RGBA", rgba.size, "white")
-        Image.alpha_composite(white, rgba).convert("RGB").save(path)
+    flatten(folder)
     method = open_pictures("theirs", folder)
     assert method.tells == "colour"
     (row, *_) = evaluate([method], states.select(["grown"]))
@@ -94,6 +99,31 @@ def test_depth_beside_pictures_is_scored(folder: Path, states: SceneStates, endi
         evaluate([method], [grown])
 
 
+def test_raw_files_beside_pictures_tell_opacity_and_depth(
+    folder: Path, states: SceneStates
+) -> None:
+    """`pcore render --raw` writes colours over white, and all else in numbers."""
+    grown = states.select(["grown"])[1]
+    with_alpha = evaluate([open_pictures("theirs", folder)], [grown])
+    flatten(folder)
+    for shot in grown.shots:
+        assert shot.depth is not None
+        depth = np.nan_to_num(shot.depth().numpy(), posinf=np.nan)
+        alpha = shot.view.rgba()[..., 3].numpy()
+        np.savez(folder / "grown" / f"{shot.view.name}.npz", depth=depth, alpha=alpha)
+    for name in ("canonical", "scale_2"):
+        shutil.rmtree(folder / name)
+    method = open_pictures("theirs", folder)
+    assert method.tells == "depth"
+    for row, before in zip(evaluate([method], [grown]), with_alpha, strict=True):
+        assert row.scores["hole_rate"] == 0
+        for name in ("see_through_rate", "spill"):
+            assert row.scores[name] == pytest.approx(before.scores[name], abs=1e-6)
+    np.savez(folder / "grown" / "r_0.npz", depth=depth)
+    with pytest.raises(InputError, match=r"grown: expected opacity .* r_0 \(1 in this state\)"):
+        open_pictures("theirs", folder).pose(grown)
+
+
 def test_what_some_pictures_lack_is_an_error_that_names_them(
     folder: Path, states: SceneStates
 ) -> None:
@@ -107,7 +137,7 @@ def test_what_some_pictures_lack_is_an_error_that_names_them(
     with pytest.raises(InputError, match=r"grown: expected depth .* r_1 \(1 in this state\)"):
         method.pose(grown)
     Image.open(folder / "grown" / "r_0.png").convert("RGB").save(folder / "grown" / "r_0.png")
-    with pytest.raises(InputError, match=r"grown: expected an alpha channel .* r_0 \(1 in"):
+    with pytest.raises(InputError, match=r"grown: expected opacity of .* r_0 \(1 in"):
         open_pictures("theirs", folder).pose(grown)
     assert len(open_pictures("theirs", folder).pose(canonical)) == 2
 

@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -21,7 +20,7 @@ from pcore.files.run_place import bytes_needed
 from pcore.files.run_record import RunRecord
 from pcore.files.training_state import TrainingState
 from pcore.training.events import silent
-from pcore.training.in_folder import FolderPlan, train_in_folder
+from pcore.training.in_folder import RunOptions, train_in_folder
 
 CONFIG = {"steps": 100, "papr": {"neighbours": 8, "size": (1, 2)}}
 
@@ -324,7 +323,8 @@ def test_seconds_are_those_of_both_trainings(tmp_path: Path) -> None:
 
 
 def test_what_a_killed_training_took_is_not_known(tmp_path: Path) -> None:
-    plan = FolderPlan(path=tmp_path / "run", stage="pretrain", scene="lego", config=CONFIG)
+    path = tmp_path / "run"
+    record = RunRecord(path=path, stage="pretrain", config=CONFIG)
 
     def train(run: RunFolder, *, until: int) -> None:
         run.save_state(state(until))
@@ -332,24 +332,24 @@ def test_what_a_killed_training_took_is_not_known(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     def spent() -> float | None:
-        return RunFolder.open(plan.path).notes["processor_seconds"]
+        return RunFolder.open(path).notes["processor_seconds"]
 
     with pytest.raises(KeyboardInterrupt):
-        train_in_folder(plan, lambda run, tell: train(run, until=4), silent)
+        train_in_folder(
+            record, lambda run, tell: train(run, until=4), silent, RunOptions(), scene="lego"
+        )
     first = spent()
     assert first is not None
-    again = replace(plan, resume=True)
-    train_in_folder(again, lambda run, tell: train(run, until=5), silent)
+    again = RunOptions(resume=True)
+    train_in_folder(record, lambda run, tell: train(run, until=5), silent, again, scene="lego")
     both = spent()
     assert both is not None
     assert both >= first
     # Every process says what it was, and where it began.
-    began = RunFolder.open(plan.path).notes["made_by"]
+    began = RunFolder.open(path).notes["made_by"]
     assert [one["step"] for one in began] == [0, 4]
     assert {one["torch"] for one in began} == {torch.__version__}
-    with RunFolder.create(
-        plan.path, stage="pretrain", scene="lego", config=CONFIG, resume=True
-    ) as run:
+    with RunFolder.create(path, stage="pretrain", scene="lego", config=CONFIG, resume=True) as run:
         run.update(processor_seconds=None)
-    train_in_folder(again, lambda run, tell: train(run, until=6), silent)
+    train_in_folder(record, lambda run, tell: train(run, until=6), silent, again, scene="lego")
     assert spent() is None

@@ -20,6 +20,7 @@ from pcore.data.scene import View
 from pcore.deform.skinning import AnchorPose, skin
 from pcore.editing.script import load_edit
 from pcore.errors import InputError
+from pcore.fitting.agreement import Agreement, check_same_object
 from pcore.fitting.anchor_motion import AnchorSpace, rotation_matrices, rotation_vectors
 from pcore.fitting.appearance_fit import fit_appearance
 from pcore.fitting.fit_config import AppearanceConfig, FitConfig, FitStage, SearchConfig
@@ -28,7 +29,7 @@ from pcore.fitting.fit_sequence import fit_sequence
 from pcore.fitting.fitted_edit import anchor_rig, edit_of, keyframed, pose_of_edit
 from pcore.fitting.fitter import Fitter
 from pcore.fitting.numbers_fit import fit_numbers
-from pcore.fitting.pose_fit import fit_pose
+from pcore.fitting.pose_fit import PoseFit, fit_pose
 from pcore.fitting.shown_object import Shown
 from pcore.gaussians.wide_pixels import pixel_width
 
@@ -158,6 +159,30 @@ def test_a_moving_object_becomes_keyframes(asset: Asset, tmp_path: Path) -> None
         assert float((moved - true).norm(dim=1).mean()) < 0.35 * float(way)
 
 
+def test_what_was_found_is_kept_where_a_later_state_is_refused(
+    asset: Asset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = FitConfig(**TWELVE)
+    edits = [edit_of(a_pose(asset, config, size), config) for size in (0.02, 0.05)]
+    good = Agreement(psnr=30.0, overlap=1.0, explained=1.0, error=0.0)
+    left, kept = [*edits], []
+
+    def fitted(*_: object, **__: object) -> PoseFit:
+        if not left:
+            raise InputError("photos: expected the object of the run")
+        return PoseFit(edit=left.pop(0), before=good, after=good)
+
+    monkeypatch.setattr("pcore.fitting.fit_sequence.fit_pose", fitted)
+    with pytest.raises(InputError, match="state 3 of 3: photos: expected the object of the run"):
+        fit_sequence(
+            asset, [()] * 3, config, times=(0, 1, 3), shown=Shown.of(asset), keep=kept.append
+        )
+    (film,) = kept
+    assert film.key_times == (0, 1)
+    for time, edit in enumerate(edits):
+        assert torch.allclose(asset.pose(film.at(time)).points, asset.pose(edit).points, atol=1e-5)
+
+
 def test_from_the_truth_it_stays_there(asset: Asset, tmp_path: Path) -> None:
     config = replace(QUICK, stages=QUICK.stages[1:])
     edit = edit_of(a_pose(asset, config, 0.05), config)
@@ -213,8 +238,20 @@ def test_colours_follow_the_photos(asset: Asset, tmp_path: Path) -> None:
 def test_photos_of_another_object_are_refused(asset: Asset, tmp_path: Path) -> None:
     other = rod(bands=2.0, radius=0.45)
     photos = write_photos(tmp_path / "other", other, None, cameras(4))
-    with pytest.raises(InputError, match="another pose, got pictures that no pose of it explains"):
-        fit_pose(asset, views_of(photos), QUICK)
+    steps: list[int] = []
+    with pytest.raises(InputError, match=r"in another pose, got .* after the coarse stages"):
+        fit_pose(asset, views_of(photos), QUICK, progress=lambda done, _: steps.append(done))
+    assert steps[-1] <= QUICK.steps - QUICK.stages[1].steps  # Nothing was refined.
+
+
+def test_what_is_fitted_at_last_is_judged_more_strictly() -> None:
+    close = Agreement(psnr=20.0, overlap=0.9, explained=0.2, error=0.1)
+    far = replace(close, explained=-0.1)
+    check_same_object(close, silhouettes=False, coarse=True)
+    check_same_object(far, silhouettes=True)
+    for found, coarse in ((close, False), (far, True)):
+        with pytest.raises(InputError, match="that no pose of it explains"):
+            check_same_object(found, silhouettes=False, coarse=coarse)
 
 
 def test_units_do_not_matter(asset: Asset, bent: Path, tmp_path: Path) -> None:

@@ -107,7 +107,7 @@ def test_a_bent_rod_is_found_and_told_by_its_own_pictures(
 def test_what_its_own_pictures_do_not_confirm_is_given_up(
     asset: Asset, shown: Shown, bent: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = iter([0.1, 0.2])
+    told = iter([0.1, 0.1, 0.2])  # Before, after the coarse stages, and at the end.
 
     def agree(*_: object, **__: object) -> Agreement:
         return Agreement(psnr=20.0, overlap=0.9, explained=0.9, error=next(told))

@@ -338,10 +338,8 @@ class ByNumpy(Deformation):
     """A map that leaves torch."""
 
     def __call__(self, points: Tensor) -> Tensor:
-        return torch.from_numpy(np.array(points.numpy()) * 1.1)
-
-    def jacobian(self, points: Tensor) -> Tensor:
-        return 1.1 * torch.eye(3, dtype=points.dtype).expand(len(points), 3, 3)
+        x, y, z = np.array(points.numpy()).T
+        return torch.from_numpy(np.stack([1.1 * x, 1.1 * y + 0.3 * np.sin(x), 1.1 * z], axis=-1))
 
 
 @dataclass(frozen=True)
@@ -349,7 +347,7 @@ class Cut(ByNumpy):
     """A map that is cut off from the graph."""
 
     def __call__(self, points: Tensor) -> Tensor:
-        return 1.1 * points.detach()
+        return super().__call__(points.detach())
 
 
 @dataclass(frozen=True)
@@ -386,11 +384,37 @@ def following(cloud: PointCloud) -> PointCloud:
 @pytest.mark.parametrize("kind", [ByNumpy, Cut])
 def test_a_deformation_without_a_gradient(kind: type[Deformation]) -> None:
     cloud, _ = rod()
-    assert pose(cloud, kind()).local_maps is not None
+    maps = pose(cloud, kind()).local_maps
+    # Autograd cannot differentiate it, so it is measured.
+    assert maps is not None
+    formula = 1.1 * torch.eye(3).double().repeat(len(cloud.positions), 1, 1)
+    formula[:, 1, 0] = 0.3 * cloud.positions[:, 0].double().cos()
+    assert torch.allclose(maps.to_rest.double(), torch.linalg.inv(formula), atol=1e-6)
     with pytest.raises(EditError, match="canonical points is asked for, and this deformation has"):
         pose(following(cloud), kind())
     with torch.no_grad():
         assert pose(following(cloud), kind()).local_maps is not None
+
+
+def test_a_measured_jacobian_follows_a_parameter() -> None:
+    """Of points that leave torch, times a number that does not."""
+    points = torch.rand(5, 3, dtype=torch.float64)
+    amount = torch.tensor(0.7, dtype=torch.float64, requires_grad=True)
+
+    class Half(Deformation):
+        def __call__(self, points: Tensor) -> Tensor:
+            return points.detach() * (1 + amount)
+
+    class Whole(Deformation):
+        def __call__(self, points: Tensor) -> Tensor:
+            return torch.from_numpy(np.array(points.numpy())) * (1 + amount)
+
+    for kind in (Half, Whole):
+        maps = kind().jacobian(points)
+        assert torch.allclose(maps, 1.7 * torch.eye(3).double(), atol=1e-9)
+        (slope,) = torch.autograd.grad(maps.sum(), amount)
+        assert abs(float(slope) - 15) < 1e-6
+    assert kind().jacobian(points[:0]).shape == (0, 3, 3)
 
 
 def test_a_parameter_without_a_gradient() -> None:

@@ -9,12 +9,14 @@ import pytest
 
 from pcore.sweep.sweep_storage import check_storage
 
+_NO_S3 = "no server of buckets: pip install s3fs 'moto[server]' (45 packages, not in `dev`)"
+
 
 @pytest.fixture(scope="session")
 def s3_server() -> Generator[str]:
     """Address of a server of buckets that lives as long as the tests."""
-    pytest.importorskip("s3fs", reason="no S3 without s3fs and moto[server]")
-    server = pytest.importorskip("moto.server", reason="no S3 without s3fs and moto[server]")
+    pytest.importorskip("s3fs", reason=_NO_S3)
+    server = pytest.importorskip("moto.server", reason=_NO_S3)
     one = server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     one.start()
     host, port = one.get_host_and_port()
@@ -25,7 +27,7 @@ def s3_server() -> Generator[str]:
 @pytest.fixture
 def s3_bucket(s3_server: str, monkeypatch: pytest.MonkeyPatch) -> str:
     """URL of an empty bucket."""
-    s3fs = pytest.importorskip("s3fs")
+    s3fs = pytest.importorskip("s3fs", reason=_NO_S3)
     settings = {"ENDPOINT_URL": s3_server, "ACCESS_KEY_ID": "x", "SECRET_ACCESS_KEY": "y"}
     for name, value in {**settings, "DEFAULT_REGION": "us-east-1"}.items():
         monkeypatch.setenv(f"AWS_{name}", value)

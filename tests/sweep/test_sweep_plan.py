@@ -78,7 +78,11 @@ def test_processes_of_a_trial_are_more_cores_and_a_stamp_of_its_own(tmp_path: Pa
         (("robot: data/robot", "../x: data/robot"), "'scenes': expected names that can"),
         (("  slow:", "  my setting:"), "'settings': expected names that can be folders"),
         (("  slow:", "  fast:"), "the key 'fast' stands twice"),
-        (("    train: {steps: 100}", "    finetune: {}"), "'settings.slow.train' is missing"),
+        (("    train: {steps: 100}", "    finetune: {}"), "'settings.slow.train' is missing; add"),
+        (
+            ("    train: {steps: 100}", "    trian: {}"),
+            "'settings.slow.train' is missing, and 'settings.slow.trian' is not a known key;",
+        ),
         (("    train: {steps: 100}", "    train: 3"), "'settings.slow.train'"),
         (("version: 1", "version: 1\nresources: {cpus: 0}"), "'resources.cpus'"),
         (("version: 1", "version: 1\nresources: {gpus: 2}"), "got 2 for 1; give processes: N and"),

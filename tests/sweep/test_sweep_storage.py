@@ -65,6 +65,17 @@ def test_a_trial_goes_on_where_another_machine_was_killed(url: str, tmp_path: Pa
     assert {*files(tmp_path / "four")} == {"inputs.json", "output.txt", "trial.json"}
 
 
+def test_what_was_made_without_the_storage_gets_there_as_well(url: str, tmp_path: Path) -> None:
+    """As where a sweep was begun without one, or was killed before anything was sent."""
+    trial = trial_in(tmp_path / "one", url)
+    model = trial.folder / "run" / "model"
+    model.parent.mkdir(parents=True)
+    model.write_text("trained already")
+    assert attempt(trial, lambda _: None).failed is None
+    assert fetch(url, tmp_path / "two")
+    assert files(tmp_path / "two")["run/model"] == "trained already"
+
+
 def test_what_changes_is_sent_meanwhile(
     url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

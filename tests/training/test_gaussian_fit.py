@@ -12,6 +12,7 @@ import imageio.v3 as iio
 import pytest
 import torch
 
+import pcore.data.images
 from pcore.capture.load import load_scene
 from pcore.data.points import save_points
 from pcore.data.scene import Scene, hold_out
@@ -89,6 +90,35 @@ def test_flat_ones_learn_a_box_and_face_its_sides(scene: Scene) -> None:
     assert replace(found.footprint, pixel=None) == footprint
     own = found.gaussians
     assert bool((own.scales[:, 2] < 0.1 * own.scales[:, :2].amin(dim=1)).all())
+
+
+@pytest.mark.parametrize("until", [0.5, 1.0])
+def test_held_out_views_are_learned_from_when_they_no_longer_validate(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, until: float
+) -> None:
+    """Held-out photos that change move no step of the first part, and the result of the rest."""
+    held = {view.image.path for view in hold_out(scene.split("train"), every=3)[1]}
+    settings = config(held_out_until=until, density=replace(DENSITY, last=0.4))
+    clean, painted = Heard(), Heard()
+    first = fit_gaussians(scene, settings, listener=clean)
+    original = pcore.data.images.read_rgba
+
+    def read(path: Path, **options: Any) -> torch.Tensor:
+        pixels = original(path, **options)
+        return 1 - pixels if path in held else pixels
+
+    monkeypatch.setattr(pcore.data.images, "read_rgba", read)
+    second = fit_gaussians(load_scene(scene.root), settings, listener=painted)
+    losses = [
+        [one.loss for one in heard.of(StepReport) if one.step <= until * settings.steps]
+        for heard in (clean, painted)
+    ]
+    assert len(losses[0]) == until * settings.steps / 10
+    assert losses[0] == losses[1]
+    assert torch.equal(first.gaussians.sh, second.gaussians.sh) == (until == 1)
+    steps = [one.step for one in clean.of(ValidationReport)]
+    assert steps == ([20] if until < 1 else [20, 40])
+    assert [one.learned_next for one in clean.of(ValidationReport)][-1] == (until < 1)
 
 
 def test_the_same_seed_gives_the_same_gaussians(scene: Scene) -> None:

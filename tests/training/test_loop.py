@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -173,6 +174,27 @@ def test_validation_every_so_many_steps_and_at_the_end(
     run_loop(work, changed, pull(work), listener=heard)
     assert [event.step for event in heard.of(ValidationReport)] == expected
     assert [model.step for model in seen] == expected
+
+
+def test_validations_end_where_their_views_are_learned_from(
+    folder: RunFolder, scripted: Callable[[Sequence[float]], list[Trained]]
+) -> None:
+    """Once more right there, whatever their distance; a run that goes on after it has none."""
+    scripted([20.0] * 9)
+    work, heard = box_work(), Heard()
+    changed = plan(
+        steps=9, validate_every=3, save_every=6, validation=("a view",), validate_until=0.5
+    )
+    run_loop(work, changed, pull(work), folder=folder, listener=heard)
+    found = heard.of(ValidationReport)
+    assert [(event.step, event.learned_next) for event in found] == [(3, False), (5, True)]
+    state = folder.load_state()
+    assert state is not None
+    folder.save_state(replace(state, step=6))
+    again, heard = box_work(), Heard()
+    run_loop(again, changed, pull(again), folder=folder, listener=heard)
+    assert again.step == 9
+    assert heard.of(ValidationReport) == []
 
 
 def test_without_held_out_views_nothing_is_validated() -> None:

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from pcore.asset.asset import Asset
@@ -20,7 +18,7 @@ from pcore.asset.painted_points import painted_points
 from pcore.asset.standing import standing_of
 from pcore.data.camera_output import save_transforms
 from pcore.data.mesh_output import save_mesh
-from pcore.data.painted_ply import save_painted
+from pcore.data.points import save_painted
 from pcore.data.whole_file import save_json
 from pcore.deform.cage import Cage
 from pcore.editing.autosave import fingerprint
@@ -30,7 +28,7 @@ from pcore.geometry.camera import Camera
 from pcore.geometry.farthest_points import ANCHORS, farthest_points
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.point_cloud import size_of
-from pcore.geometry.surface_mesh import SurfaceMesh
+from pcore.geometry.surface_mesh import SurfaceMesh, parts_of
 from pcore.sample.surface_nets import surface_nets
 
 VERSION = 1
@@ -143,10 +141,7 @@ class _Around:
 def _outer_shells(vertices: Any, faces: Any) -> tuple[Tensor, Tensor]:
     """Parts of a closed mesh that enclose volume; walls of cavities within are left out."""
     corners = faces.astype(np.int64)
-    ends = corners[:, [0, 1, 1, 2]].reshape(-1, 2)
-    ones = np.ones(len(ends), dtype=np.bool_)
-    graph = coo_array((ones, (ends[:, 0], ends[:, 1])), shape=(len(vertices),) * 2)
-    count, part = connected_components(graph, directed=False)
+    count, part = parts_of(len(vertices), corners)
     first, second, third = (vertices[corners[:, k]] for k in range(3))
     volumes = np.zeros(count)
     np.add.at(volumes, part[corners[:, 0]], (first * np.cross(second, third)).sum(axis=1))

@@ -8,14 +8,14 @@ from typing import Generic, TypeVar
 
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
-from pcore.asset.run_options import RunOptions
+from pcore.asset.lighting import lit
 from pcore.asset.saving import asset_of, load
 from pcore.data.scene import Scene
 from pcore.files.run_folder import RunFolder
 from pcore.files.run_place import bytes_needed
 from pcore.files.run_record import RunRecord
 from pcore.training.events import Listener
-from pcore.training.in_folder import FolderPlan, train_in_folder
+from pcore.training.in_folder import RunOptions, train_in_folder
 from pcore.training.trainable_gaussians import TrainedGaussians, provenance_of_gaussians
 from pcore.training.trained import Trained
 
@@ -40,38 +40,36 @@ class Job(Generic[Result]):
     learn: Callable[[RunFolder | None, Listener], Result]
     needed: int
 
-    def done(
-        self, scene: Scene, listener: Listener, device: str, options: RunOptions
-    ) -> tuple[Asset, Result | None]:
-        """Train; a finished run is left as it is.
+    def made(self, scene: Scene, listener: Listener, device: str, options: RunOptions) -> Asset:
+        """Train, and estimate the light; a finished run is left as it is.
 
         Args:
             scene: the one that it learns from.
             listener: told of all events.
             device: where the object draws.
-            options: resuming, logs.
-
-        Returns:
-            The object, and what was learned; None where the run was finished already.
+            options: light, resuming, logs.
         """
         place = scene.name if scene.folder is None else scene.folder.resolve()
         if self.record.path is None:
             learned = self.learn(None, listener)
-            made = _in_memory(learned, scene, self.record, device)
-            return replace(made, record=replace(self.record, scene=str(place))), learned
-        plan = FolderPlan(
-            path=self.record.path,
-            stage=self.record.stage,
-            scene=place,
-            config=self.record.config,
-            device=device,
-            resume=options.resume,
-            tensorboard=options.tensorboard,
-            needed=self.needed,
-            note=options.note,
-        )
-        learned = train_in_folder(plan, self.learn, listener)
-        return load(self.record.path, device=device), learned
+            asset = _in_memory(learned, scene, self.record, device)
+            asset = replace(asset, record=replace(self.record, scene=str(place)))
+        else:
+            learned = train_in_folder(
+                self.record,
+                self.learn,
+                listener,
+                options,
+                scene=place,
+                device=device,
+                needed=self.needed,
+            )
+            asset = load(self.record.path, device=device)
+        if learned is None and asset.light is not None:
+            return asset
+        # Whoever was killed after the last save and before the light was has none yet.
+        observed = learned.observed if isinstance(learned, Trained) else None
+        return lit(asset, scene, options, observed)
 
 
 def gaussian_space(count: int, degree: int) -> int:

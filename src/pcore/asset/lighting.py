@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
-from pcore.asset.run_options import RunOptions
 from pcore.asset.saving import neural_points_of
 from pcore.data.scene import Scene, check_images
 from pcore.errors import InputError
 from pcore.relight.estimate import fit_light
 from pcore.relight.light_file import LIGHT_FILE, save_light
 from pcore.render.surfel_fit import Observed, observe
+from pcore.training.in_folder import RunOptions
 
 
 def estimate_light(

@@ -9,8 +9,6 @@ from statistics import median
 
 import numpy as np
 import torch
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from pcore.asset.asset import Asset
@@ -22,7 +20,7 @@ from pcore.deform.scattered import PointMotion
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
 from pcore.geometry.orbit import orbit_around
-from pcore.geometry.surface_mesh import SurfaceMesh, vertex_normals
+from pcore.geometry.surface_mesh import SurfaceMesh, parts_of, vertex_normals
 from pcore.render.fusion import DepthView, depth_view, fuse
 from pcore.render.mesh_colors import surface_colors
 from pcore.validation import check_count
@@ -259,10 +257,7 @@ def looking_at_box(camera: Camera, lower: Tensor, upper: Tensor, voxel: float) -
 
 def _without_crumbs(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor, int]:
     """Leave out small parts of a mesh; also how many they were."""
-    edges = faces[:, [0, 1, 1, 2]].reshape(-1, 2).numpy()
-    ones = np.ones(len(edges), dtype=np.bool_)
-    graph = coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2)
-    count, part = connected_components(graph, directed=False)
+    count, part = parts_of(len(vertices), faces.numpy())
     part_of_face = torch.from_numpy(part).long()[faces[:, 0]]
     sizes = torch.bincount(part_of_face, minlength=count)
     kept = sizes >= _CRUMB * sizes.sum()

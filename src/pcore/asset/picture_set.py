@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,7 +15,7 @@ from pcore.capture.load import load_scene
 from pcore.data.blender import transforms_path
 from pcore.data.camera_output import TRANSFORMS, save_transforms
 from pcore.data.pictures import png_content, to_bytes
-from pcore.data.ply import plain_ply
+from pcore.data.points import save_points
 from pcore.data.whole_file import write_whole
 from pcore.errors import InputError
 from pcore.geometry.camera import Camera
@@ -57,7 +56,9 @@ def save_picture_set(
     transforms = folder / TRANSFORMS
     save_transforms(transforms, cameras)
     positions = (asset.points if posed is None else posed.points).detach().cpu().float()
-    write_whole(folder / _POINTS, _painted(folder, positions), "points")
+    # In the colours that the pictures show there.
+    colors = to_bytes(mean_colors(positions, load_scene(folder).split("train")))
+    save_points(folder / _POINTS, positions, colors)
     save_transforms(transforms, cameras, keys={"ply_file_path": _POINTS})
     return [transforms, folder / _POINTS, *files]
 
@@ -158,9 +159,3 @@ def straight(image: Image) -> Tensor:
     alpha = image.alpha.clamp(0, 1).unsqueeze(-1)
     rgb = torch.where(alpha > 0, image.rgb / alpha.clamp_min(1 / 255), 0.0)
     return torch.cat([rgb.clamp(0, 1), alpha], dim=-1)
-
-
-def _painted(folder: Path, positions: Tensor) -> bytes:
-    """A PLY of points in the colours that the pictures show there."""
-    colors = to_bytes(mean_colors(positions, load_scene(folder).split("train"))).numpy()
-    return plain_ply(positions.numpy(), np.ascontiguousarray(colors), None)

@@ -8,9 +8,7 @@ from typing import Any, Literal
 
 from pcore.asset.asset import Asset
 from pcore.asset.gaussian_content import GaussianContent
-from pcore.asset.job import Job, Result, gaussian_space
-from pcore.asset.lighting import lit
-from pcore.asset.run_options import RunOptions
+from pcore.asset.job import Job, gaussian_space
 from pcore.asset.saving import neural_points_of
 from pcore.data.scene import Scene
 from pcore.errors import InputError
@@ -24,7 +22,7 @@ from pcore.training.finetune import finetune as run_finetuning
 from pcore.training.gaussian_config import GaussianConfig, GaussianFinetuneConfig
 from pcore.training.gaussian_finetune import finetune_gaussians
 from pcore.training.gaussian_fit import fit_gaussians
-from pcore.training.in_folder import disk_space
+from pcore.training.in_folder import RunOptions, disk_space
 from pcore.training.locate import locate
 from pcore.training.presets import PretrainName
 from pcore.training.pretrain import pretrain
@@ -72,7 +70,7 @@ def train(
         settings = presets.gaussian_preset("tiny")
     if isinstance(settings, GaussianConfig):
         job = _gaussian_training(scene, settings, path, device, chosen)
-        return _made(job, scene, listener, device, chosen)
+        return job.made(scene, listener, device, chosen)
     config = presets.preset(settings) if isinstance(settings, str) else settings
     name = settings if isinstance(settings, str) else presets.preset_of(config)
     limit = config.grow.limit if config.grow else config.points
@@ -92,7 +90,7 @@ def train(
         learn=learn,
         needed=disk_space(config.model, max(limit, config.points)),
     )
-    return _made(job, scene, listener, device, chosen)
+    return job.made(scene, listener, device, chosen)
 
 
 def finetune(
@@ -139,7 +137,7 @@ def finetune(
     }
     if isinstance(config, GaussianFinetuneConfig):
         job = _gaussian_tuning(asset, scene, config, path, device, about)
-        return _made(job, scene, listener, device, chosen)
+        return job.made(scene, listener, device, chosen)
     content = neural_points_of(asset, "finetune")
     base = Trained(papr=content.papr, cloud=content.cloud, step=asset.provenance.step)
 
@@ -153,7 +151,7 @@ def finetune(
         learn=learn,
         needed=disk_space(content.papr.config, len(content.cloud)),
     )
-    return _made(job, scene, listener, device, chosen)
+    return job.made(scene, listener, device, chosen)
 
 
 def finetune_settings(
@@ -247,15 +245,3 @@ def _base_of(asset: Asset, folder: Path | None) -> dict[str, str]:
         return {}
     began = asset.path.resolve()
     return {"base": str(began) if folder is None else relative(began, folder)}
-
-
-def _made(
-    job: Job[Result], scene: Scene, listener: Listener, device: str, options: RunOptions
-) -> Asset:
-    """Train, and estimate the light; a finished run is left as it is."""
-    asset, learned = job.done(scene, listener, device, options)
-    if learned is None and asset.light is not None:
-        return asset
-    # Whoever was killed after the last save and before the light was has none yet.
-    observed = learned.observed if isinstance(learned, Trained) else None
-    return lit(asset, scene, options, observed)

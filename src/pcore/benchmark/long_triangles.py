@@ -36,7 +36,10 @@ class _Departure:
 
 
 def long_triangles(
-    vertices: FloatArray, faces: NDArray[np.int64], maps: Mapping[str, Deformation], pixel: float
+    vertices: FloatArray,
+    faces: NDArray[np.int64],
+    maps: Mapping[str, Deformation],
+    pixels: Mapping[str, float],
 ) -> list[str]:
     """Say in which states the pictures show another shape than the map of the state makes.
 
@@ -47,9 +50,10 @@ def long_triangles(
         vertices: (V, 3) at rest.
         faces: (F, 3).
         maps: of the states that have one, by name.
-        pixel: width of a pixel at the object, in the unit of the vertices.
+        pixels: width of a pixel of each state's pictures, at the object, in the unit of the
+            vertices.
     """
-    found = [_departure(vertices, faces, name, one, pixel) for name, one in maps.items()]
+    found = [_departure(vertices, faces, name, one, pixels[name]) for name, one in maps.items()]
     odd = [one for one in found if one.pixels > _SEEN]
     if not odd:
         return []
@@ -60,7 +64,8 @@ def long_triangles(
     return [
         "triangles are so long that they stay straight where the map of a state bends them, so "
         f"that every method is scored against another shape than the map makes ({told}); subdivide "
-        "the model first (Blender: modifier Subdivision Surface, Simple)"
+        "the model first (Blender: modifier Subdivision Surface, Simple), and with it what edits "
+        "`mesh` and `displacement` were made of"
     ]
 
 
@@ -83,5 +88,5 @@ def _departure(
     )
     seen = (off[number].reshape(-1, 3) > _SEEN).any(axis=1)
     return _Departure(
-        state=state, pixels=float(off.max()), share=float(areas[seen].sum() / areas.sum())
+        state=state, pixels=float(off.max()), share=min(1.0, float(areas[seen].sum() / areas.sum()))
     )

@@ -156,8 +156,11 @@ def plan_states(
         notes += _small(name, vertices, moved)
         text = json.loads(script.to_json())
         _add(states, name, vertices, moved, {"type": "edit", "edit": text})
-    pixel = 2 * CAMERA_RADIUS * math.tan(0.5 * ANGLE_X) / plan.resolution
-    notes += long_triangles(vertices, model.faces, maps, pixel)
+    pixels = {
+        name: 2 * CAMERA_RADIUS * math.tan(0.5 * states[name].angle_x) / plan.resolution
+        for name in maps
+    }
+    notes += long_triangles(vertices, model.faces, maps, pixels)
     chosen = list(plan.clips)
     if plan.every_clip:
         chosen += [(one.name, None) for one in model.clips if one.name not in dict(chosen)]

@@ -201,12 +201,12 @@ def _frames(
 
 
 def _write_points(folder: Path, moved: list[Posed], suffix: str) -> None:
+    from pcore.asset.picture_set import frame_names
     from pcore.data.points import save_point_glb, save_points
 
     save = save_points if suffix == "ply" else save_point_glb
-    digits = max(3, len(str(len(moved) - 1)))
-    for number, posed in enumerate(moved):
-        save(folder / f"frame_{number:0{digits}}.{suffix}", posed.points)
+    for name, posed in zip(frame_names(len(moved)), moved, strict=True):
+        save(folder / f"{name}.{suffix}", posed.points)
 
 
 def _cameras(
@@ -252,8 +252,10 @@ def _film(
     """Write every picture where it is asked for; those with --frames-dir were taken over black."""
     import torch
 
+    from pcore.asset.picture_set import frame_names
     from pcore.data.video import VideoWriter
 
+    names = frame_names(count)
     with ExitStack() as stack:
         video = None
         if command.output is not None:
@@ -262,8 +264,7 @@ def _film(
         for number, picture in enumerate(film, start=1):
             rgb = picture.rgb
             if command.frames_dir is not None:
-                name = f"frame_{number - 1:0{max(3, len(str(count - 1)))}}"
-                _write_frame(command.frames_dir / name, picture, depth=command.depth)
+                _write_frame(command.frames_dir / names[number - 1], picture, depth=command.depth)
                 rgb = rgb + (1 - picture.alpha.unsqueeze(-1)) * torch.tensor(background).to(rgb)
             if video is not None:
                 video.add(rgb)

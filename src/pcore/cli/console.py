@@ -157,10 +157,11 @@ class ProgressDisplay:
         elif isinstance(event, ValidationReport):
             best = ", the best so far" if event.best else ""
             best = best if event.accepted else ", a view lost more than the budget allows"
+            then = "; from here on they are learned from as well" if event.learned_next else ""
             say(
                 self._console,
                 f"{event.stage} {event.step}: held-out views {event.psnr:.2f} dB "
-                f"(mean of {event.views}){best}",
+                f"(mean of {event.views}){best}{then}",
             )
         elif isinstance(event, BudgetReport):
             say(self._console, f"{event.stage} {event.step}: {_trade(event)}")

@@ -19,6 +19,7 @@ from pcore.cli.output import results_folder
 from pcore.cli.runtime import pick_device, prepare_torch
 from pcore.cli.torchrun import joined_ranks
 from pcore.data.scene import check_images
+from pcore.editing.script import EditScript
 from pcore.errors import InputError
 from pcore.evaluation.edited import EditedShape
 from pcore.evaluation.figures import png_bytes
@@ -237,18 +238,11 @@ def _edited(
     command: EvalCommand, places: SceneStates, runs: Sequence[Asset]
 ) -> tuple[list[State], list[str]]:
     """States of the edit files, and what is odd about them."""
-    names = [file.stem for file in command.edit]
-    if len({*names}) < len(names):
-        raise InputError(
-            f"--edit: expected files of different names, got {', '.join(map(str, command.edit))}"
-        )
-    if command.against is not None and not names:
-        raise InputError("--against: expected --edit FILE, which is to be scored, got none")
     subjects = [(one.points, one.rig) for one in runs]
     states: list[State] = []
     odd: list[str] = []
-    for name, file in zip(names, command.edit, strict=True):
-        shape = EditedShape(script_of(file, command.time), subjects)
+    for file, script in given_edits(command).items():
+        name, shape = file.stem, EditedShape(script, subjects)
         if command.against is None:
             shots = places.select([CANONICAL])[0].shots
             states.append(shape.state(name, shots, places.scene.center))
@@ -257,6 +251,23 @@ def _edited(
             states.append(shape.against(name, shots, size))
         odd += [f"{file}: {line}" for line in shape.notes]
     return states, odd
+
+
+def given_edits(command: EvalCommand) -> dict[Path, EditScript]:
+    """Read the edit files.
+
+    Raises:
+        InputError: two of one name, or none where one is to be scored.
+        EditError: a file that is no edit, or no `--time` for one that moves.
+    """
+    names = [file.stem for file in command.edit]
+    if len({*names}) < len(names):
+        raise InputError(
+            f"--edit: expected files of different names, got {', '.join(map(str, command.edit))}"
+        )
+    if command.against is not None and not names:
+        raise InputError("--against: expected --edit FILE, which is to be scored, got none")
+    return {file: script_of(file, command.time) for file in command.edit}
 
 
 def finish(

@@ -22,7 +22,7 @@ from pcore.cli.deform_gaussians import edit_notes
 from pcore.cli.export import ExportCommand
 from pcore.data.mesh_output import MeshMotion, check_mesh_output, numbered, save_mesh
 from pcore.data.mesh_usd import require_usd
-from pcore.data.painted_ply import save_painted
+from pcore.data.points import save_painted
 from pcore.data.splat_file import SplatFile, filter_words, splats_of
 from pcore.data.splat_formats import check_splat_output, save_splats
 from pcore.editing.animation import load_animation

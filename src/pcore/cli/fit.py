@@ -122,6 +122,7 @@ class FitCommand:
                 start=self.start,
                 shown=shown,
                 progress=tell,
+                keep=lambda so_far: so_far.save(self.output),
             )
             return found.animation, list(found.fits)
         if self.free and self.start is not None:

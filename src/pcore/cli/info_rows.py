@@ -125,12 +125,8 @@ def describe(path: Path) -> Rows:
     rows: Rows = []
     if summary.record is not None:
         rows += _run_rows(path, summary.record, summary.saved_step)
-    if summary.gaussians is not None:
-        rows += _gaussian_rows(summary.model_file, summary.gaussians)
-    elif summary.model is None:
-        rows.append(("model", "none saved yet"))
-    else:
-        rows += _model_rows(summary.model_file, summary.model)
+    made = summary.gaussians or summary.model
+    rows += _model_rows(summary.model_file, made) if made else [("model", "none saved yet")]
     if summary.skinning is not None:
         rows += _skinning_rows(summary.skinning)
     if summary.light is not None:
@@ -212,30 +208,24 @@ def _score_rows(folder: Path) -> Rows:
     ]
 
 
-def _model_rows(path: Path, summary: ModelSummary) -> Rows:
-    came, size = summary.provenance, path.stat().st_size / 1e6
+def _model_rows(path: Path, summary: ModelSummary | GaussianSummary) -> Rows:
+    came, more = summary.provenance, ""
     lower, upper = (", ".join(f"{x:.3g}" for x in corner) for corner in came.extent)
+    if isinstance(summary, ModelSummary):
+        more = f", {summary.parameters:,} numbers"
+        own = [("points", f"{summary.points:,}")]
+        settings = _flat(to_dict(summary.config), "papr.")
+    else:
+        own = [("Gaussians", f"{summary.count:,}")]
+        own.append(("degree of the harmonics", str(summary.degree)))
+        settings = _flat(to_dict(summary.footprint), "footprint.")
     return [
-        ("model", f"{path} ({size:.1f} MB, {summary.parameters:,} numbers)"),
+        ("model", f"{path} ({path.stat().st_size / 1e6:.1f} MB{more})"),
         ("made by", f"{came.stage}, {came.step} steps, pcore {came.pcore}"),
         ("trained on", came.scene),
-        ("points", f"{summary.points:,}"),
+        *own,
         ("extent", f"({lower}) to ({upper}), world units"),
-        *_flat(to_dict(summary.config), "papr."),
-    ]
-
-
-def _gaussian_rows(path: Path, summary: GaussianSummary) -> Rows:
-    came = summary.provenance
-    lower, upper = (", ".join(f"{x:.3g}" for x in corner) for corner in came.extent)
-    return [
-        ("model", f"{path} ({path.stat().st_size / 1e6:.1f} MB)"),
-        ("made by", f"{came.stage}, {came.step} steps, pcore {came.pcore}"),
-        ("trained on", came.scene),
-        ("Gaussians", f"{summary.count:,}"),
-        ("degree of the harmonics", str(summary.degree)),
-        ("extent", f"({lower}) to ({upper}), world units"),
-        *_flat(to_dict(summary.footprint), "footprint."),
+        *settings,
     ]
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from rich.console import Console
 
 from pcore.asset.asset import Asset
-from pcore.asset.run_options import RunOptions
 from pcore.cli.console import ProgressDisplay, say
 from pcore.cli.finetune import FinetuneCommand
 from pcore.cli.light import show_light
@@ -21,6 +20,7 @@ from pcore.data.scene import Scene
 from pcore.files.provenance import pcore_version
 from pcore.files.run_record import finished
 from pcore.training.events import Listener, silent
+from pcore.training.in_folder import RunOptions
 
 Make = Callable[[Path | None, Listener, RunOptions], Asset]
 
@@ -100,6 +100,9 @@ def show_result(console: Console, asset: Asset) -> None:
     path, validation = asset.path, asset.record.notes.get("validation") or {}
     psnr = validation.get("kept_psnr" if "kept_step" in validation else "psnr")
     quality = "" if psnr is None else f": {psnr:.2f} dB on held-out training views"
+    learned = asset.record.config.get("gaussians", {}).get("held_out_until", 1.0) < 1
+    if psnr is not None and learned and asset.record.stage == "pretrain":
+        quality += f" at step {validation['step']}; it has learned from them since"
     say(console, f"{path}{quality}")
     # Measured: with aware rays and a light, fine-tuning costs more than it brings
     # (docs/research/quality.md), so that it is no step on the way.

@@ -17,6 +17,7 @@ from rich.console import Console
 
 from pcore.cli.console import say
 from pcore.cli.layout import Sheet, room, sheet_lines
+from pcore.cli.sweep_processes import reason_in
 from pcore.cli.sweep_verbs import RUN, process_words, words_of
 from pcore.demo.machine import clock
 from pcore.errors import TrainingError
@@ -107,8 +108,7 @@ def _watched(trial: Trial) -> float | None:
                 return None
             time.sleep(0.2)
         if process.returncode != 0:
-            text = " ".join(told.read_text(encoding="utf-8", errors="replace").split())
-            why = text.rpartition("Error: ")[2]
+            why = reason_in(told.read_text(encoding="utf-8", errors="replace").splitlines())
             raise TrainingError(f"plan: setting {trial.setting!r}, train fails at once: {why}")
         return time.monotonic() - begun
     finally:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from pcore.errors import TrainingError
 
 TORCHRUN = ("torchrun", "--standalone", "--nproc-per-node")
+_REASON = re.compile(r"(?:\[rank\d+\]: *)?[\w.]*Error: (.+)")
+"""Our messages, which are not wrapped in a file or pipe, and the end of a traceback."""
 _DIES_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of Linux's prctl."""
 
@@ -22,16 +25,23 @@ def run_together(words: Sequence[str]) -> None:
     Args:
         words: of `process_words`.
     """
-    told = "no message"
+    lines: list[str] = []
     pipe, joined = subprocess.PIPE, subprocess.STDOUT
     with subprocess.Popen(words, stdout=pipe, stderr=joined, text=True) as process:
         assert process.stdout is not None
         for line in process.stdout:
             print(line, end="")
-            if line.startswith("Error: "):
-                told = line.removeprefix("Error: ").strip()
+            lines.append(line)
     if process.returncode:
-        raise TrainingError(f"its processes ended with code {process.returncode}: {told}")
+        raise TrainingError(
+            f"its processes ended with code {process.returncode}: {reason_in(lines)}"
+        )
+
+
+def reason_in(lines: Iterable[str]) -> str:
+    """Why a command of ours failed, by what it printed; torchrun says more of its own after it."""
+    found = (_REASON.match(line.rstrip()) for line in lines)
+    return next((one[1] for one in found if one), "no message")
 
 
 def main() -> None:

@@ -13,12 +13,14 @@ from typing import Any
 from pcore.capture.load import load_scene
 from pcore.cli.compare import CompareCommand
 from pcore.cli.compare_results import wanted_methods
+from pcore.cli.eval import EvalCommand
+from pcore.cli.eval_results import given_edits
 from pcore.cli.main import VERBS, Command, command_of
 from pcore.cli.output import pictures_folder
 from pcore.cli.sweep_processes import TORCHRUN, run_together
 from pcore.cli.train import TrainCommand
 from pcore.cli.training import train_config
-from pcore.errors import InputError, SceneError
+from pcore.errors import EditError, InputError, SceneError
 from pcore.evaluation.states import open_states
 from pcore.files.run_place import bytes_needed, check_space
 from pcore.files.run_record import begun
@@ -117,11 +119,14 @@ def _check_scene(place: Path, commands: Mapping[str, Any]) -> None:
     for verb in {"eval", "compare"} & {*commands}:
         scored = commands[verb]
         states = scored.state or (() if verb == "eval" and scored.edit else ("all",))
-        open_states(place, factor=scored.factor or train.factor).select(states)
+        there = open_states(place, factor=scored.factor or train.factor)
+        there.select(states)
+        if verb == "eval" and scored.against is not None:
+            there.true_shots(scored.against)
 
 
 def _check_values(command: Any, where: str, processes: int) -> None:
-    """Refuse numbers and methods that the verb would refuse, hours later."""
+    """Refuse numbers, methods and edits that the verb would refuse, hours later."""
     for name in ("steps", "points", "patches", "every"):
         value = getattr(command, name, None)
         if isinstance(value, int):
@@ -131,13 +136,15 @@ def _check_values(command: Any, where: str, processes: int) -> None:
             f"{where}: expected at least one patch or photo of a step for each of {processes} "
             f"processes, got {command.patches or 1}; give patches: {processes} or a multiple"
         )
-    if isinstance(command, TrainCommand):
-        try:
+    try:
+        if isinstance(command, TrainCommand):
             train_config(command)
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from None
-    if isinstance(command, CompareCommand):
-        wanted_methods(command.methods)
+        elif isinstance(command, CompareCommand):
+            wanted_methods(command.methods)
+        elif isinstance(command, EvalCommand):
+            given_edits(command)
+    except (InputError, EditError) as error:
+        raise InputError(f"{where}: {error}") from None
 
 
 def _own_words(trial: Trial, verb: str) -> list[str]:

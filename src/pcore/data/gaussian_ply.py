@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pcore.data.ply import Place, Ply
+from pcore.data.ply import Place, Ply, binary_ply
 from pcore.data.splat_file import SplatFile, sound
 from pcore.errors import InputError
 from pcore.gaussians.gaussians import THINNEST, Gaussians
@@ -92,9 +92,10 @@ def gaussian_ply(file: SplatFile) -> bytes:
     """
     columns = _columns(file.gaussians, flat=file.flat)
     if file.ply is None:
-        zeros = np.zeros(len(file.rows), dtype=np.float32)
         first = {name: columns.pop(name) for name in _PLACES}
-        return _plain({**first, **dict.fromkeys(_NORMALS, zeros), **columns}, told=_told(file))
+        all_columns = {**first, **dict.fromkeys(_NORMALS, np.zeros(len(file.rows))), **columns}
+        singles = {name: values.astype(np.float32) for name, values in all_columns.items()}
+        return binary_ply(singles, comments=_told(file))
     vertices = _Vertices(file.ply, file.where)
     if len(np.unique(file.rows)) == len(file.rows):
         # Nothing but a split changes how dense Gaussians are.
@@ -104,7 +105,10 @@ def gaussian_ply(file: SplatFile) -> bytes:
     new = {name: values for name, values in columns.items() if vertices.has(name)}
     if np.array_equal(file.rows, np.arange(vertices.element.length)):
         return file.ply.replaced({vertices.place(name): new[name] for name in new})
-    return _plain(vertices.all_rows(file.rows) | new, vertices.types(), _told(file))
+    types, values = vertices.types(), vertices.all_rows(file.rows) | new
+    return binary_ply(
+        {name: values[name].astype(types[name]) for name in values}, None, _told(file)
+    )
 
 
 def lost(file: SplatFile) -> tuple[str, ...]:
@@ -225,7 +229,7 @@ def _told(file: SplatFile) -> tuple[str, ...]:
     if own is None:
         return ()
     flags = f"antialiased={own.antialiased:d} flat={own.flat:d}"
-    return (f"comment pcore footprint variance={own.variance:.9g} {flags}",)
+    return (f"pcore footprint variance={own.variance:.9g} {flags}",)
 
 
 def _footprint(ply: Ply, *, flat: bool) -> Footprint | None:
@@ -235,26 +239,3 @@ def _footprint(ply: Ply, *, flat: bool) -> Footprint | None:
         if found is not None and 0 < float(found[1]) < math.inf:
             return Footprint(variance=float(found[1]), antialiased=found[2] == "1", flat=flat)
     return None
-
-
-def _plain(
-    columns: dict[str, NDArray[Any]],
-    types: dict[str, np.dtype[Any]] | None = None,
-    told: tuple[str, ...] = (),
-) -> bytes:
-    """A binary PLY of vertices with these properties; float without other types."""
-    kinds = {name: np.dtype("f4") for name in columns} | (types or {})
-    little = {name: kinds[name].newbyteorder("<") for name in columns}
-    count = len(next(iter(columns.values())))
-    rows = np.empty(count, dtype=list(little.items()))
-    for name, values in columns.items():
-        rows[name] = values
-    lines = ["ply", "format binary_little_endian 1.0", *told, f"element vertex {count}"]
-    lines += [f"property {_WORDS[kinds[name].str[1:]]} {name}" for name in columns]
-    return "\n".join([*lines, "end_header", ""]).encode() + rows.tobytes()
-
-
-_WORDS = {
-    **{"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"},
-    **{"f4": "float", "f8": "double", "i8": "int64", "u8": "uint64"},
-}

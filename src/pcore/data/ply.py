@@ -101,28 +101,26 @@ def parse_ply(content: bytes, where: str) -> Ply:
     return Ply(header=header, source=source, rows=locate(source, header, where), where=where)
 
 
-def plain_ply(
-    positions: NDArray[Any], colors: NDArray[np.uint8] | None, faces: NDArray[np.int64] | None
+def binary_ply(
+    columns: Mapping[str, NDArray[Any]],
+    faces: NDArray[np.int64] | None = None,
+    comments: tuple[str, ...] = (),
 ) -> bytes:
-    """Write points or a mesh as a binary PLY file.
+    """Write vertices, or a mesh, as a binary PLY file.
 
     Args:
-        positions: (N, 3) float32 or float64, which the file keeps.
-        colors: (N, 3) or (N, 4) uint8.
+        columns: (N,) numbers by the name of their property, whose types the file keeps.
         faces: (F, 3) vertex numbers.
+        comments: their texts.
     """
-    kind = "double" if positions.dtype.itemsize == 8 else "float"
-    columns = [(name, f"<{positions.dtype.kind}{positions.dtype.itemsize}") for name in "xyz"]
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(positions)}"]
-    lines += [f"property {kind} {name}" for name in "xyz"]
-    painted = () if colors is None else ("red", "green", "blue", "alpha")[: colors.shape[1]]
-    lines += [f"property uchar {name}" for name in painted]
-    rows = np.empty(len(positions), dtype=[*columns, *((name, "u1") for name in painted)])
-    for k, name in enumerate("xyz"):
-        rows[name] = positions[:, k]
-    for k, name in enumerate(painted):
-        assert colors is not None
-        rows[name] = colors[:, k]
+    kinds = {name: values.dtype.newbyteorder("<") for name, values in columns.items()}
+    count = len(next(iter(columns.values())))
+    rows = np.empty(count, dtype=list(kinds.items()))
+    for name, values in columns.items():
+        rows[name] = values
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {one}" for one in comments)]
+    lines.append(f"element vertex {count}")
+    lines += [f"property {_WORDS[kind.str[1:]]} {name}" for name, kind in kinds.items()]
     body = rows.tobytes()
     if faces is not None:
         lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
@@ -130,3 +128,9 @@ def plain_ply(
         corners["count"], corners["corners"] = 3, faces
         body += corners.tobytes()
     return "\n".join([*lines, "end_header", ""]).encode() + body
+
+
+_WORDS = {
+    **{"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint"},
+    **{"f4": "float", "f8": "double", "i8": "int64", "u8": "uint64"},
+}

@@ -13,13 +13,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pcore.data.file_kinds import kind_of
-from pcore.data.ply import plain_ply
-from pcore.data.point_ply import PointPly, read_point_ply
+from pcore.data.pictures import to_bytes
+from pcore.data.ply import binary_ply
+from pcore.data.point_ply import PLACES, PointPly, read_point_ply
 from pcore.data.whole_file import write_whole
 from pcore.errors import InputError
 from pcore.validation import read_bytes
 
 _FILE = "a .npy or .ply of points"
+_REALS = (*PLACES, "nx", "ny", "nz")
+_PAINT = ("red", "green", "blue")
 
 POINT_SUFFIXES = (".npy", ".ply")
 
@@ -119,15 +122,41 @@ def save_points(
     path = Path(path)
     check_point_path(path)
     array = points.detach().cpu().numpy()
-    _checked(path, array)
+    places = _checked(path, array)
     if path.suffix.lower() == ".npy":
         buffer = io.BytesIO()
         np.save(buffer, array, allow_pickle=False)
         content = buffer.getvalue()
     else:
-        triangles = None if faces is None else faces.detach().cpu().numpy()
-        content = plain_ply(_checked(path, array).numpy(), _paint(path, array, colors), triangles)
+        columns: dict[str, NDArray[Any]] = dict(zip(PLACES, places.numpy().T, strict=True))
+        paint = _paint(path, array, colors)
+        if paint is not None:
+            columns |= dict(zip((*_PAINT, "alpha"), paint.T, strict=False))
+        content = binary_ply(columns, None if faces is None else faces.detach().cpu().numpy())
     write_whole(path, content, "points")
+
+
+def save_painted(
+    path: Path, positions: Tensor, colors: Tensor, normals: Tensor, confidence: Tensor
+) -> None:
+    """Write points with what they look like as a PLY; replaces the file at once.
+
+    Args:
+        path: where to, .ply.
+        positions: (N, 3) world units; written as float32.
+        colors: (N, 3) in [0, 1].
+        normals: (N, 3) unit.
+        confidence: (N,) in [0, 1].
+
+    Raises:
+        InputError: numbers that are not finite, or a place that is not writable.
+    """
+    reals = torch.cat([positions, normals, confidence.unsqueeze(1)], dim=1).float().numpy()
+    if not np.isfinite(reals[:, :6]).all():
+        raise InputError(f"{path}: expected finite points, got NaN or infinity")
+    columns: dict[str, NDArray[Any]] = dict(zip(_REALS, reals.T, strict=False))
+    columns |= dict(zip(_PAINT, to_bytes(colors).numpy().T, strict=True))
+    write_whole(path, binary_ply({**columns, "confidence": reals[:, 6]}), "points")
 
 
 def save_moved(

@@ -13,9 +13,12 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.matrix_tuples import products, uprightnesses
+from pcore.geometry.point_cloud import size_of
 
 # A share of `orientation`, which is 1 for rigid motions and does not depend on units.
 SINGULAR = 1e-6
+_STEP = 1e-5
+"""Of central differences, as a share of the object: its square and a rounding over it are small."""
 
 
 class Deformation(ABC):
@@ -35,7 +38,8 @@ class Deformation(ABC):
 
         This default differentiates the three output coordinates in turn: because every point
         moves by itself, the gradient of a sum over points is one row of all Jacobians. It
-        costs about three backward passes; subclasses with a short formula override it.
+        costs about three backward passes; subclasses with a short formula override it. A map that
+        autograd cannot follow, through NumPy for instance, is measured by central differences.
         """
         return gradients(self, points)
 
@@ -166,28 +170,45 @@ def gradients(function: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
 
     Row by row by automatic differentiation: because every point counts for itself, the gradient of
     a sum over points holds one row for all of them. Differentiable in the points and in parameters
-    of the function, where autograd follows those.
+    of the function, where autograd follows those. Where it does not follow the points they are
+    measured, by central differences.
     """
     check_points(points)
     enabled = torch.is_grad_enabled()
     keep_graph = enabled and points.requires_grad
     with torch.inference_mode(mode=False), torch.enable_grad():
         inputs = points if keep_graph else points.detach().clone().requires_grad_()
-        outputs = function(inputs)
-        if not outputs.requires_grad:  # A constant has no graph to walk back.
-            return outputs.new_zeros(*outputs.shape, 3)
+        try:
+            outputs = function(inputs)
+        except RuntimeError as error:  # NumPy takes no tensor that autograd follows.
+            if "grad" not in str(error):
+                raise
+            outputs = points.detach()
         keep_graph = keep_graph or (enabled and _has_parameters(outputs, inputs))
-        rows = [
+        rows: list[Tensor | None] = [
             torch.autograd.grad(
                 column.sum(),
                 inputs,
                 retain_graph=True,
                 create_graph=keep_graph,
-                materialize_grads=True,
+                allow_unused=True,
             )[0]
-            for column in outputs.unbind(dim=-1)
+            for column in (outputs.unbind(dim=-1) if outputs.requires_grad else ())
         ]
-    return torch.stack(rows, dim=-2)
+    if all(row is None for row in rows):
+        return _differences(function, points)
+    return torch.stack([torch.zeros_like(points) if row is None else row for row in rows], dim=-2)
+
+
+def _differences(function: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
+    """As `gradients`, by central differences in double precision; of a constant exactly 0."""
+    places = points.detach().double()
+    flat = places.reshape(-1, 3)
+    # Of many points their extent says what is short, of a single one how far out it is.
+    size = size_of(flat) or float(flat.abs().max()) or 1.0 if len(flat) else 1.0
+    steps = _STEP * size * torch.eye(3, dtype=places.dtype, device=places.device)
+    columns = [(function(places + one) - function(places - one)) / (2 * one.max()) for one in steps]
+    return torch.stack(columns, dim=-1).to(points)
 
 
 def _has_parameters(outputs: Tensor, inputs: Tensor) -> bool:

@@ -50,7 +50,13 @@ class BoundMesh:
         )
 
     def to(self, after: Tensor, *, quick: bool = False) -> PointMotion:
-        """Motion of the points when the vertices go to (V, 3), see `follow_mesh`."""
+        """Motion of the points when the vertices go to (V, 3), extended to space around them.
+
+        Every vertex gets a linear map: the mean over its triangles, by area, of the map that
+        carries the edges of a triangle and its unit normal times the root of its area ratio. A
+        point goes with the vertices of the triangle nearest to it, by barycentric weights b:
+        p' = sum b (v' + A (p - v)). Raises InputError where no triangle has an area.
+        """
         posed = as_points(after)
         linear = _vertex_maps(self.rest, posed, self.faces)
         moved, slopes = _followed(
@@ -59,26 +65,6 @@ class BoundMesh:
         return PointMotion(
             self.points, torch.from_numpy(moved), torch.from_numpy(slopes), quick=quick
         )
-
-
-def follow_mesh(points: Tensor, before: Tensor, after: Tensor, faces: Tensor) -> PointMotion:
-    """Motion of points with a mesh, extended to space around them.
-
-    Every vertex gets a linear map: the mean over its triangles, by area, of the map that carries
-    the edges of a triangle and its unit normal times the root of its area ratio. A point goes with
-    the vertices of the triangle nearest to it, by barycentric weights b: p' = sum b (v' + A (p -
-    v)).
-
-    Args:
-        points: (N, 3) world units.
-        before: (V, 3) vertices of the mesh that lies at the points.
-        after: (V, 3) the same vertices in the other shape.
-        faces: (F, 3) vertex numbers.
-
-    Raises:
-        InputError: no triangle has an area.
-    """
-    return BoundMesh.of(points, before, faces).to(after)
 
 
 def middle_distance(points: Tensor, vertices: Tensor, faces: Tensor) -> float:
@@ -97,7 +83,7 @@ def _followed(
     vertices: NDArray[np.int64],
     share: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Places (N, 3) and Jacobians (N, 3, 3), see `follow_mesh`."""
+    """Places (N, 3) and Jacobians (N, 3, 3), see `BoundMesh.to`."""
     moved, slopes = np.zeros((len(points), 3)), np.zeros((len(points), 3, 3))
     for n in range(len(points)):
         for k in range(3):

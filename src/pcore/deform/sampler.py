@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 import torch
 from torch import Tensor
@@ -21,6 +21,8 @@ from pcore.deform.simple import (
     uniform_scale,
 )
 from pcore.errors import InputError
+
+Turning = TypeVar("Turning", Twist, Bend)
 
 _TRIES = 32
 # Below this share of a rigid motion's determinant a map is taken to fold (1e-3: a bend whose inner
@@ -105,7 +107,7 @@ def sample_deformation(
     center = 0.5 * (lower + upper).detach().double().cpu()
     draws: tuple[Callable[[], Deformation], ...] = (
         lambda: _stretch(generator, center, points, ranges),
-        lambda: _twist(generator, center, points, ranges.twist_degrees),
+        lambda: _turning(Twist, generator, center, points, ranges.twist_degrees),
         lambda: _bend(generator, center, points, ranges.bend_degrees),
     )
     if _uniform(generator, 0.0, 1.0) < ranges.scale_share:
@@ -126,26 +128,14 @@ def _stretch(
     )
 
 
-def _twist(
-    generator: torch.Generator, center: Tensor, points: Tensor, degrees: float
-) -> Deformation:
-    rotation = _frame(generator)
-    return Twist(
-        rotation=rotation,
-        origin=center,
-        extent=_extent(points, center, rotation[2]),
-        value=math.radians(_uniform(generator, -degrees, degrees)),
-    )
-
-
 def _bend(
     generator: torch.Generator, center: Tensor, points: Tensor, degrees: float
 ) -> Deformation:
-    bend = _draw_bend(generator, center, points, degrees)
+    bend = _turning(Bend, generator, center, points, degrees)
     for _ in range(_TRIES):
         if not _folds(bend, points):
             return bend
-        bend = _draw_bend(generator, center, points, degrees)
+        bend = _turning(Bend, generator, center, points, degrees)
     while _folds(bend, points):
         bend = Bend(
             rotation=bend.rotation, origin=center, extent=bend.extent, value=0.5 * bend.value
@@ -153,12 +143,15 @@ def _bend(
     return bend
 
 
-def _draw_bend(generator: torch.Generator, center: Tensor, points: Tensor, degrees: float) -> Bend:
+def _turning(
+    kind: type[Turning], generator: torch.Generator, center: Tensor, points: Tensor, degrees: float
+) -> Turning:
+    """A map by an angle, which goes through all of it over the extent of the points."""
     rotation = _frame(generator)
-    return Bend(
+    return kind(
         rotation=rotation,
         origin=center,
-        extent=_extent(points, center, rotation[0]),
+        extent=_extent(points, center, rotation[0 if kind is Bend else 2]),
         value=math.radians(_uniform(generator, -degrees, degrees)),
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
 
@@ -13,7 +14,7 @@ from pcore.data.file_kinds import kind_of
 from pcore.editing.regions import REGION, REGION_SHAPES, RegionEntry
 from pcore.errors import EditError
 from pcore.files.atomic import write_atomically
-from pcore.validation import read_text
+from pcore.validation import parse_json, read_text
 
 Entry = TypeVar("Entry", bound=BaseModel)
 
@@ -38,38 +39,8 @@ def read_edit_file(path: Path) -> Any:
     if kind not in (None, "JSON text"):
         raise EditError(f"{path}: expected an edit file in JSON, got {kind}; give another file")
     text = read_text(path, where=str(path), error=EditError)
-    if not text.strip():
-        raise EditError(f"{path}: expected an edit file in JSON, got an empty file")
-    try:
-        return json.loads(text, object_pairs_hook=_without_duplicates)
-    except EditError as error:
-        raise EditError(f"{path}: {error}") from error
-    except json.JSONDecodeError as error:
-        raise EditError(
-            f"{path}: expected an edit file in JSON, got invalid JSON: {_broken(error)}"
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise EditError(
-            f"{path}: expected an edit file in JSON, got invalid JSON: lists in lists too deep, or "
-            "a number of thousands of digits"
-        ) from error
-
-
-def _broken(error: json.JSONDecodeError) -> str:
-    """What is wrong with the text, with the line that it is wrong in."""
-    text, at = error.doc, error.pos
-    # Whether the parser stops at a comma too many or at the bracket behind it depends on Python.
-    comma = at if text[at : at + 1] == "," else len(text[:at].rstrip()) - 1
-    after = text[comma + 1 :].lstrip()[:1]
-    if comma >= 0 and text[comma] == "," and after and after in "]}":
-        at, what = comma, f'a comma before "{after}", which JSON does not allow; delete it'
-    else:
-        what = f"{error.msg} (column {error.colno})"
-    lines = text.splitlines()
-    number = text[:at].count("\n")
-    line = lines[number].strip() if number < len(lines) else ""
-    shortened = line if len(line) <= 60 else line[:57] + "..."
-    return f"line {number + 1}: {what}: {shortened}"
+    once = partial(_without_duplicates, path)
+    return parse_json(text, where=str(path), error=EditError, make=once)
 
 
 def write_edit_file(path: Path | str, text: str) -> None:
@@ -212,11 +183,11 @@ def quoted(names: Any) -> str:
     return ", ".join(f'"{name}"' for name in names)
 
 
-def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _without_duplicates(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """JSON would silently keep the last of two equal keys."""
     result: dict[str, Any] = {}
     for key, value in pairs:
         if key in result:
-            raise EditError(f'expected every key once, got "{key}" twice in one object')
+            raise EditError(f'{path}: expected every key once, got "{key}" twice in one object')
         result[key] = value
     return result

@@ -25,6 +25,7 @@ from pcore.errors import InputError, SceneError
 from pcore.evaluation.deformation_record import DeformationRecord
 from pcore.evaluation.mesh_depth import mesh_depth
 from pcore.geometry.camera import Camera
+from pcore.geometry.neighbours import as_points
 from pcore.geometry.surface_search import SurfacePoints, SurfaceSearch
 from pcore.validation import parse, read_json
 
@@ -97,7 +98,7 @@ class DeformedTruth:
         Raises:
             InputError: another shape, or NaN or infinity.
         """
-        positions = _as_points(points)
+        positions = as_points(points)
         surface = self._search.closest(positions)
         foot = _interpolate(self.canonical, self.faces, surface)
         return SurfaceAnchors(surface=surface, offset=positions - foot)
@@ -202,18 +203,6 @@ def load_truth(root: Path) -> DeformedTruth:
         states={k: _vertices(path, k, v, len(canonical)) for k, v in states.items()},
         cut_out=cut_out,
     )
-
-
-def _as_points(points: Tensor) -> FloatArray:
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"points to carry: expected shape (N, 3), got {tuple(points.shape)}")
-    positions: FloatArray = points.detach().cpu().double().numpy()
-    bad = int((~np.isfinite(positions).all(axis=1)).sum())
-    if bad:
-        raise InputError(
-            f"points to carry: expected finite positions, got NaN or infinity in {bad}"
-        )
-    return positions
 
 
 def _interpolate(vertices: FloatArray, faces: IntArray, surface: SurfacePoints) -> FloatArray:

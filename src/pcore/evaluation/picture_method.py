@@ -1,7 +1,8 @@
 """A folder of pictures as a method: DIR/STATE/VIEW.png, taken by any code.
 
 Pictures with an alpha channel also tell opacity. A file VIEW.npy beside each, camera z (H, W) in
-world units, tells depth; so does VIEW.npz with an array `depth`, as `pcore render --raw` writes it.
+world units, tells depth. VIEW.npz, as `pcore render --raw` writes it, tells both by its arrays
+`alpha` and `depth`.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 import torch
@@ -26,8 +27,9 @@ from pcore.render.image import Image
 from pcore.validation import first_names
 
 _ENDINGS = (".png", ".jpg", ".jpeg")
-_DEPTHS = (".npy", ".npz")
-_DEPTH_OF_NPZ = "depth"
+_NUMBERS, _ARRAYS = ".npy", ".npz"
+_DEPTH, _ALPHA = "depth", "alpha"
+"""Arrays of an .npz."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,10 +70,9 @@ class PictureMethod:
                 f"{first_names(missing)} ({len(missing)} missing)"
                 + (f"; files that no view is called after: {odd}" if odd else "")
             )
-        no_alpha = [
-            one for one in wanted if self.tells != "colour" and not _alphas([there[one]])[0]
-        ]
-        _refuse_some(place, "an alpha channel in every picture or none", no_alpha)
+        no_alpha = [one for one in wanted if self.tells != "colour" and not _clear([there[one]])[0]]
+        expected = "opacity of every picture (alpha channel, or `alpha` in VIEW.npz) or none"
+        _refuse_some(place, expected, no_alpha)
         no_depth = [one for one in wanted if self.tells == "depth" and not _tells_depth(there[one])]
         _refuse_some(place, "depth beside every picture (VIEW.npy or .npz) or none", no_depth)
         return {id(shot.camera): there[shot.view.name] for shot in state.shots}
@@ -93,12 +94,15 @@ class PictureMethod:
             rgba = read_rgba(path, size=size)
         except SceneError as error:
             raise InputError(str(error)) from error
-        depth = torch.full(rgba.shape[:2], torch.nan)
+        depth, alpha = torch.full(rgba.shape[:2], torch.nan), rgba[..., 3]
         if self.tells == "depth":
-            depth = _depth(_depth_files(path)[0], depth)
+            beside = path.with_suffix(_NUMBERS)
+            depth = _numbers(beside if beside.is_file() else path.with_suffix(_ARRAYS), depth)
+        if self.tells != "colour" and not header.has_alpha:
+            alpha = _numbers(path.with_suffix(_ARRAYS), alpha, _ALPHA)
         return Image(
             rgb=composite(rgba, torch.ones(3)),
-            alpha=rgba[..., 3],
+            alpha=alpha,
             depth=depth,
             surface=torch.full((*depth.shape, 3), torch.nan),
         )
@@ -128,7 +132,7 @@ def open_pictures(name: str, folder: Path) -> PictureMethod:
             "example canonical/r_0.png, found none"
         )
     # What one picture tells, `pose` asks of all: a missing file must not drop a metric in silence.
-    clear, deep = any(_alphas(found)), any(map(_tells_depth, found))
+    clear, deep = any(_clear(found)), any(map(_tells_depth, found))
     tells: Tells = "depth" if clear and deep else "opacity" if clear else "colour"
     return PictureMethod(name=name, folder=folder, tells=tells)
 
@@ -142,19 +146,27 @@ def _refuse_some(place: Path, expected: str, lacking: Sequence[str]) -> None:
 
 
 def _tells_depth(picture: Path) -> bool:
-    return bool(_depth_files(picture))
+    return picture.with_suffix(_NUMBERS).is_file() or _holds(picture, _DEPTH)
 
 
-def _depth_files(picture: Path) -> list[Path]:
-    return [one for one in map(picture.with_suffix, _DEPTHS) if one.is_file()]
+def _holds(picture: Path, array: str) -> bool:
+    """Whether an .npz beside a picture says that it has an array; a damaged one fails when read."""
+    path = picture.with_suffix(_ARRAYS)
+    if not path.is_file():
+        return False
+    try:
+        with ZipFile(path) as arrays:
+            return f"{array}.npy" in arrays.namelist()
+    except (OSError, BadZipFile):
+        return True
 
 
 def _is_picture(path: Path) -> bool:
     return path.suffix.lower() in _ENDINGS
 
 
-def _alphas(pictures: Sequence[Path]) -> list[bool]:
-    """Whether each picture that can be read has an alpha channel.
+def _clear(pictures: Sequence[Path]) -> list[bool]:
+    """Whether each picture that can be read tells opacity, itself or beside it.
 
     A damaged one fails its own state when it is drawn; all of them damaged is an error here.
     """
@@ -162,7 +174,7 @@ def _alphas(pictures: Sequence[Path]) -> list[bool]:
     wrong: SceneError | None = None
     for path in pictures:
         try:
-            found.append(read_header(path).has_alpha)
+            found.append(read_header(path).has_alpha or _holds(path, _ALPHA))
         except SceneError as error:
             wrong = error
     if wrong is not None and not found:
@@ -170,17 +182,19 @@ def _alphas(pictures: Sequence[Path]) -> list[bool]:
     return found
 
 
-def _depth(path: Path, like: Tensor) -> Tensor:
+def _numbers(path: Path, like: Tensor, name: str = _DEPTH) -> Tensor:
+    """An array (H, W) as large as another: of an .npy the only one, of an .npz that of a name."""
+    what = "camera z" if name == _DEPTH else "opacity"
     try:
         found = np.load(path, allow_pickle=False)
         if isinstance(found, np.lib.npyio.NpzFile):
             with found as arrays:
-                found = arrays[_DEPTH_OF_NPZ]
+                found = arrays[name]
     except (OSError, EOFError, ValueError, KeyError, BadZipFile, zlib.error) as error:
-        raise InputError(f"{path}: expected an array of camera z, got {error}") from error
+        raise InputError(f"{path}: expected an array of {what}, got {error}") from error
     if found.shape != tuple(like.shape) or found.dtype.kind != "f":
         raise InputError(
-            f"{path}: expected camera z {tuple(like.shape)} in floats, got {found.shape} of "
+            f"{path}: expected {what} {tuple(like.shape)} in floats, got {found.shape} of "
             f"{found.dtype}"
         )
     return torch.from_numpy(found).to(like)

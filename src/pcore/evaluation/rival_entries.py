@@ -33,7 +33,6 @@ from pcore.rivals.kept import Spent, kept_bound, kept_cost, kept_mesh, kept_voxe
 from pcore.rivals.mesh_bound import PER_TRIANGLE
 from pcore.rivals.voxel_fit import VoxelConfig, fit_voxels
 from pcore.training.config import PretrainConfig
-from pcore.training.events import Listener, silent
 from pcore.training.gaussian_config import GaussianConfig
 from pcore.training.gaussian_fit import fit_gaussians
 from pcore.training.pretrain import pretrain
@@ -61,7 +60,6 @@ class Workshop:
         seconds: of the processor for each with equal time.
         voxels: of voxel fields, whose steps end with their time.
         device: where.
-        listener: told of all events.
         note: told what begins.
     """
 
@@ -73,7 +71,6 @@ class Workshop:
     seconds: float
     voxels: VoxelConfig = field(default_factory=lambda: VoxelConfig(steps=MOST))
     device: str = "cpu"
-    listener: Listener = silent
     note: Callable[[str], None] = field(default=lambda text: None)
 
     def entries(
@@ -234,7 +231,6 @@ class Workshop:
             self.scene,
             config,
             folder=run,
-            listener=self.listener,
             device=self.device,
             options=RunOptions(resume=begun(run), light=light),
         )

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -19,12 +20,12 @@ from pcore.deform.base import Deformation
 from pcore.deform.jacobian import analytic_maps
 from pcore.deform.scattered import PointMotion
 from pcore.errors import SceneError
-from pcore.evaluation.ground_truth import DeformedTruth, SurfaceAnchors
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.neighbours import nearest
 from pcore.geometry.point_cloud import size_of
 
 Move = Callable[[Tensor], Tensor]
+Found = TypeVar("Found")
 
 BEFORE, AFTER = "points_before", "points_after"
 NEAR = 0.02
@@ -37,21 +38,18 @@ _SITES = 16
 """Neighbours of every point that answer for it; published clouds have up to two million points."""
 
 
-class MeshCarrier:
-    """Carries points with a mesh; the search for closest points is done once per cloud."""
+def remembered(find: Callable[[Tensor], Found]) -> Callable[[Tensor], Found]:
+    """The same function of clouds (N, 3), which remembers what it found for each of them."""
+    known: list[tuple[Tensor, Found]] = []
 
-    def __init__(self, truth: DeformedTruth) -> None:
-        self._truth = truth
-        self._known: list[tuple[Tensor, SurfaceAnchors]] = []
-
-    def __call__(self, points: Tensor, state: str) -> Tensor:
-        """Places (N, 3) in a state of points (N, 3)."""
-        for cloud, anchors in self._known:
+    def found(points: Tensor) -> Found:
+        for cloud, value in known:
             if cloud is points or torch.equal(cloud, points):
-                return self._truth.follow(anchors, state)
-        anchors = self._truth.anchor(points)
-        self._known.append((points, anchors))
-        return self._truth.follow(anchors, state)
+                return value
+        known.append((points, find(points)))
+        return known[-1][1]
+
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,16 +79,7 @@ class PointFiles:
                 f"{self.after}: expected a new place for each of the {len(before)} points of "
                 f"{self.before}, in their order, got {len(after)}"
             )
-        known: list[tuple[Tensor, Tensor]] = []
-
-        def carry(points: Tensor) -> Tensor:
-            for cloud, moved in known:
-                if torch.equal(cloud, points):
-                    return moved
-            known.append((points, self._carried(points, before, after)))
-            return known[-1][1]
-
-        return carry
+        return remembered(lambda points: self._carried(points, before, after))
 
     def _carried(self, points: Tensor, before: Tensor, after: Tensor) -> Tensor:
         places = points.detach().cpu().double()

@@ -28,10 +28,10 @@ from pcore.evaluation.ground_truth import DeformedTruth, load_truth
 from pcore.evaluation.state_moves import (
     AFTER,
     BEFORE,
-    MeshCarrier,
     by_formula,
     carried_by,
     point_files,
+    remembered,
     stay,
 )
 from pcore.geometry.camera import Camera
@@ -254,9 +254,12 @@ class SceneStates:
 
     @cached_property
     def _carrier(self) -> Callable[[Tensor, str], Tensor]:
-        if self.truth is None:
+        truth = self.truth
+        if truth is None:
             raise SceneError(f"{self.path}: no {MESHES}, nothing carries points")
-        return MeshCarrier(self.truth)
+        # The search for closest points is done once per cloud.
+        anchors = remembered(truth.anchor)
+        return lambda points, state: truth.follow(anchors(points), state)
 
 
 def open_states(path: Path, *, factor: int = 1, masks: Path | None = None) -> SceneStates:

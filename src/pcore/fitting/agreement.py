@@ -86,20 +86,32 @@ def difference(
     return (error * photo.known).sum()
 
 
-def check_same_object(found: Agreement, *, silhouettes: bool) -> None:
+def check_same_object(found: Agreement, *, silhouettes: bool, coarse: bool = False) -> None:
     """Refuse photos of something else.
+
+    Args:
+        found: agreement of what was fitted.
+        silhouettes: only outlines count.
+        coarse: it is not refined yet: only colours that one colour all over would meet better are
+            refused, so that nobody waits for the rest.
 
     Raises:
         InputError: the fitted object covers other pixels than the photos show, or its colours
             have nothing to do with theirs.
     """
-    same = found.overlap >= _LEAST_OVERLAP
-    if same and (silhouettes or found.explained >= _LEAST_EXPLAINED):
+    overlap, explained = (0.0, 0.0) if coarse else (_LEAST_OVERLAP, _LEAST_EXPLAINED)
+    if found.overlap >= overlap and (silhouettes or found.explained >= explained):
         return
+    if coarse:
+        why = "after the coarse stages of the fit one colour all over would meet theirs better"
+    else:
+        why = (
+            f"after the fit outlines overlap by {found.overlap:.0%} (at least {overlap:.0%}) and "
+            f"{max(found.explained, 0):.0%} of the variation of colours is explained (at least "
+            f"{explained:.0%})"
+        )
     raise InputError(
-        f"photos: expected the object of the run in another pose, got pictures that no pose of it "
-        f"explains: after the fit outlines overlap by {found.overlap:.0%} (at least "
-        f"{_LEAST_OVERLAP:.0%}) and {max(found.explained, 0):.0%} of the variation of colours is "
-        f"explained (at least {_LEAST_EXPLAINED:.0%}); check that run and photos are of one "
-        "object, that cameras are in the run's world, or start nearer (--start)"
+        "photos: expected the object of the run in another pose, got pictures that no pose of it "
+        f"explains: {why}; check that run and photos are of one object, that cameras are in the "
+        "run's world, or start nearer (--start)"
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from pcore.asset.asset import Asset
@@ -39,6 +39,7 @@ def fit_sequence(
     start: EditLike | None = None,
     shown: Shown | None = None,
     progress: Progress | None = None,
+    keep: Callable[[Animation], None] | None = None,
 ) -> SequenceFit:
     """Find how an object is posed in several states; each starts from the one before.
 
@@ -50,6 +51,7 @@ def fit_sequence(
         start: edit to start the first one from; None is the rest state.
         shown: see `fit_pose`.
         progress: told (steps done, steps in all) of all states.
+        keep: given the keyframes so far after each state from the second on.
 
     Raises:
         InputError: as `fit_pose`, naming the state; or times that do not fit.
@@ -76,6 +78,8 @@ def fit_sequence(
             raise InputError(f"state {number + 1} of {count}: {error}") from error
         fits.append(found)
         start = found.edit
+        if keep is not None and number > 0:
+            keep(keyframed([fit.edit for fit in fits], when[: number + 1]))
     animation = keyframed([fit.edit for fit in fits], when)
     return SequenceFit(animation=animation, fits=tuple(fits))
 

@@ -31,8 +31,9 @@ def as_points(points: Tensor) -> FloatArray:
     if points.ndim != 2 or points.shape[1] != 3 or points.shape[0] == 0:
         raise InputError(f"expected points (N, 3), at least one, got {tuple(points.shape)}")
     places: FloatArray = points.detach().cpu().double().numpy()
-    if not np.isfinite(places).all():
-        raise InputError("expected finite points, got NaN or infinity")
+    bad = int((~np.isfinite(places).all(axis=1)).sum())
+    if bad:
+        raise InputError(f"expected finite points, got NaN or infinity in {bad} of {len(places)}")
     return places
 
 

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -70,3 +74,11 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     for corner in faces.unbind(dim=1):
         total.index_add_(0, corner, across)
     return F.normalize(total, dim=1, eps=1e-30)
+
+
+def parts_of(count: int, faces: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
+    """How many parts triangles (F, 3) of so many vertices make, and that of each vertex."""
+    ends = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+    ones = np.ones(len(ends), dtype=np.bool_)
+    graph = coo_array((ones, (ends[:, 0], ends[:, 1])), shape=(count, count))
+    return connected_components(graph, directed=False)

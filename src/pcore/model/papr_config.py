@@ -84,12 +84,7 @@ class ReferenceOrigin:
     """From a ray's origin to where it passes the center, world units."""
 
     def __post_init__(self) -> None:
-        numbers = (*self.center, self.distance)
-        if not all(math.isfinite(x) for x in numbers) or self.distance <= 0:
-            raise InputError(
-                "PAPR: expected a finite center and a positive distance of the reference origin, "
-                f"got {self.center} and {self.distance}"
-            )
+        _check_place(self.center, self.distance, "distance of the reference origin")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,12 +97,7 @@ class NetworkFrame:
     """What is 1 there, world units."""
 
     def __post_init__(self) -> None:
-        numbers = (*self.center, self.unit)
-        if not all(math.isfinite(x) for x in numbers) or self.unit <= 0:
-            raise InputError(
-                "PAPR: expected a finite center and a positive unit of the networks' frame, got "
-                f"{self.center} and {self.unit}"
-            )
+        _check_place(self.center, self.unit, "unit of the networks' frame")
 
     def from_world(self, places: Tensor) -> Tensor:
         """Places (..., 3), world units, in this frame."""
@@ -216,3 +206,10 @@ class PaprConfig:
                 f"{COLOR_CHANNELS} numbers where points have colours of degree {degree}, got "
                 f"{self.feature_size} and {self.value.size}"
             )
+
+
+def _check_place(center: tuple[float, float, float], length: float, what: str) -> None:
+    if not all(math.isfinite(x) for x in (*center, length)) or length <= 0:
+        raise InputError(
+            f"PAPR: expected a finite center and a positive {what}, got {center} and {length}"
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
@@ -58,6 +58,9 @@ class Key(_Strict):
     trials: tuple[_Trial, ...]
 
 
+File = TypeVar("File", Key, Answers)
+
+
 class Sheets(BaseModel):
     """The answers that count, and what was odd about the others."""
 
@@ -73,13 +76,7 @@ def read_key(path: Path) -> Key:
     Raises:
         InputError: it is none, or was changed.
     """
-    record = read_json(path, what="key of a study", error=InputError)
-    key = parse(Key, record, where=f"key of a study {path}", error=InputError)
-    if (key.format, key.version) != (KEY_FORMAT, VERSION):
-        raise InputError(
-            f"key of a study {path}: expected format {KEY_FORMAT!r}, version {VERSION}, got "
-            f"{key.format!r}, version {key.version}"
-        )
+    key = _parsed(path, Key, "key of a study", KEY_FORMAT)
     if name_of(key.question, [one.model_dump() for one in key.trials]) != key.study:
         raise InputError(
             f"key of a study {path}: expected the question and the {len(key.trials)} trials that "
@@ -126,19 +123,25 @@ def read_answers(paths: Sequence[Path], key: Key, *, caught: float) -> Sheets:
 
 
 def _read(path: Path, key: Key) -> Answers:
-    record = read_json(path, what="answers", error=InputError)
-    found = parse(Answers, record, where=f"answers {path}", error=InputError)
-    if (found.format, found.version) != (ANSWERS_FORMAT, VERSION):
-        raise InputError(
-            f"answers {path}: expected format {ANSWERS_FORMAT!r}, version {VERSION}, got "
-            f"{found.format!r}, version {found.version}"
-        )
+    found = _parsed(path, Answers, "answers", ANSWERS_FORMAT)
     if found.study != key.study:
         raise InputError(
             f"answers {path}: expected those of study {key.study}, got those of {found.study}; "
             "give the key.json that was made with its page"
         )
     _check_trials(path, found, key)
+    return found
+
+
+def _parsed(path: Path, kind: type[File], what: str, form: str) -> File:
+    """Read a file of a study; raises InputError for another format or version."""
+    where = f"{what} {path}"
+    found = parse(kind, read_json(path, what=what, error=InputError), where=where, error=InputError)
+    if (found.format, found.version) != (form, VERSION):
+        raise InputError(
+            f"{where}: expected format {form!r}, version {VERSION}, got {found.format!r}, version "
+            f"{found.version}"
+        )
     return found
 
 

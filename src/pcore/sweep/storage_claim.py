@@ -25,6 +25,9 @@ BEAT = 5.0
 _MEETING = 1.0
 """Seconds in which two that begin at once see each other."""
 
+_LOOKS, _WRITING = 3, 0.1
+"""Looks at half a sign, which on a disk is soon a whole one that says whose it is; seconds each."""
+
 
 @contextmanager
 def claimed(url: str) -> Generator[None]:
@@ -91,15 +94,20 @@ def _write(url: str, sign: dict[str, Any], beat: int) -> None:
 
 def _read(url: str) -> dict[str, Any] | None:
     """The sign that is there; None where there is none."""
-    with storage_errors(url):
-        files, root = opened(url)
+    content = b""
+    for _ in range(_LOOKS):
+        with storage_errors(url):
+            files, root = opened(url)
+            try:
+                content = files.cat_file(f"{root}/{CLAIM_FILE}")
+            except FileNotFoundError:
+                return None
         try:
-            content = files.cat_file(f"{root}/{CLAIM_FILE}")
-        except FileNotFoundError:
-            return None
-    try:
-        found = json.loads(content)
-    except ValueError:
-        found = None
+            found = json.loads(content)
+        except ValueError:
+            found = None
+        if isinstance(found, dict):
+            return found
+        time.sleep(_WRITING)
     # Half a sign is one, too: somebody is writing it, or was killed meanwhile.
-    return found if isinstance(found, dict) else {"unreadable": content.hex()}
+    return {"unreadable": content.hex()}

@@ -97,7 +97,7 @@ def mirrored(folder: Path, url: str | None) -> Generator[None]:
         # The storage is right: what lies here may be of an attempt before the last.
         shutil.rmtree(folder, ignore_errors=True)
         fetch(url, folder)
-    sender = _Sender(folder, url)
+    sender = _Sender(folder, url, fetched=begun)
     sender.start()
     try:
         yield
@@ -120,9 +120,11 @@ def publish(folder: Path, url: str, names: Iterable[str]) -> None:
 class _Sender:
     """Sends what changes in a folder, now and then and at the end."""
 
-    def __init__(self, folder: Path, url: str) -> None:
+    def __init__(self, folder: Path, url: str, *, fetched: bool) -> None:
         self._folder, self._url = folder, url
-        self._sent = self._looks()
+        # What an attempt without this storage, or one that ended before it sent, has left is not
+        # there yet.
+        self._sent = self._looks() if fetched else {}
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 

@@ -57,6 +57,8 @@ class ValidationReport:
     """Whether no earlier validation was better."""
     accepted: bool = True
     """Whether these weights may become the result."""
+    learned_next: bool = False
+    """Whether the views are learned from as well after this."""
 
 
 @dataclass(frozen=True, kw_only=True)

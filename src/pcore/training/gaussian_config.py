@@ -100,6 +100,9 @@ class GaussianConfig:
     """Behind images with alpha; "random" draws another colour every step and renders on white."""
     hold_out: int = 10
     """Every so-manieth training view is kept for validation."""
+    held_out_until: float = 0.5
+    """Share of the steps after which those are learned from as well, and no validation follows: no
+    other photo may show what one of them shows (ADR 59)."""
     validate_every: int = 600
     """Steps between validations."""
     save_every: int = 600
@@ -126,6 +129,11 @@ class GaussianConfig:
             raise InputError(
                 "training of Gaussians: expected an opacity between 0 and 1 and a weight of the "
                 f"SSIM from 0 to 1, got {self.opacity_start} and {self.ssim_weight}"
+            )
+        if not 0 < self.held_out_until <= 1:
+            raise InputError(
+                "training of Gaussians: expected held_out_until above 0 and at most 1, got "
+                f"{self.held_out_until}"
             )
         check_levels(self.levels)
         if not math.isfinite(self.degree_every):

@@ -56,7 +56,8 @@ def fit_gaussians(
     Nothing depends on the unit of the world: lengths are measured in distances of the cameras.
 
     Args:
-        scene: its `train` split is used, nothing else; every `hold_out`-th view only validates.
+        scene: its `train` split is used, nothing else; every `hold_out`-th view only validates
+            until `held_out_until`.
         config: numbers, rates, schedule.
         start: Gaussians to begin with; None takes those that `config.start` says.
         folder: where to save and what to continue from; None keeps everything in memory.
@@ -72,7 +73,14 @@ def fit_gaussians(
         KeyboardInterrupt: Ctrl-C, after saving.
     """
     fit = _fit(scene, config, torch.device(device), start, bound, clock)
-    plan = Plan.of(config, fit.validation, scene.name, pace=fit.pace, exposure=fit.exposure)
+    plan = Plan.of(
+        config,
+        fit.validation,
+        scene.name,
+        pace=fit.pace,
+        exposure=fit.exposure,
+        validate_until=config.held_out_until,
+    )
     return run_loop(
         fit.work,
         plan,
@@ -90,9 +98,9 @@ class _Fit:
     Attributes:
         work: what is trained.
         config: numbers, rates, schedule.
-        photos: of the training views, as large as the step wants them.
-        views: how many of them there are.
-        validation: views that are held out.
+        photos: of the training views, as large as the step wants them; held-out ones last.
+        views: how many of them are not held out.
+        validation: views that are held out at first.
         masked: whether masks say how large the object is.
         pace: how far the training is.
         exposure: learned along; None takes photos as they are.
@@ -117,7 +125,9 @@ class _Fit:
         """Draw the photos of the coming step and compare."""
         progress = self.pace.progress(self.work.step)
         at_hand = self.photos.at(reduction_at(self.config.levels, progress))
-        batch = _batch(self.work, self.config, self.views)
+        held_out = progress < self.config.held_out_until
+        views = self.views if held_out else self.views + len(self.validation)
+        batch = _batch(self.work, self.config, views)
         shared = self.ranks.share(batch)
         found = [self._of_photo(index, at_hand[index], color) for index, color in shared]
         return found[0] if len(batch) == 1 else mean_of(found, of=len(batch))
@@ -166,7 +176,8 @@ def _fit(
         start = start_gaussians(scene, views, config, generator, origin)
     elif origin is not None:
         start = moved_gaussians(start, -origin)
-    exposure = ViewExposure(len(views), where) if config.exposure else None
+    photos = (*views, *validation)
+    exposure = ViewExposure(len(photos), where) if config.exposure else None
     work = trainable_gaussians(
         start.to(where),
         distance=camera_distance(scene),
@@ -174,14 +185,14 @@ def _fit(
         backdrop=config.background,
         seed=config.seed + 1,
         place=None if bound is None else bound.place,
-        cameras=[view.camera for view in views],
+        cameras=[view.camera for view in photos],
         fits_exposure=exposure is not None,
         origin=origin,
     )
     return _Fit(
         work=work,
         config=config,
-        photos=PhotosInTurn(views),
+        photos=PhotosInTurn(photos),
         views=len(views),
         validation=validation,
         masked=all(view.has_alpha for view in views),

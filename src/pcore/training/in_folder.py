@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import torch
 
@@ -18,7 +18,7 @@ from pcore.files.manifest import MANIFEST_FILE, new_manifest, same_run
 from pcore.files.provenance import Stage, made_by
 from pcore.files.run_folder import RunFolder
 from pcore.files.run_place import bytes_needed, saved_nothing
-from pcore.files.run_record import SPENT, finished, relative
+from pcore.files.run_record import SPENT, RunRecord, finished, relative
 from pcore.model.papr import Papr
 from pcore.model.papr_config import PaprConfig
 from pcore.training.events import JsonLinesLog, Listener, TensorBoardLog, fan_out
@@ -26,46 +26,52 @@ from pcore.training.events import JsonLinesLog, Listener, TensorBoardLog, fan_ou
 Result = TypeVar("Result")
 
 
-def _ignore(text: str) -> None:
-    """Tell nobody."""
+def _tell_nobody(text: str) -> None:
+    """Say nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class FolderPlan:
-    """What a training in a folder is, beside the training itself.
+class RunOptions:
+    """What a training does besides learning.
 
     Attributes:
-        path: the run folder.
-        stage: what runs.
-        scene: folder of the scene, recorded as seen from the run; or its name.
-        config: all that decides the result, as JSON values.
-        device: what computes, for the record.
-        resume: go on with the run that is there.
-        tensorboard: write TensorBoard's files too, where its package is installed.
-        needed: bytes that will be written.
+        light: estimate the light of the photos at the end; where that is not possible the object
+            has none, and `note` is told why.
+        resume: go on exactly where the run in the folder was interrupted.
+        tensorboard: write curves for TensorBoard into the folder, where its package is installed.
+        compiled: use torch.compile where it pays, on a GPU.
+        preset: what the settings are called in the record; None finds their name.
         note: told in a sentence where it goes on from, and what had to be left out.
     """
 
-    path: Path
-    stage: Stage
-    scene: Path | str
-    config: Mapping[str, Any]
-    device: str = "cpu"
+    light: bool = True
     resume: bool = False
     tensorboard: bool = False
-    needed: int = 0
-    note: Callable[[str], None] = _ignore
+    compiled: bool = True
+    preset: str | None = None
+    note: Callable[[str], None] = _tell_nobody
 
 
 def train_in_folder(
-    plan: FolderPlan, train: Callable[[RunFolder, Listener], Result], listener: Listener
+    record: RunRecord,
+    train: Callable[[RunFolder, Listener], Result],
+    listener: Listener,
+    options: RunOptions,
+    *,
+    scene: Path | str,
+    device: str = "cpu",
+    needed: int = 0,
 ) -> Result | None:
     """Train in a folder and log all events there; a finished run is left as it is.
 
     Args:
-        plan: which folder, and what is written down about the run.
+        record: which folder, and what is written down about the run.
         train: trains in the folder that it is given and tells the listener that it is given.
         listener: told of all events, besides the logs.
+        options: resuming, logs.
+        scene: folder of the scene, recorded as seen from the run; or its name.
+        device: what computes, for the record.
+        needed: bytes that will be written.
 
     Returns:
         What was trained; None where the run was finished already.
@@ -75,50 +81,47 @@ def train_in_folder(
         PcoreError: whatever the training raises; a run that saved nothing then leaves no trace.
         KeyboardInterrupt: Ctrl-C; the same holds before the first save.
     """
-    scene = plan.scene if isinstance(plan.scene, str) else relative(plan.scene, plan.path)
-    if plan.resume and finished(plan.path):
-        same_run(plan.path, new_manifest(plan.stage, scene, plan.config))
-        plan.note("finished already; nothing is left to do")
+    path, stage, config = record.path, record.stage, record.config
+    assert path is not None, "the caller tells folders from memory"
+    scene = scene if isinstance(scene, str) else relative(scene, path)
+    if options.resume and finished(path):
+        same_run(path, new_manifest(stage, scene, config))
+        options.note("finished already; nothing is left to do")
         return None
-    made = not plan.path.exists()
+    made = not path.exists()
     with RunFolder.create(
-        plan.path,
-        stage=plan.stage,
-        scene=scene,
-        config=plan.config,
-        resume=plan.resume,
-        needed=plan.needed,
+        path, stage=stage, scene=scene, config=config, resume=options.resume, needed=needed
     ) as run:
         try:
-            return _train(plan, run, train, listener)
+            with _logged(run, stage, options, device) as logs:
+                return train(run, fan_out(*logs, listener))
         except (PcoreError, KeyboardInterrupt):
-            if saved_nothing(plan.path):
+            if saved_nothing(path):
                 _remove_traces(run, whole=made)
             raise
 
 
-def _train(
-    plan: FolderPlan,
-    run: RunFolder,
-    train: Callable[[RunFolder, Listener], Result],
-    listener: Listener,
-) -> Result:
+@contextmanager
+def _logged(
+    run: RunFolder, stage: Stage, options: RunOptions, device: str
+) -> Generator[list[Listener]]:
+    """Write down that a training begins, and what it takes; gives the logs of the folder."""
     step = run.saved_step()
-    resumed = None if step is None else (plan.stage, step)
-    if plan.resume:
-        plan.note("begins anew" if step is None else f"goes on from step {step:,}")
-    began = {"step": step or 0, **made_by(plan.device)}
+    resumed = None if step is None else (stage, step)
+    if options.resume:
+        options.note("begins anew" if step is None else f"goes on from step {step:,}")
+    began = {"step": step or 0, **made_by(device)}
     run.update(made_by=[*(run.notes.get("made_by") or []), began])
     with ExitStack() as stack:
         stack.enter_context(_spending(run, 0.0 if step is None else run.notes.get(SPENT)))
-        listeners: list[Listener] = [stack.enter_context(JsonLinesLog(run.log, resumed=resumed))]
-        if plan.tensorboard:
+        logs: list[Listener] = [stack.enter_context(JsonLinesLog(run.log, resumed=resumed))]
+        if options.tensorboard:
             try:
                 board = TensorBoardLog(run.tensorboard, resumed=resumed)
-                listeners.append(stack.enter_context(board))
+                logs.append(stack.enter_context(board))
             except DependencyError as error:
-                plan.note(f"note: {error}")
-        return train(run, fan_out(*listeners, listener))
+                options.note(f"note: {error}")
+        yield logs
 
 
 @contextmanager

@@ -81,13 +81,15 @@ def run_loop(
         _save(work, plan, pace, folder, listener, finished=True)
     with deferred_interrupt() as interrupted:
         while not pace.done(work.step):
+            unseen = pace.progress(work.step) < plan.validate_until
             found = _step(work, plan, pace, losses, ranks)
             after_step(listener)
             pace.after(work.step)
+            last_unseen = unseen and pace.progress(work.step) >= plan.validate_until
             if work.step % _REPORT_EVERY == 0 or pace.done(work.step):
                 listener(_report(work, pace, found))
-            if pace.validates(work.step):
-                _validate(work, plan, budget, listener, last=pace.done(work.step))
+            if last_unseen or (unseen and pace.validates(work.step)):
+                _validate(work, plan, budget, listener, last=last_unseen)
             stop = ranks.any(bool(interrupted))
             finished = pace.done(work.step) and not stop
             if finished:
@@ -173,6 +175,7 @@ def _validate(
             views=len(plan.validation),
             scores=scores,
             best=best,
+            learned_next=last and plan.validate_until < 1,
             accepted=budget is None or budget.met_by([one["psnr"] for one in found]),
         )
     )

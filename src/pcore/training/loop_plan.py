@@ -25,6 +25,7 @@ class Plan:
         validate_every: steps between validations.
         save_every: steps between saves.
         validation: held-out training views.
+        validate_until: progress at which they are no longer held out: the last validation.
         background: behind images with alpha.
         scene: name of the scene, for the model file.
         pace: of a training that has promised a time; None makes the steps and no promise.
@@ -40,6 +41,7 @@ class Plan:
     scene: str
     pace: Pace | None = None
     exposure: ViewExposure | None = None
+    validate_until: float = 1.0
 
     @classmethod
     def of(
@@ -51,6 +53,7 @@ class Plan:
         rates: Mapping[str, Schedule] | None = None,
         pace: Pace | None = None,
         exposure: ViewExposure | None = None,
+        validate_until: float = 1.0,
     ) -> Plan:
         """Take from settings what a loop needs of them; `rates` are more than those."""
         return cls(
@@ -63,4 +66,5 @@ class Plan:
             scene=scene,
             pace=pace,
             exposure=exposure,
+            validate_until=validate_until,
         )
