@@ -43,7 +43,7 @@ PART_STAGES = (
     FitStage(pixels=50, steps=100, rate=0.1, stiffness=0.01, spread=0.0),
     FitStage(pixels=100, steps=150, rate=0.05, stiffness=0.003, spread=0.0),
 )
-JOINTED = FitStage(pixels=100, steps=250, rate=0.05, stiffness=0.02, spread=0.5)
+JOINTED = FitStage(pixels=100, steps=250, rate=0.05, stiffness=0.1, spread=0.5)
 """Of rigid parts, and of all anchors with joints between these; chosen like the others."""
 SEARCHED = 2
 """Last coarse stages that follow a search from the start."""

@@ -20,7 +20,7 @@ from pcore.fitting.fitter import Fitter
 from pcore.fitting.part_motion import PartSpace
 from pcore.fitting.shown_object import Shown
 
-_WORSE = 0.1
+_WORSE = 0.25
 """Share of the error that limbs which keep their shape may cost."""
 
 Progress = Callable[[int, int], None]
