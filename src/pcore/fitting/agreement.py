@@ -14,7 +14,7 @@ from pcore.errors import InputError
 from pcore.fitting.fit_photos import Photo
 
 _LEAST_OVERLAP = 0.8
-_LEAST_EXPLAINED = 0.3
+_LEAST_EXPLAINED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
