@@ -84,7 +84,7 @@ def beer(place: Place) -> list[Figure]:
     """A can that is cut out automatically, in a room that is folded."""
     promise = trained(place, BEER, factor=4, minutes=10, masks="auto")
     bare = pcore.load_scene(place.data / BEER, factor=4)
-    pairs = find_contradictions(ordered_views(bare), locate(bare).region).pairs
+    pairs = find_contradictions(ordered_views(bare), locate(bare).region).contradicting
     return [
         scored(place, "foreground_psnr", 25),
         Figure(what="pairs of poses that contradict each other", value=len(pairs), bar=1),

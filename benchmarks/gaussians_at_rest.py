@@ -43,7 +43,7 @@ def main() -> None:
     torch.set_num_threads(1)
     torch.set_flush_denormal(True)
     # Held-out views are to judge the end.
-    config = replace(gaussian_preset("tiny"), held_out_until=1.0)
+    config = replace(gaussian_preset("tiny"), held_out_until=None)
     if wish.steps:
         config = replace(config, steps=wish.steps)
     for path in wish.scenes:

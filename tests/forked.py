@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -78,10 +79,11 @@ class Child:
             self.code = int(self.told.readline())
         return self.code
 
-    def end(self, how: signal.Signals = signal.SIGKILL, seconds: float = 60) -> int:
-        """Send it a signal, unless it has ended; return its exit code."""
+    def end(self, how: signal.Signals | None = None, seconds: float = 60) -> int:
+        """Send it a signal (default: SIGKILL), unless it has ended; return its exit code."""
         if self.poll() is None:
-            os.kill(self.pid, how)
+            with suppress(ProcessLookupError):  # It ended since.
+                os.kill(self.pid, signal.SIGKILL if how is None else how)
         return self.wait(seconds)
 
     def says(self, text: str, times: int = 1, seconds: float = 200) -> None:
@@ -90,6 +92,15 @@ class Child:
         while self.said.read_text().count(text) < times:
             assert self.poll() is None, self.said.read_text()
             assert time.monotonic() < end, "it did not happen in time"
+            time.sleep(0.002)
+
+    def says_line(self, begin: str) -> str:
+        """Wait for a whole line that begins so; return it."""
+        self.says(begin)
+        while True:
+            for line in self.said.read_text().splitlines(keepends=True):
+                if line.startswith(begin) and line.endswith("\n"):
+                    return line
             time.sleep(0.002)
 
 

@@ -173,7 +173,7 @@ CASES = [
     # --- render: edits, cameras, options
     Case(f"{RENDER} --edit absent.json", "absent.json: edit file not found; expected a JSON file"),
     Case(f"{RENDER} --edit ball", "ball: cannot be read (Is a directory)"),
-    Case(f"{RENDER} --edit edit.json", "edit.json: expected an edit file in", cut("edit.json")),
+    Case(f"{RENDER} --edit edit.json", "edit.json: expected JSON", cut("edit.json")),
     Case(
         f"{RENDER} --edit edit.json",
         'expected "version": 2, got 7',

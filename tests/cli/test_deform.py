@@ -138,7 +138,7 @@ def test_bad_inputs(folder: Path):
     with pytest.raises(InputError, match=r"none\.npy: no such file"):
         run(folder, "none.npy")
     (folder / "edit.json").write_text("{")
-    with pytest.raises(EditError, match=r"edit\.json: expected an edit file in JSON"):
+    with pytest.raises(EditError, match=r"edit\.json: expected JSON"):
         run(folder)
     assert not (folder / "out.npy").exists()
 

@@ -24,6 +24,7 @@ pcore.cli.main FAILED
         ("Error: train: expected --steps >= 1, got 0", "train: expected --steps >= 1, got 0"),
         ("[rank1]: RuntimeError: out of memory", "out of memory"),
         ("torch.OutOfMemoryError: no room", "no room"),
+        ("KeyError: 'w'\n\nThe above was the cause of:\nTrainingError: diverged", "diverged"),
         ("step 3", "no message"),
     ],
 )

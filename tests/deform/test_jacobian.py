@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -167,3 +169,44 @@ def test_points_that_coincide_have_finite_maps() -> None:
 def test_bad_clouds_are_refused(rest: Tensor, moved: Tensor, message: str) -> None:
     with pytest.raises(EditError, match=message):
         estimated_maps(rest, moved)
+
+
+class Square(Deformation):
+    """By NumPy in a given precision: x to x^2, the others as they are."""
+
+    def __init__(self, kind: type[np.floating[Any]]) -> None:
+        self.kind = kind
+
+    def __call__(self, points: Tensor) -> Tensor:
+        places = points.detach().numpy().astype(self.kind)
+        moved = np.concatenate([places[..., :1] ** 2, places[..., 1:]], axis=-1)
+        return torch.from_numpy(moved)
+
+
+@pytest.mark.parametrize(("kind", "bound"), [(np.float64, 1e-8), (np.float32, 1e-3)])
+def test_what_is_measured_is_of_each_point_by_itself(
+    kind: type[np.floating[Any]], bound: float
+) -> None:
+    """One point that is broken or far away says nothing about the others."""
+    points = torch.rand(40, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    points[3], points[7] = torch.nan, torch.tensor([3e5, 0.0, 0.0])
+    found = Square(kind).jacobian(points)
+    true = torch.eye(3).double().repeat(40, 1, 1)
+    true[:, 0, 0] = 2 * points[:, 0]
+    others = torch.tensor([i for i in range(40) if i not in (3, 7)])
+    assert float((found - true)[others].abs().max()) < bound
+    assert bool(found[3].isnan().any())
+
+
+def test_one_coordinate_that_autograd_does_not_see_is_measured() -> None:
+    class Mixed(Deformation):
+        def __call__(self, points: Tensor) -> Tensor:
+            x, y, z = points.unbind(dim=-1)
+            return torch.stack([2 * x, y, torch.from_numpy(1.5 * z.detach().numpy())], dim=-1)
+
+    points = torch.rand(5, 3, dtype=torch.float64)
+    assert torch.allclose(
+        Mixed().jacobian(points),
+        torch.diag(torch.tensor([2.0, 1.0, 1.5])).double().expand(5, 3, 3),
+        atol=1e-9,
+    )

@@ -94,6 +94,14 @@ def test_falloff_is_outside_the_shape_in_world_units():
     torch.testing.assert_close(box.weight(corner), ramp(torch.tensor([0.5]).double(), 1.0))
 
 
+def test_a_region_that_cuts_has_no_slope_on_its_face():
+    box = Box(lower=-torch.ones(3), upper=torch.ones(3), falloff=0.0)
+    face = torch.rand(20, 3, dtype=torch.float64)
+    face[:, 0] = 1.0
+    assert not bool(box.gradient(face).any())
+    assert torch.equal(box.weight(face), torch.ones(20, dtype=torch.float64))
+
+
 @pytest.mark.parametrize("falloff", [-0.1, math.nan, math.inf])
 def test_bad_falloffs_are_refused(falloff: float):
     with pytest.raises(InputError, match="region falloff: expected a length of 0 or more"):

@@ -245,9 +245,10 @@ def test_photos_of_another_object_are_refused(asset: Asset, tmp_path: Path) -> N
 
 
 def test_what_is_fitted_at_last_is_judged_more_strictly() -> None:
-    close = Agreement(psnr=20.0, overlap=0.9, explained=0.2, error=0.1)
+    close = Agreement(psnr=20.0, overlap=0.9, explained=0.45, error=0.1)
     far = replace(close, explained=-0.1)
     check_same_object(close, silhouettes=False, coarse=True)
+    check_same_object(replace(close, explained=0.55), silhouettes=False)
     check_same_object(far, silhouettes=True)
     for found, coarse in ((close, False), (far, True)):
         with pytest.raises(InputError, match="that no pose of it explains"):

@@ -61,9 +61,7 @@ def test_a_capture_elsewhere_is_the_same_from_its_own_start(tmp_path: Path) -> N
         figures: list[float] = []
         for seed in range(3):
             heard = Heard()
-            config = GaussianConfig(
-                steps=300, validate_every=300, hold_out=3, held_out_until=1.0, seed=seed
-            )
+            config = GaussianConfig(steps=300, validate_every=300, hold_out=3, seed=seed)
             fit_gaussians(load_scene(root), config, listener=heard)
             figures.append(heard.of(ValidationReport)[-1].psnr)
         means.append(statistics.mean(figures))
@@ -84,11 +82,7 @@ def test_a_capture_elsewhere_is_the_same_to_a_tenth_of_a_decibel(tmp_path: Path)
         root = write_scene(folder, states=False) if name == "here" else moved_scene(folder)
         heard = Heard()
         config = GaussianConfig(
-            steps=300,
-            start=str(tmp_path / f"{name}.ply"),
-            validate_every=300,
-            hold_out=3,
-            held_out_until=1.0,
+            steps=300, start=str(tmp_path / f"{name}.ply"), validate_every=300, hold_out=3
         )
         fit_gaussians(load_scene(root), config, listener=heard)
         figures.append(heard.of(ValidationReport)[-1].psnr)

@@ -25,8 +25,7 @@ class Page:
     ) -> None:
         words = ["studio", str(run), "--port", str(port)]
         self.server = forked.start(STUDIO, *words, said=run.parent / f"said-{time.time_ns()}")
-        self.server.says("\n")
-        self.url = self.server.said.read_text().splitlines()[0].strip()
+        self.url = self.server.says_line("http").strip()
         self.problems: list[str] = []
         self.tab: Any = None
         if ready:

@@ -35,6 +35,7 @@ def test_a_thread_that_hears_nothing_does_not_keep_the_program(
 ) -> None:
     server = forked.start(_SERVER, str(run), str(free_port), said=run.parent / "said.txt")
     try:
+        server.says("Ctrl-C")
         server.says("busy\n")
         assert server.end(signal.SIGINT) == 0
         assert len(kept(run)["edits"]) == 2

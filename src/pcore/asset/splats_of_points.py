@@ -101,7 +101,6 @@ def splats_of_points(
             steps=steps,
             points=count,
             density=DensityConfig(limit=2 * count),
-            held_out_until=1.0,
             validate_every=steps,
             save_every=steps,
         )

@@ -165,7 +165,7 @@ def _check_one(path: Path) -> None:
     """Refuse a folder of captures: which of them is meant, nobody said."""
     below = sorted(one for one in path.iterdir() if one.is_dir() and one.name[0] != ".")
     captures = [one for one in below if _is_posed(one)]
-    if captures:
+    if len(captures) > 1:
         raise SceneError(
             f"scene {path}: holds {len(captures)} captures with poses of their own in its "
             f"sub-folders; give the path of one: {', '.join(map(str, captures))}"

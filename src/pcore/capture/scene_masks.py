@@ -13,6 +13,9 @@ from pcore.capture.photos import natural_key
 from pcore.data.scene import Scene, View
 from pcore.geometry.object_region import Region
 
+_AT_ONCE = 8
+"""Photos that are decoded at a time."""
+
 
 def scene_masks(
     scene: Scene,
@@ -58,8 +61,8 @@ def photos_of(views: Sequence[View]) -> list[Photo]:
     def photo(view: View) -> Photo:
         return Photo(name=view.name, camera=view.camera, rgb=shrunk(view.rgb(white)))
 
-    # Pictures are decoded without a lock.
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+    # Pictures are decoded without a lock; each of them is large until it is shrunk.
+    with ThreadPoolExecutor(min(_AT_ONCE, torch.get_num_threads())) as pool:
         return list(pool.map(photo, views))
 
 

@@ -100,8 +100,8 @@ def show_result(console: Console, asset: Asset) -> None:
     path, validation = asset.path, asset.record.notes.get("validation") or {}
     psnr = validation.get("kept_psnr" if "kept_step" in validation else "psnr")
     quality = "" if psnr is None else f": {psnr:.2f} dB on held-out training views"
-    learned = asset.record.config.get("gaussians", {}).get("held_out_until", 1.0) < 1
-    if psnr is not None and learned and asset.record.stage == "pretrain":
+    joined = asset.record.config.get("gaussians", {}).get("held_out_until") is not None
+    if psnr is not None and joined and validation["step"] < asset.record.notes["step"]:
         quality += f" at step {validation['step']}; it has learned from them since"
     say(console, f"{path}{quality}")
     # Measured: with aware rays and a light, fine-tuning costs more than it brings

@@ -40,8 +40,9 @@ def run_together(words: Sequence[str]) -> None:
 
 def reason_in(lines: Iterable[str]) -> str:
     """Why a command of ours failed, by what it printed; torchrun says more of its own after it."""
-    found = (_REASON.match(line.rstrip()) for line in lines)
-    return next((one[1] for one in found if one), "no message")
+    found = [one[1] for line in lines if (one := _REASON.match(line.rstrip()))]
+    # Of a chain of tracebacks the last is what ended it; those before are its causes.
+    return found[-1] if found else "no message"
 
 
 def main() -> None:

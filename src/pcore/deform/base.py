@@ -13,12 +13,13 @@ from torch import Tensor
 
 from pcore.errors import InputError
 from pcore.geometry.matrix_tuples import products, uprightnesses
-from pcore.geometry.point_cloud import size_of
 
 # A share of `orientation`, which is 1 for rigid motions and does not depend on units.
 SINGULAR = 1e-6
 _STEP = 1e-5
 """Of central differences, as a share of the object: its square and a rounding over it are small."""
+_SINGLE_STEP = 3e-3
+"""The same of maps that answer in single precision."""
 
 
 class Deformation(ABC):
@@ -41,7 +42,7 @@ class Deformation(ABC):
         costs about three backward passes; subclasses with a short formula override it. A map that
         autograd cannot follow, through NumPy for instance, is measured by central differences.
         """
-        return gradients(self, points)
+        return gradients(self, points, measured=True)
 
     def folded(self, points: Tensor) -> Tensor:
         """Where space is flattened or turned inside out: bool (...,) at points (..., 3).
@@ -165,13 +166,15 @@ class Compose(Deformation):
         return result
 
 
-def gradients(function: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
+def gradients(
+    function: Callable[[Tensor], Tensor], points: Tensor, *, measured: bool = False
+) -> Tensor:
     """Derivatives (..., C, 3) of a function (..., 3) -> (..., C) that takes every point by itself.
 
     Row by row by automatic differentiation: because every point counts for itself, the gradient of
     a sum over points holds one row for all of them. Differentiable in the points and in parameters
-    of the function, where autograd follows those. Where it does not follow the points they are
-    measured, by central differences.
+    of the function, where autograd follows those. Rows that do not depend on the points, as far as
+    autograd sees, are 0; `measured` ones are found by central differences.
     """
     check_points(points)
     enabled = torch.is_grad_enabled()
@@ -181,7 +184,7 @@ def gradients(function: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
         try:
             outputs = function(inputs)
         except RuntimeError as error:  # NumPy takes no tensor that autograd follows.
-            if "grad" not in str(error):
+            if not measured or "grad" not in str(error):
                 raise
             outputs = points.detach()
         keep_graph = keep_graph or (enabled and _has_parameters(outputs, inputs))
@@ -195,20 +198,46 @@ def gradients(function: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
             )[0]
             for column in (outputs.unbind(dim=-1) if outputs.requires_grad else ())
         ]
-    if all(row is None for row in rows):
-        return _differences(function, points)
+    if measured and (not rows or any(map(_unseen, rows))):
+        found = _differences(function, points)
+        rows = [
+            found[..., number, :] if _unseen(row) else row
+            for number, row in enumerate(rows or [None] * found.shape[-2])
+        ]
+    elif not rows:
+        return outputs.new_zeros(*outputs.shape, 3)
     return torch.stack([torch.zeros_like(points) if row is None else row for row in rows], dim=-2)
 
 
+def _unseen(row: Tensor | None) -> bool:
+    """Whether a row may be of a coordinate that autograd does not see; a constant is 0 as well."""
+    return row is None or not (row.requires_grad or bool(row.any()))
+
+
 def _differences(function: Callable[[Tensor], Tensor], points: Tensor) -> Tensor:
-    """As `gradients`, by central differences in double precision; of a constant exactly 0."""
+    """As `gradients`, by central differences in double precision; of a constant exactly 0.
+
+    Of maps that answer in single precision they hold three digits near the origin.
+    """
     places = points.detach().double()
-    flat = places.reshape(-1, 3)
-    # Of many points their extent says what is short, of a single one how far out it is.
-    size = size_of(flat) or float(flat.abs().max()) or 1.0 if len(flat) else 1.0
-    steps = _STEP * size * torch.eye(3, dtype=places.dtype, device=places.device)
-    columns = [(function(places + one) - function(places - one)) / (2 * one.max()) for one in steps]
+    single = function(places).dtype != places.dtype
+    size = _usual_size(places.reshape(-1, 3))
+    step = (_SINGLE_STEP if single else _STEP) * size
+    columns = [
+        (function(places + one).double() - function(places - one).double()) / (2 * step)
+        for one in step * torch.eye(3, dtype=places.dtype, device=places.device)
+    ]
     return torch.stack(columns, dim=-1).to(points)
+
+
+def _usual_size(places: Tensor) -> float:
+    """What is long beside points (N, 3): no stray or broken one has a say."""
+    known = places[places.isfinite().all(dim=-1)]
+    if not len(known):
+        return 1.0
+    apart = (known - known.median(dim=0).values).abs().amax(dim=-1)
+    # A single point has no extent; how far out it is says what is short there.
+    return 4 * float(apart.median()) or float(known.abs().max()) or 1.0
 
 
 def _has_parameters(outputs: Tensor, inputs: Tensor) -> bool:

@@ -87,8 +87,9 @@ def fit_pose(
     small = [photo.at_most(config.stages[config.coarse - 1].pixels) for photo in photos]
     # A start that says more than the coarse anchors can is not given up for what they found.
     numbers = min(begun, lifted, key=lambda one: fine.error(one, small, config))
-    by_now = agreement(asset, fine.posed(numbers), small, silhouettes=config.silhouettes)
-    check_same_object(by_now, silhouettes=config.silhouettes, coarse=True)
+    if not config.silhouettes:
+        by_now = agreement(asset, fine.posed(numbers), small, silhouettes=False)
+        check_same_object(by_now, silhouettes=False, coarse=True)
     numbers = fine.through(config.stages[config.coarse :], numbers, photos, config, count)
     if config.parts:
         numbers = rigid_limbs(fine, numbers, photos, config, count)

@@ -13,7 +13,7 @@ some 15 degrees of a circle, and as many times what hands shake out of it."""
 _CANCELLED = 1e-3
 """Shorter mean axes say nothing: the cameras look at the object any way up."""
 _STRAIGHT = 0.1
-"""Of cameras that look down so steeply (6 degrees), hands decide where the tops of pictures lean."""
+"""Of cameras that look down so steeply (6 degrees) hands decide where the tops of pictures lean."""
 
 
 def upward(right: Floats, top: Floats) -> Floats:

@@ -75,6 +75,11 @@ class StackEditor:
         passing, number = self._passing, self.session.history.present.number
         return passing[1] if passing and passing[0] == number else self.session.state
 
+    @property
+    def dragging(self) -> bool:
+        """Whether a handle is held."""
+        return self._dragged is not None
+
     def raw(self, index: int) -> dict[str, Any]:
         """An edit as an edit file has it, keyframes at the present time."""
         return raw_edit(self._present.script.edits[index])

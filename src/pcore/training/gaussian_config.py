@@ -100,9 +100,9 @@ class GaussianConfig:
     """Behind images with alpha; "random" draws another colour every step and renders on white."""
     hold_out: int = 10
     """Every so-manieth training view is kept for validation."""
-    held_out_until: float = 0.5
+    held_out_until: float | None = None
     """Share of the steps after which those are learned from as well, and no validation follows: no
-    other photo may show what one of them shows (ADR 59)."""
+    other photo may show what one of them shows (ADR 59). None: they only validate."""
     validate_every: int = 600
     """Steps between validations."""
     save_every: int = 600
@@ -130,9 +130,9 @@ class GaussianConfig:
                 "training of Gaussians: expected an opacity between 0 and 1 and a weight of the "
                 f"SSIM from 0 to 1, got {self.opacity_start} and {self.ssim_weight}"
             )
-        if not 0 < self.held_out_until <= 1:
+        if self.held_out_until is not None and not 0 < self.held_out_until < 1:
             raise InputError(
-                "training of Gaussians: expected held_out_until above 0 and at most 1, got "
+                "training of Gaussians: expected held_out_until between 0 and 1, or none, got "
                 f"{self.held_out_until}"
             )
         check_levels(self.levels)

@@ -79,7 +79,7 @@ def fit_gaussians(
         scene.name,
         pace=fit.pace,
         exposure=fit.exposure,
-        validate_until=config.held_out_until,
+        validate_until=_held_out_until(config),
     )
     return run_loop(
         fit.work,
@@ -125,7 +125,7 @@ class _Fit:
         """Draw the photos of the coming step and compare."""
         progress = self.pace.progress(self.work.step)
         at_hand = self.photos.at(reduction_at(self.config.levels, progress))
-        held_out = progress < self.config.held_out_until
+        held_out = progress < _held_out_until(self.config)
         views = self.views if held_out else self.views + len(self.validation)
         batch = _batch(self.work, self.config, views)
         shared = self.ranks.share(batch)
@@ -261,6 +261,10 @@ def _pace(config: GaussianConfig, scene: Scene, clock: Clock) -> Pace:
         for level in (*(config.levels or ()), Level(until=1.0, reduction=1))
     ]
     return Pace.of(config, seconds=config.seconds, legs=legs, clock=clock)
+
+
+def _held_out_until(config: GaussianConfig) -> float:
+    return 1.0 if config.held_out_until is None else config.held_out_until
 
 
 def _degree(progress: float, config: GaussianConfig) -> int:

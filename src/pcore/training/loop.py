@@ -89,7 +89,7 @@ def run_loop(
             if work.step % _REPORT_EVERY == 0 or pace.done(work.step):
                 listener(_report(work, pace, found))
             if last_unseen or (unseen and pace.validates(work.step)):
-                _validate(work, plan, budget, listener, last=last_unseen)
+                _validate(work, plan, pace, budget, listener, last=last_unseen)
             stop = ranks.any(bool(interrupted))
             finished = pace.done(work.step) and not stop
             if finished:
@@ -157,7 +157,13 @@ def _report(work: Work[Any], pace: Pace, found: Losses) -> StepReport:
 
 
 def _validate(
-    work: Work[Any], plan: Plan, budget: Budget | None, listener: Listener, *, last: bool
+    work: Work[Any],
+    plan: Plan,
+    pace: Pace,
+    budget: Budget | None,
+    listener: Listener,
+    *,
+    last: bool,
 ) -> None:
     if not plan.validation:
         return
@@ -175,7 +181,7 @@ def _validate(
             views=len(plan.validation),
             scores=scores,
             best=best,
-            learned_next=last and plan.validate_until < 1,
+            learned_next=last and not pace.done(work.step),
             accepted=budget is None or budget.met_by([one["psnr"] for one in found]),
         )
     )

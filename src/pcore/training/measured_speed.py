@@ -161,7 +161,7 @@ def _timed_step(scene: Scene, config: PretrainConfig, device: str, clock: Clock)
         work.optimizer.step()
         work.optimizer.zero_grad(set_to_none=True)
         took.append(clock() - began)
-        if turn == _ALIKE and max(took[1:]) < _EVEN * min(took[1:]):
+        if turn == (_TURNS if uneven else _ALIKE) and max(took[1:]) < _EVEN * min(took[1:]):
             break  # More steps say the same.
     seconds = statistics.mean(took[1:])
     if config.lpips_weight > 0:

@@ -136,10 +136,11 @@ def preset(name: PretrainName) -> PretrainConfig:
 
 
 _GAUSSIANS: dict[str, GaussianConfig] = {
-    "tiny": GaussianConfig(),
+    "tiny": GaussianConfig(held_out_until=0.5),
     "fast": GaussianConfig(
         steps=15_000,
         points=50_000,
+        held_out_until=0.5,
         # The original's, which has twice as many steps.
         rates=GaussianRates(
             scales=Schedule(base=5e-3),
