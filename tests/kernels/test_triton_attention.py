@@ -183,6 +183,7 @@ def test_interpreted_it_gives_what_the_reference_gives(tmp_path: Path) -> None:
 @needs_triton
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("capability", [pytest.param("80", marks=pytest.mark.slow), "90"])
+@pytest.mark.slow  # 28 s; interpreted it is tested always.
 def test_it_compiles_for_gpus_that_are_not_here(capability: str, tmp_path: Path) -> None:
     """One process for all presets: it is torch and Triton that take their time to be imported."""
     others = [f"{name}/{kind}" for name in ("fast", "paper", "paper-lego") for kind in _KINDS]

@@ -17,6 +17,7 @@ pytest.importorskip("viser", reason="the extra studio is not installed")
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(400)]
 
 
+@pytest.mark.slow  # 84 s; its parts have tests of their own, and the story of hands its page.
 def test_the_whole_story(browser: Any, forked: Forked, run: Path, free_port: int) -> None:
     page = Page(browser, forked, run, free_port)
     middle = (355, 350)
