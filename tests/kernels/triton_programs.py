@@ -10,7 +10,6 @@ _BEFORE = """
 import os, sys
 assert "triton" not in sys.modules, "it is too late to choose whether Triton interprets"
 os.environ.update({about!r})
-sys.path.insert(0, {here!r})
 """
 
 
@@ -19,6 +18,6 @@ def run_triton(
 ) -> None:
     """Run code to its end, with Triton's cache in a folder."""
     about = {"TRITON_CACHE_DIR": str(folder), "TRITON_INTERPRET": str(int(interpreted))}
-    before = _BEFORE.format(about=about, here=str(Path(__file__).parent))
+    before = _BEFORE.format(about=about)
     done = forked.start(before + code, *words, said=folder / "said.txt")
     assert done.wait() == 0, done.said.read_text()

@@ -10,8 +10,9 @@ from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn import functional as F
 
-from pcore.deform.base import SINGULAR, Deformation, gradients, uprightness
+from pcore.deform.base import SINGULAR, Deformation, uprightness
 from pcore.deform.checks import check_invertible
+from pcore.deform.derivatives import gradients
 from pcore.errors import EditError
 from pcore.geometry.local_maps import LocalMaps
 from pcore.geometry.point_cloud import size_of

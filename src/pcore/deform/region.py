@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from pcore.deform.base import check_points, frozen_tensor, gradients
+from pcore.deform.base import check_points, frozen_tensor
+from pcore.deform.derivatives import gradients
 from pcore.errors import InputError
 
 
@@ -25,6 +26,7 @@ class Region(ABC):
 
     def gradient(self, points: Tensor) -> Tensor:
         """Derivatives (..., 3) of the weight by position."""
+        check_points(points)
         return gradients(lambda at: self.weight(at).unsqueeze(-1), points).squeeze(-2)
 
 
